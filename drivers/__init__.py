@@ -1,0 +1,1 @@
+"""Real instruments, each behind the interface of `fpplab.devices`."""

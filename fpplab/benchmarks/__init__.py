@@ -1,0 +1,40 @@
+"""Benchmarks: each figure beside its baseline, both measured in the same run.
+
+A benchmark is a function without arguments that returns `Result`s. `REGISTRY` maps
+the names that `fpplab bench NAME` takes to "module:function", loaded when asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fpplab.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Result:
+    """One figure: `ratio` is how many times better than `baseline` it is, in the same `unit`."""
+
+    name: str
+    value: float
+    unit: str
+    baseline: float
+    ratio: float
+
+
+REGISTRY = {
+    "decode": "fpplab.benchmarks.decode:run",
+    "triangulate": "fpplab.benchmarks.triangulate:run",
+    "compare": "fpplab.benchmarks.compare:run",
+}
+
+
+def benchmark(name: str) -> Callable[[], list[Result]]:
+    """The benchmark of that name, or a `ConfigError` that lists them."""
+    if name not in REGISTRY:
+        raise ConfigError(f"there is no benchmark '{name}'; there are {', '.join(REGISTRY)}")
+    module, function = REGISTRY[name].split(":")
+    run: Callable[[], list[Result]] = getattr(importlib.import_module(module), function)
+    return run

@@ -1,0 +1,82 @@
+"""The conventions of every frame, pixel, angle and phase in fpplab, stated once.
+
+Units
+    Lengths in mm, times in s. Angles are degrees in files and radians in code.
+    Errors are reported in µm and px.
+Frames
+    Right-handed. A camera or projector frame is OpenCV's: x right, y down, z
+    forward. `T_b_a` takes coordinates in a to coordinates in b:
+    `X_b = R_b_a X_a + t_b_a`. The world of a characterised rig is its camera's frame.
+Pixels
+    (0, 0) is the CENTRE of the first pixel, column first: (u, v). Arrays are
+    indexed [v, u]. Sizes are (width, height).
+Distortion
+    OpenCV's (k1, k2, p1, p2, k3), for the camera and for the projector.
+Fringes
+    A set along axis x with `stripes` periods across W projector pixels shows
+    `I_n(u) = offset + amplitude * cos(2π stripes (u + 0.5)/W - δ_n)`, with
+    `δ_n = 2π n/N`, n = 0 … N-1. Decoding gives `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)`
+    in [0, 2π), the modulation `B = (2/N) sqrt(S² + C²)`, and after unwrapping
+    `u = Φ W/(2π stripes) - 0.5`. `stripes` may be fractional. Axis y is the same in v and H.
+Lattice
+    On a `square` lattice mirror (column i, row j) is centred at u = i, v = j. On the
+    DLP4500's `diamond` lattice odd rows are shifted by half a column: u = i + 0.5 (j mod 2).
+Frames of a camera
+    The sensor's raw integers. Linearising, averaging and masking happen in the
+    pipeline, never in a driver.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+TWO_PI = 2.0 * np.pi
+
+Axis = Literal["x", "y"]
+
+Floats = NDArray[np.float64]
+Map = NDArray[np.float32]
+"""A per-pixel quantity of the camera, indexed [v, u], NaN where it is not known."""
+Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+"""Raw integers of a camera or grey levels of a projector, indexed [v, u]."""
+
+
+class Lattice(StrEnum):
+    """How a projector's mirrors lie."""
+
+    SQUARE = "square"
+    DIAMOND = "diamond"
+
+
+def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:
+    """Coordinates (u, v) of every mirror's centre, each (height, width), in projector pixels."""
+    width, height = size
+    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+    if lattice is Lattice.DIAMOND:
+        u += 0.5 * (v % 2)
+    return u, v
+
+
+def axis_length(size: tuple[int, int], axis: Axis) -> int:
+    """W for axis x, H for axis y, in projector pixels."""
+    return size[0] if axis == "x" else size[1]
+
+
+def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floats:
+    """Absolute phase Φ in rad of projector coordinates in px: `2π stripes (u + 0.5)/W`."""
+    return TWO_PI * stripes * (coordinate + 0.5) / length
+
+
+def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
+    """Projector coordinates in px of absolute phase in rad: `u = Φ W/(2π stripes) - 0.5`."""
+    return phase * length / (TWO_PI * stripes) - 0.5
+
+
+def phase_steps(steps: int) -> Floats:
+    """The shifts `δ_n = 2π n/N` in rad, (steps,)."""
+    return TWO_PI * np.arange(steps) / steps

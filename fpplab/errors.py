@@ -1,0 +1,97 @@
+"""What can go wrong, by whose hand it is mended, and the exit code that says so.
+
+Every foreseeable fault is one of these; the command line prints its single
+sentence and leaves with `exit_code`. The message names what was found and what
+to do, so that an operator can act on it without reading code.
+"""
+
+from __future__ import annotations
+
+
+class FppError(Exception):
+    """Base of every foreseeable fault."""
+
+    exit_code = 1
+
+
+class ConfigError(FppError):
+    """A rig, plan, target or command-line value is wrong: mend the input."""
+
+    exit_code = 2
+
+
+class DeviceError(FppError):
+    """An instrument failed or refused: see to the bench.
+
+    Parameters
+    ----------
+    device: the device's name in the rig file.
+    operation: what was being done.
+    found: what was found instead.
+    remedy: what the operator can do.
+    """
+
+    exit_code = 3
+
+    def __init__(self, device: str, operation: str, found: str, remedy: str = "") -> None:
+        self.device, self.operation, self.found, self.remedy = device, operation, found, remedy
+        advice = f"; {remedy}" if remedy else ""
+        super().__init__(f"{device}: {operation}: {found}{advice}")
+
+
+class NotOpenError(DeviceError):
+    """The device was used before `open` or after `close`."""
+
+
+class StateError(DeviceError):
+    """The operation is not legal in the device's present state."""
+
+
+class CapabilityError(DeviceError):
+    """The device cannot do this at all."""
+
+
+class SettingError(DeviceError):
+    """A setting lies outside what the device accepts."""
+
+
+class LimitError(DeviceError):
+    """A motion would leave the travel."""
+
+
+class TimeoutError(DeviceError):  # noqa: A001 - the field's own word, always used qualified
+    """The device did not answer in time."""
+
+
+class ProtocolError(DeviceError):
+    """The device answered something that its protocol does not allow."""
+
+
+class FrameLossError(DeviceError):
+    """A frame is missing or damaged."""
+
+
+class SyncError(DeviceError):
+    """A frame shows another pattern than the one asked for."""
+
+
+class DisconnectedError(DeviceError):
+    """The device is gone: unplugged, switched off, or its process died."""
+
+
+class DataError(FppError):
+    """Recorded data are missing, damaged or of another kind than promised."""
+
+    exit_code = 4
+
+
+class CalibrationError(FppError):
+    """Characterisation failed, or does not fit the data it is used on."""
+
+    exit_code = 5
+
+
+class Cancelled(FppError):  # noqa: N818 - not an error: the user's own wish
+    """The user stopped the work."""
+
+    exit_code = 130

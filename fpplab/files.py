@@ -1,0 +1,54 @@
+"""Files written whole or not at all, and outputs that are never overwritten by accident."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from fpplab.errors import ConfigError, DataError
+
+
+def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Let `write` fill a file that appears under `path` only once it is complete and on disk.
+
+    Raises `DataError` when there is no space left or the place cannot be written;
+    nothing is left behind then.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise DataError(_cannot_write(path, error)) from error
+    try:
+        os.fchmod(handle, 0o644)
+        with os.fdopen(handle, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(name, path)
+    except BaseException as error:
+        Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise DataError(_cannot_write(path, error)) from error
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text whole or not at all."""
+    write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
+
+
+def _cannot_write(path: Path, error: OSError) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"{path}: no space left on the disk; free some and run the same command again"
+    return f"{path}: cannot be written ({error.strerror})"
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Refuse an output that exists, unless the user said `--force`: `ConfigError`."""
+    if path.exists() and not force:
+        raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")

@@ -1,0 +1,64 @@
+"""Plan -> patterns: the images that a projector is asked to show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Lattice, axis_length, mirror_centres, phase_of_coordinate, phase_steps
+from fpplab.plan import FringeSet, Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """One image for a projector.
+
+    id: names it in frames and journals. image: uint8 [row, column] of mirrors, quantised
+    to `bit_depth` (the full scale is always 255).
+    """
+
+    id: str
+    image: NDArray[np.uint8]
+    bit_depth: int = 8
+
+
+def fringe_level(
+    fringe: FringeSet, step: int, size: tuple[int, int], lattice: Lattice
+) -> NDArray[np.float64]:
+    """The un-quantised fringe image in [0, 1], (height, width); equation in `conventions`.
+
+    Offset and amplitude are one half, so that the pattern neither clips nor wastes range.
+    """
+    u, v = mirror_centres(size, lattice)
+    coordinate, length = (u if fringe.axis == "x" else v), axis_length(size, fringe.axis)
+    phase = phase_of_coordinate(coordinate, fringe.stripes, length) + fringe.phase_origin_rad
+    return 0.5 + 0.5 * np.cos(phase - fringe.shift_sign * phase_steps(fringe.steps)[step])
+
+
+def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
+    """Levels in [0, 1] as the nearest grey of a `bit_depth` projector, on the scale 0 … 255."""
+    greys = (1 << bit_depth) - 1
+    return np.rint(np.rint(level * greys) * (255.0 / greys)).astype(np.uint8)
+
+
+def make_patterns(
+    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+) -> list[Pattern]:
+    """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
+
+    Raises `ConfigError` when the projector cannot resolve the stripes.
+    """
+    plan.check_projector(size, "plan")
+    return [
+        Pattern(name, quantise(fringe_level(plan.fringes[i], n, size, lattice), bit_depth), bit_depth)
+        for i, n, name in plan.steps()
+    ]
+
+
+def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
+    """Uniform images of the given grey levels 0 … 255, for the response and for alignment."""
+    return [
+        Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys
+    ]

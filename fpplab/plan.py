@@ -1,0 +1,114 @@
+"""A plan: what to project and capture, and nothing about devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from fpplab import config
+from fpplab.config import Document
+from fpplab.conventions import Axis, axis_length
+from fpplab.errors import ConfigError
+
+
+class FringeSet(Document):
+    """One phase-shifted set: N = `steps` images of `stripes` periods along `axis`.
+
+    `shift_sign` and `phase_origin_rad` describe fringes made elsewhere: image n is
+    `cos(2π stripes (u + 0.5)/W + phase_origin_rad - shift_sign δ_n)`. `projector_size`
+    is the projector they were made for, where no rig says so.
+    """
+
+    axis: Axis
+    stripes: Annotated[float, Field(gt=0)]
+    steps: Annotated[int, Field(ge=3, le=1000)]
+    shift_sign: Literal[1, -1] = 1
+    phase_origin_rad: float = 0.0
+    projector_size: tuple[Annotated[int, Field(gt=1)], Annotated[int, Field(gt=1)]] | None = None
+
+
+class MaskRules(Document):
+    """What a pixel must satisfy to be measured; grey levels are of the 8-bit scale.
+
+    modulation_min: least fringe amplitude B, in grey levels of 255.
+    contrast_min: least B / offset; ambient light and shadow lower it.
+    residual_max: greatest RMS misfit of the sinusoid as a share of B.
+    Saturated pixels are never measured.
+    """
+
+    modulation_min: Annotated[float, Field(ge=0, le=127)] = 4.0
+    contrast_min: Annotated[float, Field(ge=0, le=1)] = 0.1
+    residual_max: Annotated[float, Field(gt=0)] = 0.25
+
+
+class Plan(Document):
+    """Fringe sets in the order they are shown, how to unwrap them, and the exposure."""
+
+    fringes: Annotated[tuple[FringeSet, ...], Field(min_length=1)]
+    unwrapping: Literal["hierarchical", "heterodyne"] = "hierarchical"
+    exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    trigger: Literal["stepped", "triggered"] = "stepped"
+    masks: MaskRules = MaskRules()
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> Plan:
+        sizes = {f.projector_size for f in self.fringes}
+        if len(sizes) > 1:
+            raise ValueError("every fringe set must name the same projector_size, or none")
+        return self
+
+    @classmethod
+    def load(cls, path: Path | str) -> Plan:
+        """Read a plan file, by path or by the name of one that comes with fpplab."""
+        return config.load(config.find(path), cls)
+
+    @property
+    def images(self) -> int:
+        """How many images a measurement takes."""
+        return sum(f.steps for f in self.fringes)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes that are coded, x before y."""
+        coded = {f.axis for f in self.fringes}
+        return tuple(a for a in ("x", "y") if a in coded)
+
+    @property
+    def projector_size(self) -> tuple[int, int] | None:
+        """The projector that the fringes were made for, where the plan says so."""
+        return self.fringes[0].projector_size
+
+    def sets_along(self, axis: Axis) -> tuple[int, ...]:
+        """Indices into `fringes` of the sets along one axis, fewest stripes first."""
+        chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
+        return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
+
+    def steps(self) -> Iterator[tuple[int, int, str]]:
+        """(fringe set, step, pattern id) of every image, in the order shown."""
+        for index, fringe in enumerate(self.fringes):
+            for n in range(fringe.steps):
+                yield index, n, pattern_id(index, fringe, n)
+
+    def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
+        """Refuse stripes that the projector cannot resolve: `ConfigError`."""
+        for i, fringe in enumerate(self.fringes):
+            length = axis_length(size, fringe.axis)
+            if fringe.stripes > length / 2:
+                raise ConfigError(
+                    f"{source}: 'fringes[{i}].stripes' is {fringe.stripes:g}: more than half of the "
+                    f"projector's {length} pixels along {fringe.axis}; at most {length / 2:g}"
+                )
+        if self.projector_size not in (None, tuple(size)):
+            raise ConfigError(
+                f"{source}: 'projector_size' is {list(self.projector_size or ())} but the projector "
+                f"has {list(size)} pixels"
+            )
+
+
+def pattern_id(index: int, fringe: FringeSet, step: int) -> str:
+    """A name that says what is shown: set, axis, stripes and step."""
+    return f"{index:02d}-{fringe.axis}-{fringe.stripes:g}-{step:03d}of{fringe.steps}"

@@ -1,0 +1,1 @@
+"""The digital twin: the devices of `fpplab.devices` over one simulated world."""
