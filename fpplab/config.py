@@ -56,7 +56,7 @@ def parse(text: str, source: Path | str) -> Any:
     Raises `ConfigError` naming `source` and the line when the text is not YAML.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark else ""

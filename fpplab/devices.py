@@ -411,9 +411,7 @@ class Projector(Device):
             raise StateError(self.name, "play", "has no patterns", "load some first")
         least = max(caps.bit_depths[p.bit_depth] for p in self._loaded)
         if exposure_s < least:
-            raise SettingError(
-                self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s"
-            )
+            raise SettingError(self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s")
         with self._guard("play"):
             self._play(exposure_s)
 

@@ -59,7 +59,7 @@ class LimitError(DeviceError):
     """A motion would leave the travel."""
 
 
-class TimeoutError(DeviceError):  # noqa: A001 - the field's own word, always used qualified
+class TimeoutError(DeviceError):
     """The device did not answer in time."""
 
 

@@ -42,6 +42,22 @@ def write_text(path: Path, text: str) -> None:
     write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
 
 
+def append_line(path: Path, line: str) -> None:
+    """Add one line to a journal and have it on disk before returning.
+
+    Raises `DataError` when there is no space left; the journal ends then where it ended before.
+    """
+    end = path.stat().st_size
+    try:
+        with path.open("ab") as stream:
+            stream.write(line.encode("utf-8") + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as error:
+        os.truncate(path, end)
+        raise DataError(_cannot_write(path, error)) from error
+
+
 def _cannot_write(path: Path, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path}: no space left on the disk; free some and run the same command again"

@@ -100,7 +100,5 @@ class Pinhole:
         """Undistorted ray slopes (x/z, y/z), (..., 2), of pixels (..., 2); inverse of `project`."""
         flat = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-        slopes = cv2.undistortPointsIter(
-            flat, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria
-        )
+        slopes = cv2.undistortPointsIter(flat, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria)
         return np.asarray(slopes, np.float64).reshape(np.shape(pixels))

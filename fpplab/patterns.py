@@ -43,9 +43,7 @@ def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8
     return np.rint(np.rint(level * greys) * (255.0 / greys)).astype(np.uint8)
 
 
-def make_patterns(
-    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
-) -> list[Pattern]:
+def make_patterns(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8) -> list[Pattern]:
     """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
 
     Raises `ConfigError` when the projector cannot resolve the stripes.
@@ -59,6 +57,4 @@ def make_patterns(
 
 def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
     """Uniform images of the given grey levels 0 … 255, for the response and for alignment."""
-    return [
-        Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys
-    ]
+    return [Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys]

@@ -1,0 +1,83 @@
+"""Patterns -> frames: the one place that keeps projector and camera in step.
+
+Stepped: show, settle, snap, one pattern at a time. Triggered: the projector is the clock,
+and each of its pulses exposes one frame.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from fpplab.devices import Camera, CameraSettings, Frame, Projector
+from fpplab.errors import SyncError
+from fpplab.patterns import Pattern, make_patterns
+from fpplab.plan import Plan
+from fpplab.rig import Rig
+from fpplab.session import Session
+
+Observer = Callable[[Frame], None]
+"""Sees each frame once it is on disk: a progress bar, a viewer."""
+
+
+def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = lambda frame: None) -> None:
+    """Take every image of the plan that the session lacks.
+
+    The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`.
+    """
+    settings = rig.camera_settings(plan.exposure_s)
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    wanted = session.missing()
+    shots = expose(rig, [patterns[i] for i in wanted], settings, plan)
+    for index, frame in zip(wanted, shots, strict=True):
+        session.write(frame.showing(patterns[index].id, index))
+        observe(frame)
+
+
+def expose(
+    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, plan: Plan | None = None
+) -> Iterator[Frame]:
+    """One frame per pattern, in order, synchronised as the plan says (stepped without one)."""
+    if not patterns:
+        return
+    camera, projector = rig.camera, rig.projector
+    camera.configure(settings)
+    projector.load(patterns)
+    try:
+        if plan is not None and plan.trigger == "triggered":
+            yield from _triggered(camera, projector, patterns, settings)
+        else:
+            yield from _stepped(camera, projector, patterns, plan.settle_s if plan else 0.0)
+    finally:
+        rig.make_dark()
+
+
+def _stepped(
+    camera: Camera, projector: Projector, patterns: Sequence[Pattern], settle_s: float
+) -> Iterator[Frame]:
+    for i, pattern in enumerate(patterns):
+        projector.show(i)
+        time.sleep(settle_s)  # the display's own latency, which the plan states
+        yield _in_step(camera, camera.snap(), pattern)
+
+
+def _triggered(
+    camera: Camera, projector: Projector, patterns: Sequence[Pattern], settings: CameraSettings
+) -> Iterator[Frame]:
+    camera.arm(len(patterns), "hardware")
+    projector.play(settings.exposure_s)
+    for pattern in patterns:
+        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + 5.0), pattern)
+
+
+def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
+    """Where the camera's backend knows what was on show, it must be what was asked for."""
+    if frame.pattern_id not in (None, pattern.id):
+        raise SyncError(
+            camera.name,
+            "read",
+            f"the frame shows '{frame.pattern_id}' instead of '{pattern.id}'",
+            "see that nothing else drives the projector, and scan again",
+        )
+    return frame

@@ -1,0 +1,103 @@
+"""The demonstration: the whole method on the virtual bench, ending in a report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab import artefacts, console
+from fpplab.comparison import Comparison, compare
+from fpplab.errors import ConfigError
+from fpplab.files import refuse_existing, write_text
+from fpplab.measurement import (
+    characterise_sessions,
+    finish_scan,
+    measure_response,
+    scan_section,
+    take,
+    take_poses,
+)
+from fpplab.plan import Plan
+from fpplab.report import ScanSection, write_report
+from fpplab.rig import Rig
+from fpplab.targets import Target
+
+POSES = 15
+TRUTH, RESULT, REPORT = "truth.stl", "demo.json", "report.html"
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One artefact, measured and compared with its true shape."""
+
+    name: str
+    section: ScanSection
+    comparison: Comparison
+
+    def summary(self) -> dict[str, Any]:
+        """The keys of one scan in `fpplab demo --json`."""
+        return {
+            "artefact": self.name,
+            "images": self.section.images,
+            **self.comparison.summary(),
+            "points": len(self.section.cloud.points),
+        }
+
+
+def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
+    """Response, characterisation, three scans, comparison, report; the JSON of `fpplab demo`.
+
+    The session of every measurement stays below `out`. Raises any `FppError`.
+    """
+    refuse_existing(out / RESULT, force)
+    rig_name = "rig_demo_quick.yaml" if quick else "rig_demo.yaml"
+    board_plan, scan_plan = Plan.load("plan_board.yaml"), Plan.load("plan_paper.yaml")
+    with console.stopwatch() as seconds, Rig.load(rig_name) as rig:
+        fixture = rig.need_fixture("the demonstration")
+        with console.progress("Response") as report:
+            fixture.mount("grey_card")
+            response, levels = measure_response(rig, scan_plan.exposure_s, progress=report)
+        with console.progress(f"Taking {POSES} poses of the board") as report:
+            poses = take_poses(rig, board_plan, "board", POSES, out / "board", True, report)
+        with console.progress("Characterising") as report:
+            found, missed = characterise_sessions(poses, Target.load("target_paper.yaml"), report)
+        found.calibration.save(out / "calibration.yaml")
+        scans = [_measure(rig, name, scan_plan, found.calibration, out / name) for name in artefacts.NAMES]
+        write_report(
+            out / REPORT,
+            "Demonstration on the virtual bench",
+            response=(response, levels),
+            characterisation=found,
+            scans=[s.section for s in scans],
+        )
+        result = {
+            "gamma": response.summary(),
+            "characterisation": {**found.summary(), "left_out": [m.name for m in missed]},
+            "scans": [s.summary() for s in scans],
+            "mean_surface_smcd_um": float(np.mean([s.comparison.surface_smcd_um for s in scans])),
+            "seconds": seconds(),
+            "report": str(out / REPORT),
+        }
+    write_text(out / RESULT, json.dumps(result, indent=2) + "\n")
+    return result
+
+
+def _measure(rig: Rig, name: str, plan: Plan, calibration: Any, out: Path) -> Scan:
+    fixture = rig.need_fixture("the demonstration")
+    fixture.mount(name)
+    with console.progress(f"Scanning the {name}") as report:
+        session = take(rig, plan, out, True, report)
+        decoded, cloud = finish_scan(session, calibration)
+    standing = fixture.pose(name)
+    if standing is None:
+        raise ConfigError("the demonstration needs a fixture that knows where it holds an item")
+    truth = artefacts.make(name)
+    truth.apply_transform(standing.matrix)
+    artefacts.save_stl(truth, out / TRUTH)
+    with console.progress(f"Comparing the {name}"):
+        comparison = compare(cloud, truth, calibration, align=True)
+    return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison)

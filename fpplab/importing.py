@@ -1,0 +1,98 @@
+"""Loose images from elsewhere -> a session."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image as Pillow
+
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings, Frame
+from fpplab.errors import ConfigError, DataError
+from fpplab.plan import Plan
+from fpplab.session import Session
+
+
+def import_images(
+    folder: Path,
+    plan: Plan,
+    names: str,
+    out: Path,
+    bits: int = 8,
+    force: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Session:
+    """Bring `plan.images` grey images of `folder` into a new session, in the plan's order.
+
+    names: a format of the index, such as "f_{index:02d}.png". bits: depth of the images' grey
+    levels; 8-bit files hold 8, 16-bit files 10, 12 or 16. Every file is checked before the session is
+    made. Raises `ConfigError`, `DataError` (missing, damaged, colour, other size or depth).
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: is not a folder")
+    paths = [folder / _name(names, i) for i in range(plan.images)]
+    _check_all_there(folder, paths, names)
+    size = _check_alike(paths, bits)
+    session = Session.create(out, plan, force=force)
+    for index, (_, _, pattern) in enumerate(plan.steps()):
+        image = _read_grey(paths[index], bits, size)
+        settings = CameraSettings(plan.exposure_s, 0.0, bits)
+        session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
+        progress((index + 1) / plan.images)
+    return session
+
+
+def _name(names: str, index: int) -> str:
+    try:
+        fields = [field for _, field, _, _ in string.Formatter().parse(names) if field is not None]
+        if fields != ["index"]:
+            raise ValueError
+        return names.format(index=index)
+    except (ValueError, KeyError, IndexError):
+        raise ConfigError(
+            f"--frames is '{names}': expected one {{index}}, such as 'f_{{index:02d}}.png'"
+        ) from None
+
+
+def _check_all_there(folder: Path, paths: list[Path], names: str) -> None:
+    missing = [p.name for p in paths if not p.is_file()]
+    if missing:
+        shown = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
+        raise DataError(
+            f"{folder}: {len(missing)} of the plan's {len(paths)} frames are missing ({shown}); "
+            f"looked for '{names}' from index 0"
+        )
+
+
+def _check_alike(paths: list[Path], bits: int) -> tuple[int, int]:
+    size: tuple[int, int] | None = None
+    for path in paths:
+        height, width = _read_grey(path, bits, size).shape
+        size = width, height
+    assert size is not None  # a plan has at least one fringe set
+    return size
+
+
+def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:
+    """One grey image, whole; refuses what is not exactly what was promised."""
+    try:
+        with Pillow.open(path) as picture:
+            picture.load()
+            mode = picture.mode
+            image: Image = np.asarray(picture)
+    except Exception as error:
+        raise DataError(f"{path}: is truncated or no image ({error})") from error
+    if mode not in ("L", "I;16", "I;16B", "I;16L"):
+        raise DataError(f"{path}: is not a grey image (its mode is {mode}); convert it to one grey channel")
+    depth = 8 if mode == "L" else 16
+    if (depth == 8) != (bits == 8):
+        raise DataError(f"{path}: is a {depth}-bit image but {bits} bits were promised; see --bits")
+    if int(image.max(initial=0)) >= 1 << bits:
+        raise DataError(f"{path}: has a grey level of {image.max()}, more than {bits} bits hold; see --bits")
+    if size is not None and image.shape[::-1] != size:
+        found = " x ".join(map(str, image.shape[::-1]))
+        raise DataError(f"{path}: is {found} pixels but the first image is {size[0]} x {size[1]}")
+    return image.astype(np.uint8) if bits == 8 else image.astype(np.uint16)

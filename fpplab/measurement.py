@@ -1,0 +1,177 @@
+"""The steps of a measurement, each from open devices or recorded sessions to a result.
+
+One code for the command line, the demonstration and the tests; nothing here knows what kind
+of rig it runs on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.acquisition import acquire, expose
+from fpplab.calibration import Calibration
+from fpplab.characterisation import Characterisation, Observation, characterise, observe
+from fpplab.clouds import Cloud, save_cloud
+from fpplab.comparison import Comparison
+from fpplab.conventions import Floats
+from fpplab.devices import Frame
+from fpplab.errors import CalibrationError
+from fpplab.gamma import Response, fit_response
+from fpplab.patterns import uniform_patterns
+from fpplab.phase import Decoded, decode, wrapped_phase
+from fpplab.plan import Plan
+from fpplab.reconstruction import triangulate
+from fpplab.report import ScanSection, write_report
+from fpplab.rig import Rig
+from fpplab.session import Session
+from fpplab.targets import Target
+
+Progress = Callable[[float], None]
+
+DECODED, CLOUD, CALIBRATION, REPORT = "decoded.npz", "cloud.ply", "calibration.yaml", "report.html"
+"""Names of the results inside a session."""
+
+
+def nothing(share: float) -> None:
+    """A progress report that nobody reads."""
+
+
+def take(
+    rig: Rig,
+    plan: Plan,
+    out: Path,
+    force: bool = False,
+    progress: Progress = nothing,
+    observe_frame: Callable[[Frame], None] = lambda frame: None,
+) -> Session:
+    """Acquire the plan on an open rig into `out`, or complete the interrupted session there."""
+    session = Session.resume(out, plan, rig.described(), force)
+
+    def seen(frame: Frame) -> None:
+        progress(1.0 - len(session.missing()) / plan.images)
+        observe_frame(frame)
+
+    acquire(rig, plan, session, seen)
+    return session
+
+
+def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
+    """Projector coordinates of every camera pixel. Raises `DataError`, `ConfigError`."""
+    size, _ = session.projector()
+    session.plan.check_projector(size, session.path)
+    frames = session.stack(progress=lambda share: progress(0.5 * share))
+    decoded = decode(frames, session.plan, size, session.format[2], str(session.path))
+    progress(1.0)
+    return decoded
+
+
+def reconstruct(
+    session: Session, calibration: Calibration, progress: Progress = nothing
+) -> tuple[Decoded, Cloud]:
+    """Decode and triangulate. Raises `CalibrationError` when the calibration is of another rig."""
+    calibration.check_camera(session.format[:2], session.path)
+    calibration.check_projector(session.projector()[0], session.path)
+    decoded = decode_session(session, progress)
+    return decoded, triangulate(decoded, calibration, mean_image(session))
+
+
+def finish_scan(
+    session: Session, calibration: Calibration, progress: Progress = nothing
+) -> tuple[Decoded, Cloud]:
+    """Reconstruct a complete session and leave every result in it, with a report to look at."""
+    decoded, cloud = reconstruct(session, calibration, progress)
+    decoded.save(session.path / DECODED)
+    save_cloud(cloud, session.path / CLOUD)
+    calibration.save(session.path / CALIBRATION)
+    name = session.path.name
+    write_report(session.path / REPORT, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
+    return decoded, cloud
+
+
+def scan_section(
+    name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
+) -> ScanSection:
+    """What the report shows of one scan."""
+    finest = session.plan.sets_along(session.plan.axes[0])[-1]
+    frames = [session.read(i, verify=False) for i, (k, _, _) in enumerate(session.plan.steps()) if k == finest]
+    wrapped = wrapped_phase(frames, session.plan.fringes[finest])
+    return ScanSection(name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison)
+
+
+def mean_image(session: Session) -> np.ndarray:
+    """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
+    finest = session.plan.sets_along(session.plan.axes[0])[-1]
+    chosen = [i for i, (fringe, _, _) in enumerate(session.plan.steps()) if fringe == finest]
+    total = np.zeros(session.read(chosen[0], verify=False).shape, np.float32)
+    for i in chosen:
+        total += session.read(i, verify=False)
+    return np.rint(total / (len(chosen) * (1 << (session.format[2] - 8)))).astype(np.uint8)
+
+
+def take_poses(
+    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = nothing
+) -> list[Session]:
+    """One session per pose of a target that the rig's fixture holds."""
+    fixture = rig.need_fixture("characterisation on the rig")
+    sessions = []
+    for pose in range(poses):
+        out = folder / f"pose_{pose:02d}"
+        fixture.mount(item, pose)
+        sessions.append(take(rig, plan, out, force, lambda s, k=pose: progress((k + s) / poses)))  # type: ignore[misc]
+    return sessions
+
+
+@dataclass(frozen=True)
+class Missed:
+    """A pose that gives no observation, and why."""
+
+    name: str
+    reason: str
+
+
+def characterise_sessions(
+    sessions: Sequence[Session], target: Target, progress: Progress = nothing
+) -> tuple[Characterisation, list[Missed]]:
+    """Camera, projector and the pose between them from one session per pose of a target.
+
+    A pose in which the target is not found is left out and named, as long as enough remain.
+    Raises `CalibrationError`.
+    """
+    observations: list[Observation] = []
+    missed: list[Missed] = []
+    for k, session in enumerate(sessions):
+        decoded = decode_session(session)
+        try:
+            observations.append(observe(session.path.name, mean_image(session), decoded, target))
+        except CalibrationError as error:
+            missed.append(Missed(session.path.name, str(error)))
+        progress(0.8 * (k + 1) / len(sessions))
+    width, height, _ = sessions[0].format
+    size, lattice = sessions[0].projector()
+    result = characterise(observations, target, (width, height), size, lattice)
+    progress(1.0)
+    return result, missed
+
+
+def measure_response(
+    rig: Rig, exposure_s: float, greys: Sequence[int] = tuple(range(0, 256, 17)), progress: Progress = nothing
+) -> tuple[Response, Floats]:
+    """Show uniform greys and fit the response; also the levels, (K, 2) of in and out in [0, 1].
+
+    The mean of the middle ninth of the image stands for the frame: evenly lit, and free of the edge.
+    """
+    settings = rig.camera_settings(exposure_s)
+    patterns = uniform_patterns(list(greys), rig.projector.caps.size)
+    full = (1 << settings.bits) - 1
+    levels = []
+    for grey, frame in zip(greys, expose(rig, patterns, settings), strict=True):
+        height, width = frame.image.shape
+        middle = frame.image[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
+        levels.append((grey / 255.0, float(middle.mean()) / full))
+        progress(len(levels) / len(greys))
+    measured = np.array(levels)
+    return fit_response(measured[:, 0], measured[:, 1]), measured

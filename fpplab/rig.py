@@ -1,0 +1,164 @@
+"""A rig file -> open devices, closed safely.
+
+    name: Virtual bench
+    bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
+    camera:    {backend: "sim.devices:SimCamera", bits: 8}
+    projector: {backend: "sim.devices:SimProjector"}
+
+`backend` names the class that drives the device: `module:Class`. `bench` is what the devices
+share, where they share anything; `stage` and `fixture` are optional. `bits` and `gain_db` are
+the camera's standing settings; every other key goes to the backend, which refuses what it does
+not know. A relative file name is looked for beside the rig file first.
+"""
+
+from __future__ import annotations
+
+import importlib
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import ConfigDict, Field
+
+from fpplab import config
+from fpplab.config import Document
+from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+from fpplab.errors import ConfigError
+
+Dev = TypeVar("Dev", bound=Device)
+
+
+class Section(Document):
+    """One device of a rig file; keys beyond these are the backend's own options."""
+
+    model_config = ConfigDict(extra="allow")
+
+    backend: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What goes to the backend."""
+        return dict(self.model_extra or {})
+
+
+class CameraSection(Section):
+    """The camera and its standing settings."""
+
+    bits: Literal[8, 10, 12, 16] = 8
+    gain_db: float = 0.0
+
+
+class RigFile(Document):
+    """Schema of a rig file."""
+
+    name: str
+    camera: CameraSection
+    projector: Section
+    bench: Section | None = None
+    stage: Section | None = None
+    fixture: Section | None = None
+
+
+class Rig:
+    """The devices of a rig file, open between `with Rig.load(path) as rig:` and its end.
+
+    Every device is closed in reverse order, whatever fails; a device that cannot be made
+    safe is reported after all the others are closed.
+    """
+
+    camera: Camera
+    projector: Projector
+
+    def __init__(self, file: RigFile, folder: Path, source: Path | str) -> None:
+        self.file, self._folder, self._source = file, folder, source
+        self.stage: Stage | None = None
+        self.fixture: Fixture | None = None
+        self._stack = ExitStack()
+
+    @classmethod
+    def load(cls, path: Path | str) -> Rig:
+        """Read a rig file, by path or by the name of one that comes with fpplab."""
+        found = config.find(path)
+        return cls(config.load(found, RigFile), found.parent, found)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            bench = self._open_bench(stack)
+            self.camera = self._device(stack, "camera", Camera, self.file.camera, bench)  # type: ignore[type-abstract]
+            self.projector = self._device(stack, "projector", Projector, self.file.projector, bench)  # type: ignore[type-abstract]
+            if self.file.stage:
+                self.stage = self._device(stack, "stage", Stage, self.file.stage, bench)  # type: ignore[type-abstract]
+            if self.file.fixture:
+                self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, bench)  # type: ignore[type-abstract]
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def camera_settings(self, exposure_s: float) -> CameraSettings:
+        """The rig's standing settings with a plan's exposure."""
+        return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
+
+    def make_dark(self) -> None:
+        """Stop the camera and blank the projector, unless they are in fault and closing does it."""
+        for device, safe in ((self.camera, self.camera.stop), (self.projector, self.projector.blank)):
+            if device.state in (State.IDLE, State.ARMED):
+                safe()
+
+    def described(self) -> dict[str, Any]:
+        """The rig as resolved, for a session's record: the file, and what the devices said they are."""
+        caps = self.projector.caps
+        resolved: dict[str, Any] = {
+            "camera": {"model": self.camera.info().model, "size": list(self.camera.caps.size)},
+            "projector": {
+                "model": self.projector.info().model,
+                "size": list(caps.size),
+                "lattice": caps.lattice.value,
+            },
+        }
+        return {**self.file.model_dump(mode="json", exclude_none=True), "resolved": resolved}
+
+    def need_fixture(self, doing: str) -> Fixture:
+        """The fixture, or a `ConfigError` that says what it is needed for."""
+        if self.fixture is None:
+            raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
+        return self.fixture
+
+    def _open_bench(self, stack: ExitStack) -> Any:
+        if self.file.bench is None:
+            return None
+        backend = load_backend(self.file.bench.backend, self._source, "bench")
+        bench = backend(self._options(self.file.bench))
+        bench.open()
+        stack.callback(bench.close)
+        return bench
+
+    def _device(self, stack: ExitStack, name: str, kind: type[Dev], section: Section, bench: Any) -> Dev:
+        backend = load_backend(section.backend, self._source, name)
+        if not (isinstance(backend, type) and issubclass(backend, kind)):
+            raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
+        device: Dev = backend(name, self._options(section), bench)
+        return stack.enter_context(device)
+
+    def _options(self, section: Section) -> dict[str, Any]:
+        return {key: self._beside(value) for key, value in section.options.items()}
+
+    def _beside(self, value: Any) -> Any:
+        if isinstance(value, str) and value and (self._folder / value).exists():
+            return str((self._folder / value).resolve())
+        return value
+
+
+def load_backend(name: str, source: Path | str, device: str) -> Any:
+    """The class called `module:Class`, or a `ConfigError` that says what is missing."""
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ImportError as error:
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': cannot be loaded ({error})") from error
+    except AttributeError:
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': {module} has no {attribute}") from None

@@ -1,0 +1,281 @@
+"""A session: one measurement as a directory, readable after a crash at any moment.
+
+    plan.yaml       what was projected
+    rig.yaml        what with, as resolved (absent for imported images)
+    journal.jsonl   one line per frame that is safely on disk, with its checksum
+    frames/         one uncompressed TIFF per frame, memory-mappable
+    decoded.npz, cloud.ply, calibration.yaml ...   results, beside them
+
+A frame is in the session once its line stands whole in the journal: the file is written
+atomically first, the line after it. A torn last line is a frame that was not recorded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from fpplab import config
+from fpplab.conventions import Image, Lattice
+from fpplab.devices import CameraSettings, Frame
+from fpplab.errors import DataError
+from fpplab.files import append_line, refuse_existing, write_atomic, write_text
+from fpplab.plan import Plan
+
+PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
+
+RigRecord = dict[str, Any] | None
+"""A rig as `Rig.described` gives it, or None for images from elsewhere."""
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One line of the journal."""
+
+    index: int
+    pattern: str
+    file: str
+    sha256: str
+    width: int
+    height: int
+    bits: int
+    exposure_s: float
+    gain_db: float
+    host_time_s: float
+    device_time_s: float | None = None
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        """(width, height, bits)."""
+        return self.width, self.height, self.bits
+
+    @property
+    def settings(self) -> CameraSettings:
+        """The camera's settings at this frame."""
+        return CameraSettings(self.exposure_s, self.gain_db, self.bits)
+
+
+class Session:
+    """A recorded, or growing, measurement.
+
+    Make one with `create`, `open` or `resume`; `path` is its directory and `plan` its plan.
+    """
+
+    def __init__(self, path: Path, plan: Plan, records: dict[int, FrameRecord]) -> None:
+        self.path, self.plan, self._records = path, plan, records
+
+    @classmethod
+    def create(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
+        """A new, empty session. Raises `ConfigError` when `path` exists and `force` is not said."""
+        refuse_existing(path, force)
+        if path.exists():
+            _remove(path)
+        write_text(path / PLAN, config.dump(plan))
+        if rig is not None:
+            write_text(path / RIG, config.to_yaml(rig))
+        write_text(path / JOURNAL, "")
+        return cls(path, plan, {})
+
+    @classmethod
+    def open(cls, path: Path) -> Session:
+        """An existing session. Raises `DataError` when it is none or its journal is damaged."""
+        if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
+            raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
+        plan = config.load(path / PLAN, Plan)
+        return cls(path, plan, _read_journal(path, plan))
+
+    @classmethod
+    def resume(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
+        """The interrupted session at `path`, or a new one.
+
+        A session that is complete is refused without `force`, one of another plan or rig always.
+        """
+        if force or not (path / JOURNAL).is_file():
+            return cls.create(path, plan, rig, force)
+        session = cls.open(path)
+        if session.plan != plan:
+            raise DataError(f"{path}: was begun with another plan; name another output, or add --force")
+        if rig is not None and session.rig() != rig:
+            raise DataError(f"{path}: was begun on another rig; name another output, or add --force")
+        if not session.missing():
+            refuse_existing(path, force)
+        _trim_journal(path)
+        return session
+
+    def rig(self) -> RigRecord:
+        """The rig as resolved when the session was made, or None for imported images."""
+        path = self.path / RIG
+        return config.parse(config.read_text(path), path) if path.is_file() else None
+
+    @property
+    def records(self) -> list[FrameRecord]:
+        """The journal, in the order of the plan."""
+        return [self._records[i] for i in sorted(self._records)]
+
+    def missing(self) -> list[int]:
+        """Indices of the plan's images that are not recorded yet."""
+        return [i for i in range(self.plan.images) if i not in self._records]
+
+    def write(self, frame: Frame) -> None:
+        """Put one frame on disk and then into the journal. Raises `DataError` (no space, index taken)."""
+        if frame.index in self._records:
+            raise DataError(f"{self.path}: frame {frame.index} is recorded already")
+        pattern = frame.pattern_id or ""
+        name = f"{FRAMES}/{frame.index:04d}_{pattern}.tif"
+        image = np.ascontiguousarray(frame.image)
+        write_atomic(
+            self.path / name,
+            lambda stream: tifffile.imwrite(stream, image, photometric="minisblack", metadata=None),
+        )
+        height, width = image.shape
+        record = FrameRecord(
+            frame.index, pattern, name, _checksum(image), width, height, frame.settings.bits,
+            frame.settings.exposure_s, frame.settings.gain_db, frame.host_time_s, frame.device_time_s,
+        )  # fmt: skip
+        append_line(self.path / JOURNAL, json.dumps(asdict(record)))
+        self._records[frame.index] = record
+
+    def read(self, index: int, verify: bool = True) -> Image:
+        """One frame, memory-mapped and read-only, checked against the journal.
+
+        Raises `DataError` when it is missing, truncated, altered or of another kind than journalled.
+        """
+        record = self._records.get(index)
+        if record is None:
+            raise DataError(f"{self.path}: frame {index} is not recorded")
+        path = self.path / record.file
+        try:
+            image: Image = tifffile.memmap(path, mode="r")
+        except FileNotFoundError:
+            raise DataError(f"{path}: frame {index} is missing") from None
+        except Exception as error:
+            raise DataError(f"{path}: frame {index} is truncated or damaged ({error})") from error
+        expected = np.dtype(np.uint8 if record.bits == 8 else np.uint16)
+        if image.dtype != expected or image.shape != (record.height, record.width):
+            raise DataError(
+                f"{path}: frame {index} is {image.dtype} {image.shape[::-1]} but the journal says "
+                f"{expected} {(record.width, record.height)}"
+            )
+        if verify and _checksum(image) != record.sha256:
+            raise DataError(f"{path}: frame {index} is corrupt: its checksum is not the journal's")
+        return image
+
+    def stack(self, verify: bool = True, progress: Callable[[float], None] | None = None) -> list[Image]:
+        """Every frame of the plan in its order, memory-mapped.
+
+        Raises `DataError` naming the frames that are missing, or of another size than the first.
+        """
+        if missing := self.missing():
+            shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
+            raise DataError(
+                f"{self.path}: {len(missing)} of {self.plan.images} frames are missing ({shown}); "
+                "run the same scan again to complete it"
+            )
+        images = []
+        for i, record in enumerate(self.records):
+            images.append(self.read(i, verify))
+            if record.format != self.format:
+                raise DataError(
+                    f"{self.path / record.file}: frame {i} is {_shown(record.format)}, "
+                    f"but the first is {_shown(self.format)}"
+                )
+            if progress:
+                progress((i + 1) / self.plan.images)
+        return images
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        """(width, height, bits) of the first frame."""
+        if not self._records:
+            raise DataError(f"{self.path}: has no frames yet")
+        return self.records[0].format
+
+    def projector(self) -> tuple[tuple[int, int], Lattice]:
+        """Size and lattice of the projector that showed the patterns.
+
+        From the plan, which describes foreign fringes on a square lattice, or from the rig as recorded.
+        """
+        if self.plan.projector_size:
+            return self.plan.projector_size, Lattice.SQUARE
+        found = ((self.rig() or {}).get("resolved") or {}).get("projector") or {}
+        if "size" not in found:
+            raise DataError(
+                f"{self.path}: does not say how many pixels the projector had; "
+                "add 'projector_size' to the plan's fringes and import the images again"
+            )
+        return (int(found["size"][0]), int(found["size"][1])), Lattice(found.get("lattice", "square"))
+
+
+def _shown(form: tuple[int, int, int]) -> str:
+    return f"{form[0]} x {form[1]} at {form[2]} bits"
+
+
+def _checksum(image: NDArray[Any]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
+
+
+def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
+    text = (path / JOURNAL).read_text(encoding="utf-8")
+    ids = [name for _, _, name in plan.steps()]
+    records: dict[int, FrameRecord] = {}
+    for number, line in enumerate(text.split("\n")[:-1], 1):  # what follows the last newline is torn
+        try:
+            record = FrameRecord(**json.loads(line))
+        except (ValueError, TypeError) as error:
+            raise DataError(f"{path / JOURNAL} line {number}: is not a frame's record ({error})") from error
+        if record.index in records:
+            raise DataError(f"{path / JOURNAL} line {number}: frame {record.index} is there twice")
+        if not 0 <= record.index < len(ids) or record.pattern != ids[record.index]:
+            raise DataError(
+                f"{path / JOURNAL} line {number}: frame {record.index} shows '{record.pattern}', "
+                "which is not what the plan has there: the frames are of another plan"
+            )
+        records[record.index] = record
+    return records
+
+
+def _trim_journal(path: Path) -> None:
+    """Cut a torn last line, so that the next record begins a line of its own."""
+    with (path / JOURNAL).open("r+b") as stream:
+        text = stream.read()
+        stream.truncate(text.rfind(b"\n") + 1)
+        os.fsync(stream.fileno())
+
+
+def _remove(path: Path) -> None:
+    """Delete a session that is to be replaced; nothing else is ever deleted."""
+    if not (path / JOURNAL).is_file():
+        raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
+    shutil.rmtree(path)
+
+
+def recorded_sessions(paths: list[Path]) -> list[Session]:
+    """Sessions named one by one, or by the directory that holds them, all of one plan and format.
+
+    Raises `DataError` when a path holds none, or when they do not belong together.
+    """
+    sessions: list[Session] = []
+    for path in paths:
+        alone = (path / JOURNAL).is_file()
+        inside = [] if alone else sorted(p.parent for p in path.glob(f"*/{JOURNAL}"))
+        sessions += [Session.open(p) for p in inside or [path]]
+    first = sessions[0]
+    for session in sessions[1:]:
+        if session.plan != first.plan:
+            raise DataError(f"{session.path}: was taken with another plan than {first.path}")
+        if session.format != first.format:
+            raise DataError(
+                f"{session.path}: has frames of {_shown(session.format)}, "
+                f"but {first.path} of {_shown(first.format)}"
+            )
+    return sessions
