@@ -7,7 +7,8 @@ and each of its pulses exposes one frame.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.errors import SyncError
@@ -29,22 +30,26 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = lambda f
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     wanted = session.missing()
-    shots = expose(rig, [patterns[i] for i in wanted], settings, plan)
-    for index, frame in zip(wanted, shots, strict=True):
-        session.write(frame.showing(patterns[index].id, index))
-        observe(frame)
+    with closing(expose(rig, [patterns[i] for i in wanted], settings, plan)) as shots:
+        for index, shot in zip(wanted, shots, strict=True):
+            frame = shot.showing(patterns[index].id, index)
+            session.write(frame)
+            observe(frame)
 
 
 def expose(
     rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, plan: Plan | None = None
-) -> Iterator[Frame]:
-    """One frame per pattern, in order, synchronised as the plan says (stepped without one)."""
+) -> Generator[Frame, None, None]:
+    """One frame per pattern, in order, synchronised as the plan says (stepped without one).
+
+    The bench is dark again once the generator ends or is closed; who may leave it early closes it.
+    """
     if not patterns:
         return
     camera, projector = rig.camera, rig.projector
-    camera.configure(settings)
-    projector.load(patterns)
     try:
+        settings = camera.configure(settings)
+        projector.load(patterns)
         if plan is not None and plan.trigger == "triggered":
             yield from _triggered(camera, projector, patterns, settings)
         else:

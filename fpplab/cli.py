@@ -179,13 +179,13 @@ def characterise(
     else:
         recorded = recorded_sessions(sessions or [])
     with console.progress("Characterising") as report:
-        result, missed = characterise_sessions(recorded, board, report)
-    for pose in missed:
-        console.say(f"{pose.name}: left out: {pose.reason}")
+        result = characterise_sessions(recorded, board, report)
+    for reason in result.left_out.values():
+        console.say(f"left out: {reason}")
     result.calibration.save(out)
     page = out.with_suffix(".html")
     write_report(page, f"Characterisation {out.stem}", characterisation=result)
-    console.answer({**result.summary(), "left_out": [asdict(m) for m in missed], "report": str(page)}, json)
+    console.answer({**result.summary(), "left_out": result.left_out, "report": str(page)}, json)
 
 
 @app.command()
@@ -268,7 +268,10 @@ def reconstruct(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`."""
+    """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
+
+    A report with its pictures is left beside it.
+    """
     from fpplab import measurement
     from fpplab.calibration import Calibration
     from fpplab.clouds import save_cloud
@@ -277,10 +280,13 @@ def reconstruct(
 
     refuse_existing(out, force)
     known = Calibration.load(calibration)
+    recorded, page = Session.open(session), out.with_suffix(".html")
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        _, cloud = measurement.reconstruct(Session.open(session), known, report)
+        decoded, cloud = measurement.reconstruct(recorded, known, report)
         save_cloud(cloud, out)
-    console.answer({"points": len(cloud.points), "seconds": seconds(), "cloud": str(out)}, json)
+    measurement.write_scan_report(page, recorded, decoded, cloud)
+    result = {"points": len(cloud.points), "seconds": seconds()}
+    console.answer({**result, "cloud": str(out), "report": str(page)}, json)
 
 
 @app.command()

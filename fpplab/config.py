@@ -33,6 +33,8 @@ class _Loader(yaml.SafeLoader):
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen: set[Any] = set()
     for key_node, _ in node.value:
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise yaml.constructor.ConstructorError(None, None, "a key is not a word", key_node.start_mark)
         key = loader.construct_object(key_node)
         if key in seen:
             raise yaml.constructor.ConstructorError(
@@ -42,12 +44,17 @@ def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     return loader.construct_mapping(node, deep=True)
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes the words that `_Loader` would read as numbers, such as a serial number 21e7."""
+
+
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$"),
-    list("-+0123456789"),
-)
+for _class in (_Loader, _Dumper):
+    _class.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$"),
+        list("-+0123456789"),
+    )
 
 
 def parse(text: str, source: Path | str) -> Any:
@@ -62,7 +69,8 @@ def parse(text: str, source: Path | str) -> Any:
         line = f" line {mark.line + 1}" if mark else ""
         raise ConfigError(f"{source}{line}: {error.problem or 'not readable as YAML'}") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{source}: not readable as YAML ({error})") from error
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{source}: not readable as YAML ({reason})") from error
 
 
 def read_text(path: Path) -> str:
@@ -135,7 +143,7 @@ def dump(document: Document) -> str:
 
 def to_yaml(data: Any) -> str:
     """Plain data as YAML text, keys in their own order."""
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 def find(name: str | Path) -> Path:

@@ -64,7 +64,7 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
         with console.progress(f"Taking {POSES} poses of the board") as report:
             poses = take_poses(rig, board_plan, "board", POSES, out / "board", True, report)
         with console.progress("Characterising") as report:
-            found, missed = characterise_sessions(poses, Target.load("target_paper.yaml"), report)
+            found = characterise_sessions(poses, Target.load("target_paper.yaml"), report)
         found.calibration.save(out / "calibration.yaml")
         scans = [_measure(rig, name, scan_plan, found.calibration, out / name) for name in artefacts.NAMES]
         write_report(
@@ -76,7 +76,7 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
         )
         result = {
             "gamma": response.summary(),
-            "characterisation": {**found.summary(), "left_out": [m.name for m in missed]},
+            "characterisation": {**found.summary(), "left_out": list(found.left_out)},
             "scans": [s.summary() for s in scans],
             "mean_surface_smcd_um": float(np.mean([s.comparison.surface_smcd_um for s in scans])),
             "seconds": seconds(),

@@ -26,13 +26,16 @@ import numpy as np
 from fpplab.conventions import Image, Lattice
 from fpplab.errors import (
     CapabilityError,
+    ConfigError,
     DeviceError,
+    FppError,
     FrameLossError,
     LimitError,
     NotOpenError,
     SettingError,
     StateError,
 )
+from fpplab.geometry import RigidTransform
 from fpplab.patterns import Pattern
 
 Trigger = Literal["software", "hardware"]
@@ -103,8 +106,10 @@ class StageCaps:
 class Frame:
     """One exposure: the sensor's raw integers, and where they come from.
 
-    image: uint8 or uint16 [v, u]. pattern_id: what was on show, when the backend knows;
-    acquisition fills it in otherwise. device_time_s is None where the device has no clock.
+    image: uint8 or uint16 [v, u], its owner's alone: no later frame changes it. index: the frame's
+    number since `arm`, from 0, as the device counts, so that a gap is a lost frame; acquisition
+    makes it the plan's. pattern_id: what was on show, when the backend knows; acquisition fills it
+    in otherwise. device_time_s is None where the device has no clock.
     """
 
     image: Image
@@ -144,6 +149,7 @@ class Device(ABC):
         """Connect. Raises `StateError` when open already, `DeviceError` when that fails."""
         if self._state is not State.CLOSED:
             raise StateError(self.name, "open", f"is {self._state} already", "close it first")
+        self._forget()
         try:
             with self._guard("open"):
                 self._open()
@@ -200,7 +206,7 @@ class Device(ABC):
             yield
         except (SettingError, CapabilityError, LimitError, StateError):
             raise
-        except DeviceError:
+        except FppError:
             self._fault()
             raise
         except Exception as error:
@@ -222,7 +228,10 @@ class Device(ABC):
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         """Read the options of the rig file; raise `ConfigError` for wrong ones."""
         if options:
-            raise SettingError(self.name, "options", f"has no option '{next(iter(options))}'")
+            raise ConfigError(f"'{self.name}' has no option '{next(iter(options))}'; take it away")
+
+    def _forget(self) -> None:  # noqa: B027 - not every kind of device has something to forget
+        """Drop what was known of the device: after a closing it may have been switched off."""
 
     @abstractmethod
     def _open(self) -> None: ...
@@ -242,6 +251,9 @@ class Camera(Device):
     _settings: CameraSettings | None = None
     _awaited = 0
     _taken = 0
+
+    def _forget(self) -> None:
+        self._settings = None
 
     @property
     @final
@@ -327,6 +339,13 @@ class Camera(Device):
         return self._settings
 
     def _checked(self, frame: Frame) -> None:
+        if frame.index != self._taken:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {frame.index} arrived instead of frame {self._taken}",
+                "see to the link to the camera, and take the frames again",
+            )
         settings = self._configured("read")
         width, height = self.caps.size
         expected: type[np.unsignedinteger[Any]] = np.uint8 if settings.bits == 8 else np.uint16
@@ -360,6 +379,9 @@ class Projector(Device):
     kind = "projector"
     _loaded: tuple[Pattern, ...] = ()
 
+    def _forget(self) -> None:
+        self._loaded = ()
+
     @property
     @final
     def caps(self) -> ProjectorCaps:
@@ -382,8 +404,9 @@ class Projector(Device):
             )
         for pattern in patterns:
             self._check_pattern(pattern, caps)
+        own = [replace(pattern, image=pattern.image.copy()) for pattern in patterns]
         with self._guard("load"):
-            self._loaded = tuple(self._load(patterns))
+            self._loaded = tuple(self._load(own))
         return self._loaded
 
     @final
@@ -401,6 +424,7 @@ class Projector(Device):
     def play(self, exposure_s: float) -> None:
         """Show every loaded pattern once, `exposure_s` each, giving a trigger pulse with each.
 
+        The projector is ARMED until `blank`.
         Raises `CapabilityError` without trigger output, `SettingError` for too short an exposure.
         """
         self._need(State.IDLE, doing="play")
@@ -410,10 +434,11 @@ class Projector(Device):
         if not self._loaded:
             raise StateError(self.name, "play", "has no patterns", "load some first")
         least = max(caps.bit_depths[p.bit_depth] for p in self._loaded)
-        if exposure_s < least:
+        if not exposure_s >= least:
             raise SettingError(self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s")
         with self._guard("play"):
             self._play(exposure_s)
+        self._state = State.ARMED
 
     @final
     def blank(self) -> None:
@@ -424,13 +449,14 @@ class Projector(Device):
         self._state = State.IDLE
 
     def _check_pattern(self, pattern: Pattern, caps: ProjectorCaps) -> None:
-        height, width = pattern.image.shape
-        if (width, height) != tuple(caps.size):
+        width, height = caps.size
+        if pattern.image.shape != (height, width) or pattern.image.dtype != np.uint8:
+            found = " x ".join(map(str, pattern.image.shape[::-1]))
             raise SettingError(
                 self.name,
                 "load",
-                f"pattern {pattern.id} is {width} x {height}",
-                f"the projector has {caps.size[0]} x {caps.size[1]} mirrors",
+                f"pattern {pattern.id} is {pattern.image.dtype}, {found}",
+                f"the projector takes uint8, {width} x {height} mirrors",
             )
         if pattern.bit_depth not in caps.bit_depths:
             raise SettingError(
@@ -462,6 +488,9 @@ class Stage(Device):
     kind = "stage"
     _homed = False
 
+    def _forget(self) -> None:
+        self._homed = False
+
     @property
     @final
     def caps(self) -> StageCaps:
@@ -474,6 +503,7 @@ class Stage(Device):
     def home(self) -> None:
         """Find the reference; moves are refused before."""
         self._need(State.IDLE, doing="home")
+        self._homed = False
         with self._guard("home"):
             self._home()
         self._homed = True
@@ -556,15 +586,33 @@ class Fixture(Device):
         Raises `SettingError` for an item or pose that it has not.
         """
         self._need(State.IDLE, doing="mount")
-        items = self.caps.items
         if item != "nothing":
-            if item not in items:
-                raise SettingError(self.name, "mount", f"has no item '{item}'", f"it has {sorted(items)}")
-            poses = items[item]
-            if pose < 0 or (poses is not None and pose >= poses):
-                raise SettingError(self.name, "mount", f"{item} has no pose {pose}", f"it has {poses}")
+            self._check_held("mount", item, pose)
         with self._guard("mount"):
             self._mount(item, pose)
+
+    @final
+    def pose(self, item: str, pose: int = 0) -> RigidTransform | None:
+        """T_camera_item of `item` in its pose number `pose`, or None where the fixture does not know.
+
+        Raises `SettingError` for an item or pose that it has not.
+        """
+        self._need(State.IDLE, doing="pose")
+        self._check_held("pose", item, pose)
+        with self._guard("pose"):
+            return self._pose(item, pose)
+
+    def _check_held(self, doing: str, item: str, pose: int) -> None:
+        items = self.caps.items
+        if item not in items:
+            raise SettingError(self.name, doing, f"has no item '{item}'", f"it has {sorted(items)}")
+        poses = items[item]
+        if pose < 0 or (poses is not None and pose >= poses):
+            raise SettingError(self.name, doing, f"{item} has no pose {pose}", f"it has {poses}")
+
+    def _pose(self, item: str, pose: int) -> RigidTransform | None:
+        """An operator's hands know no pose; a fixture that does overrides this."""
+        return None
 
     @abstractmethod
     def _caps(self) -> FixtureCaps: ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import tempfile
 from collections.abc import Callable
@@ -25,8 +26,10 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
         raise DataError(_cannot_write(path, error)) from error
     try:
         os.fchmod(handle, 0o644)
+        content = io.BytesIO()  # first in memory: writers of arrays lose the system's reason for a refusal
+        write(content)
         with os.fdopen(handle, "wb") as stream:
-            write(stream)
+            stream.write(content.getbuffer())
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(name, path)
@@ -47,14 +50,33 @@ def append_line(path: Path, line: str) -> None:
 
     Raises `DataError` when there is no space left; the journal ends then where it ended before.
     """
-    end = path.stat().st_size
     try:
-        with path.open("ab") as stream:
-            stream.write(line.encode("utf-8") + b"\n")
-            stream.flush()
-            os.fsync(stream.fileno())
+        end = path.stat().st_size
+        try:
+            with path.open("ab") as stream:
+                stream.write(line.encode("utf-8") + b"\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+        except BaseException:
+            os.truncate(path, end)
+            raise
     except OSError as error:
-        os.truncate(path, end)
+        raise DataError(_cannot_write(path, error)) from error
+
+
+def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
+    """Let `fill` furnish a directory that appears under `path` only once it is complete.
+
+    Raises `DataError` when the place cannot be written; nothing is left behind then.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as hidden:
+            draft = Path(hidden) / path.name
+            draft.mkdir()
+            fill(draft)
+            draft.rename(path)
+    except OSError as error:
         raise DataError(_cannot_write(path, error)) from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import string
 from collections.abc import Callable
 from pathlib import Path
@@ -37,11 +38,15 @@ def import_images(
     _check_all_there(folder, paths, names)
     size = _check_alike(paths, bits)
     session = Session.create(out, plan, force=force)
-    for index, (_, _, pattern) in enumerate(plan.steps()):
-        image = _read_grey(paths[index], bits, size)
-        settings = CameraSettings(plan.exposure_s, 0.0, bits)
-        session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
-        progress((index + 1) / plan.images)
+    try:
+        for index, (_, _, pattern) in enumerate(plan.steps()):
+            image = _read_grey(paths[index], bits, size)
+            settings = CameraSettings(plan.exposure_s, 0.0, bits)
+            session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
+            progress((index + 1) / plan.images)
+    except BaseException:  # an import is whole or not at all: unlike a scan it costs nothing to repeat
+        shutil.rmtree(session.path)
+        raise
     return session
 
 

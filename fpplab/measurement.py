@@ -7,14 +7,19 @@ of rig it runs on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fpplab.acquisition import acquire, expose
 from fpplab.calibration import Calibration
-from fpplab.characterisation import Characterisation, Observation, characterise, observe
+from fpplab.characterisation import (
+    Characterisation,
+    Observation,
+    characterise,
+    finest_periods,
+    observe,
+)
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.comparison import Comparison
 from fpplab.conventions import Floats
@@ -87,9 +92,14 @@ def finish_scan(
     decoded.save(session.path / DECODED)
     save_cloud(cloud, session.path / CLOUD)
     calibration.save(session.path / CALIBRATION)
-    name = session.path.name
-    write_report(session.path / REPORT, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
+    write_scan_report(session.path / REPORT, session, decoded, cloud)
     return decoded, cloud
+
+
+def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:
+    """The pictures of one scan as a page."""
+    name = session.path.name
+    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
 
 
 def scan_section(
@@ -125,36 +135,30 @@ def take_poses(
     return sessions
 
 
-@dataclass(frozen=True)
-class Missed:
-    """A pose that gives no observation, and why."""
-
-    name: str
-    reason: str
-
-
 def characterise_sessions(
     sessions: Sequence[Session], target: Target, progress: Progress = nothing
-) -> tuple[Characterisation, list[Missed]]:
+) -> Characterisation:
     """Camera, projector and the pose between them from one session per pose of a target.
 
     A pose in which the target is not found is left out and named, as long as enough remain.
     Raises `CalibrationError`.
     """
+    size, lattice = sessions[0].projector()
+    periods = finest_periods(sessions[0].plan, size)
     observations: list[Observation] = []
-    missed: list[Missed] = []
+    left_out: dict[str, str] = {}
     for k, session in enumerate(sessions):
         decoded = decode_session(session)
+        name = session.path.name
         try:
-            observations.append(observe(session.path.name, mean_image(session), decoded, target))
+            observations.append(observe(name, mean_image(session), decoded, target, periods))
         except CalibrationError as error:
-            missed.append(Missed(session.path.name, str(error)))
+            left_out[name] = str(error)
         progress(0.8 * (k + 1) / len(sessions))
     width, height, _ = sessions[0].format
-    size, lattice = sessions[0].projector()
-    result = characterise(observations, target, (width, height), size, lattice)
+    result = characterise(observations, target, (width, height), size, lattice, left_out=left_out)
     progress(1.0)
-    return result, missed
+    return result
 
 
 def measure_response(

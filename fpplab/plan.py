@@ -36,12 +36,30 @@ class MaskRules(Document):
     modulation_min: least fringe amplitude B, in grey levels of 255.
     contrast_min: least B / offset; ambient light and shadow lower it.
     residual_max: greatest RMS misfit of the sinusoid as a share of B.
+    disagreement_max: greatest difference between the position that coarser fringes
+        predict and the one that finer fringes show, as a share of the finer period.
     Saturated pixels are never measured.
     """
 
     modulation_min: Annotated[float, Field(ge=0, le=127)] = 4.0
     contrast_min: Annotated[float, Field(ge=0, le=1)] = 0.1
     residual_max: Annotated[float, Field(gt=0)] = 0.25
+    disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
+
+
+class OrderVote(Document):
+    """Repair of fringe orders by local majority, for coarse fringes biased by stray light.
+
+    window: side in camera pixels of the square whose pixels vote, odd.
+    """
+
+    window: Annotated[int, Field(ge=3, le=51)] = 7
+
+    @model_validator(mode="after")
+    def _odd(self) -> OrderVote:
+        if self.window % 2 == 0:
+            raise ValueError(f"'window' is {self.window}: must be odd, so that it has a centre")
+        return self
 
 
 class Plan(Document):
@@ -53,6 +71,7 @@ class Plan(Document):
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     trigger: Literal["stepped", "triggered"] = "stepped"
     masks: MaskRules = MaskRules()
+    order_vote: OrderVote | None = None
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:

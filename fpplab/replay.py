@@ -100,12 +100,12 @@ class ReplayCamera(Camera):
         index = self._recording.shown
         if index is None:
             raise FrameLossError(self.name, "read", "the projector is dark, and no dark frame was recorded")
-        record = self._recording.session.records[index]
         try:
+            record = self._recording.session.record(index)
             image: Image = self._recording.session.read(index).copy()
         except DataError as error:
             raise FrameLossError(self.name, "read", str(error), "record the session again") from error
-        return Frame(image, index, record.settings, time.time(), record.device_time_s, record.pattern)
+        return Frame(image, self._taken, record.settings, time.time(), record.device_time_s, record.pattern)
 
     def _stop(self) -> None:
         self._pending = 0

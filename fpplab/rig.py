@@ -104,10 +104,11 @@ class Rig:
         return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
 
     def make_dark(self) -> None:
-        """Stop the camera and blank the projector, unless they are in fault and closing does it."""
-        for device, safe in ((self.camera, self.camera.stop), (self.projector, self.projector.blank)):
-            if device.state in (State.IDLE, State.ARMED):
-                safe()
+        """Blank the projector and stop the camera, unless they are in fault and closing does it."""
+        with ExitStack() as both:  # the second also when the first fails
+            for device, safe in ((self.camera, self.camera.stop), (self.projector, self.projector.blank)):
+                if device.state in (State.IDLE, State.ARMED):
+                    both.callback(safe)
 
     def described(self) -> dict[str, Any]:
         """The rig as resolved, for a session's record: the file, and what the devices said they are."""
@@ -141,8 +142,12 @@ class Rig:
         backend = load_backend(section.backend, self._source, name)
         if not (isinstance(backend, type) and issubclass(backend, kind)):
             raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
-        device: Dev = backend(name, self._options(section), bench)
-        return stack.enter_context(device)
+        try:
+            device: Dev = backend(name, self._options(section), bench)
+        except ConfigError as error:
+            raise ConfigError(f"{self._source}: {error}") from error
+        stack.enter_context(device)
+        return device
 
     def _options(self, section: Section) -> dict[str, Any]:
         return {key: self._beside(value) for key, value in section.options.items()}

@@ -16,20 +16,21 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from fpplab import config
+from fpplab.config import Document
 from fpplab.conventions import Image, Lattice
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import DataError
-from fpplab.files import append_line, refuse_existing, write_atomic, write_text
+from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
 from fpplab.plan import Plan
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
@@ -38,8 +39,7 @@ RigRecord = dict[str, Any] | None
 """A rig as `Rig.described` gives it, or None for images from elsewhere."""
 
 
-@dataclass(frozen=True)
-class FrameRecord:
+class FrameRecord(Document):
     """One line of the journal."""
 
     index: int
@@ -80,10 +80,7 @@ class Session:
         refuse_existing(path, force)
         if path.exists():
             _remove(path)
-        write_text(path / PLAN, config.dump(plan))
-        if rig is not None:
-            write_text(path / RIG, config.to_yaml(rig))
-        write_text(path / JOURNAL, "")
+        make_directory(path, lambda draft: _furnish(draft, plan, rig))
         return cls(path, plan, {})
 
     @classmethod
@@ -98,7 +95,7 @@ class Session:
     def resume(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
         """The interrupted session at `path`, or a new one.
 
-        A session that is complete is refused without `force`, one of another plan or rig always.
+        A session that is complete, or of another plan or rig, is refused; with `force` it is replaced.
         """
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
@@ -109,7 +106,7 @@ class Session:
             raise DataError(f"{path}: was begun on another rig; name another output, or add --force")
         if not session.missing():
             refuse_existing(path, force)
-        _trim_journal(path)
+        _tidy(path)
         return session
 
     def rig(self) -> RigRecord:
@@ -122,15 +119,23 @@ class Session:
         """The journal, in the order of the plan."""
         return [self._records[i] for i in sorted(self._records)]
 
+    def record(self, index: int) -> FrameRecord:
+        """The journal's line of one frame. Raises `DataError` when it is not recorded."""
+        if index not in self._records:
+            raise DataError(f"{self.path}: frame {index} is not recorded")
+        return self._records[index]
+
     def missing(self) -> list[int]:
         """Indices of the plan's images that are not recorded yet."""
         return [i for i in range(self.plan.images) if i not in self._records]
 
     def write(self, frame: Frame) -> None:
-        """Put one frame on disk and then into the journal. Raises `DataError` (no space, index taken)."""
-        if frame.index in self._records:
-            raise DataError(f"{self.path}: frame {frame.index} is recorded already")
+        """Put one frame on disk and then into the journal.
+
+        Raises `DataError` (no space, index taken, another pattern than the plan has there).
+        """
         pattern = frame.pattern_id or ""
+        _check_place(frame.index, pattern, _pattern_ids(self.plan), self._records, self.path)
         name = f"{FRAMES}/{frame.index:04d}_{pattern}.tif"
         image = np.ascontiguousarray(frame.image)
         write_atomic(
@@ -139,10 +144,19 @@ class Session:
         )
         height, width = image.shape
         record = FrameRecord(
-            frame.index, pattern, name, _checksum(image), width, height, frame.settings.bits,
-            frame.settings.exposure_s, frame.settings.gain_db, frame.host_time_s, frame.device_time_s,
-        )  # fmt: skip
-        append_line(self.path / JOURNAL, json.dumps(asdict(record)))
+            index=frame.index,
+            pattern=pattern,
+            file=name,
+            sha256=_checksum(image),
+            width=width,
+            height=height,
+            bits=frame.settings.bits,
+            exposure_s=frame.settings.exposure_s,
+            gain_db=frame.settings.gain_db,
+            host_time_s=frame.host_time_s,
+            device_time_s=frame.device_time_s,
+        )
+        append_line(self.path / JOURNAL, json.dumps(record.model_dump()))
         self._records[frame.index] = record
 
     def read(self, index: int, verify: bool = True) -> Image:
@@ -150,9 +164,7 @@ class Session:
 
         Raises `DataError` when it is missing, truncated, altered or of another kind than journalled.
         """
-        record = self._records.get(index)
-        if record is None:
-            raise DataError(f"{self.path}: frame {index} is not recorded")
+        record = self.record(index)
         path = self.path / record.file
         try:
             image: Image = tifffile.memmap(path, mode="r")
@@ -224,28 +236,49 @@ def _checksum(image: NDArray[Any]) -> str:
     return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
 
 
+def _furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
+    write_text(path / PLAN, config.dump(plan))
+    if rig is not None:
+        write_text(path / RIG, config.to_yaml(rig))
+    write_text(path / JOURNAL, "")
+
+
+def _pattern_ids(plan: Plan) -> list[str]:
+    return [name for _, _, name in plan.steps()]
+
+
+def _check_place(index: int, pattern: str, ids: list[str], taken: Container[int], where: Path | str) -> None:
+    if index in taken:
+        raise DataError(f"{where}: frame {index} is recorded already")
+    if not 0 <= index < len(ids) or pattern != ids[index]:
+        raise DataError(
+            f"{where}: frame {index} shows '{pattern}', which is not what the plan has there: "
+            "the frames are of another plan"
+        )
+
+
 def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
-    text = (path / JOURNAL).read_text(encoding="utf-8")
-    ids = [name for _, _, name in plan.steps()]
+    ids = _pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
-    for number, line in enumerate(text.split("\n")[:-1], 1):  # what follows the last newline is torn
+    lines = (path / JOURNAL).read_bytes().split(b"\n")[:-1]  # what follows the last newline is torn
+    for number, line in enumerate(lines, 1):
+        where = f"{path / JOURNAL} line {number}"
         try:
-            record = FrameRecord(**json.loads(line))
-        except (ValueError, TypeError) as error:
-            raise DataError(f"{path / JOURNAL} line {number}: is not a frame's record ({error})") from error
-        if record.index in records:
-            raise DataError(f"{path / JOURNAL} line {number}: frame {record.index} is there twice")
-        if not 0 <= record.index < len(ids) or record.pattern != ids[record.index]:
-            raise DataError(
-                f"{path / JOURNAL} line {number}: frame {record.index} shows '{record.pattern}', "
-                "which is not what the plan has there: the frames are of another plan"
-            )
+            record = FrameRecord.model_validate_json(line)
+        except ValidationError as error:
+            raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
+        _check_place(record.index, record.pattern, ids, records, where)
         records[record.index] = record
     return records
 
 
-def _trim_journal(path: Path) -> None:
-    """Cut a torn last line, so that the next record begins a line of its own."""
+def _tidy(path: Path) -> None:
+    """Take away what a crash left: half a frame's file, and a torn last line of the journal.
+
+    The next record begins then a line of its own.
+    """
+    for draft in (path / FRAMES).glob(".*"):
+        draft.unlink()
     with (path / JOURNAL).open("r+b") as stream:
         text = stream.read()
         stream.truncate(text.rfind(b"\n") + 1)

@@ -1,0 +1,150 @@
+"""Moving a true mesh onto a measured cloud: rigid, point to plane, robust against what is not the mesh.
+
+Iterated closest points with the point-to-plane error (Chen and Medioni, 1992) and Huber's
+weights, from the given pose; when that ends far off, from the 24 ways in which the principal
+axes of mesh and cloud can lie on each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import igl
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.conventions import Floats
+from fpplab.errors import DataError
+from fpplab.geometry import RigidTransform
+
+COARSE_POINTS = 2_000
+FINE_POINTS = 50_000
+COARSE_ROUNDS = 20
+FINE_ROUNDS = 60
+STILL = 1e-7
+"""Smallest motion that goes on, in rad and in sizes of the mesh."""
+FAR = 0.01
+"""Median distance, in sizes of the mesh, from which a pose is not the sought one."""
+HUBER = 1.345
+TRIMMED = 0.8
+"""Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """`T_camera_mesh`, and how well it fits: rms_um over the points that are not outliers."""
+
+    transform: RigidTransform
+    rms_um: float
+    iterations: int
+
+    def summary(self) -> dict[str, object]:
+        """Plain values: rotation vector in degrees, translation in mm."""
+        return {
+            "rotation_deg": np.degrees(self.transform.rotation_vector).tolist(),
+            "translation_mm": self.transform.translation.tolist(),
+            "rms_um": self.rms_um,
+            "iterations": self.iterations,
+        }
+
+
+def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignment:
+    """`T_camera_mesh` that brings the mesh onto the points (N, 3), both in mm.
+
+    The points are taken as seen from the origin, so that they lie on the mesh's outer side.
+    Raises `DataError` when no pose brings them together.
+    """
+    random = np.random.default_rng(seed)
+    fine, coarse = (_thinned(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
+    target = _Target(mesh)
+    best = _refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
+    if not _near(coarse, target, best[0]):
+        starts = [best[0], *_axis_poses(coarse, mesh, random)]
+        ends = [_refine(coarse, target, start, COARSE_ROUNDS) for start in starts]
+        best = min(ends, key=lambda end: target.misfit(coarse, end[0]))
+    pose, rounds = _refine(fine, target, best[0], FINE_ROUNDS)
+    if not _near(fine, target, pose):
+        raise DataError(
+            "alignment: no pose brings the mesh onto the cloud; crop the cloud to the part, check that both "
+            "are in mm, or place the mesh roughly by hand"
+        )
+    residuals = np.abs(target.residuals(fine, pose)[0])
+    kept = residuals <= np.quantile(residuals, TRIMMED)
+    rms_um = float(np.sqrt(np.mean(residuals[kept] ** 2)) * 1e3)
+    return Alignment(pose.inverse(), rms_um, best[1] + rounds)
+
+
+class _Target:
+    """The mesh as planes to approach; poses here are `T_mesh_camera`."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self.vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+        self.faces = np.ascontiguousarray(mesh.faces, np.int64)
+        self.normals = np.asarray(mesh.face_normals, np.float64)
+        self.size = float(np.linalg.norm(mesh.extents))
+
+    def residuals(self, points: Floats, pose: RigidTransform) -> tuple[Floats, Floats, Floats]:
+        """Point-to-plane distances (N,), the placed points (N, 3) and their planes' normals (N, 3)."""
+        placed = pose.apply(points)
+        _, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
+        normals = self.normals[face]
+        return np.einsum("ij,ij->i", placed - foot, normals), placed, normals
+
+    def misfit(self, points: Floats, pose: RigidTransform) -> float:
+        """Trimmed mean distance; a face seen from behind counts as far as the mesh is large."""
+        placed = pose.apply(points)
+        square, face, _ = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
+        towards = pose.translation - placed
+        behind = np.einsum("ij,ij->i", towards, self.normals[face]) < 0.0
+        distances = np.where(behind, self.size, np.sqrt(square))
+        return float(np.sort(distances)[: int(np.ceil(TRIMMED * len(distances)))].mean())
+
+
+def _near(points: Floats, target: _Target, pose: RigidTransform) -> bool:
+    return target.misfit(points, pose) < FAR * target.size
+
+
+def _thinned(points: Floats, count: int, random: np.random.Generator) -> Floats:
+    if len(points) <= count:
+        return np.asarray(points, np.float64)
+    return np.asarray(points[random.choice(len(points), count, replace=False)], np.float64)
+
+
+def _refine(points: Floats, target: _Target, pose: RigidTransform, rounds: int) -> tuple[RigidTransform, int]:
+    for done in range(rounds):
+        distance, placed, normals = target.residuals(points, pose)
+        scale = 1.4826 * float(np.median(np.abs(distance))) + 1e-9 * target.size
+        weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(distance), 1e-12))
+        centre = placed.mean(axis=0)
+        rows = np.hstack([np.cross(placed - centre, normals) / target.size, normals])
+        matrix, right = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * distance)
+        # What the planes leave free, as a plate does along itself, must not move.
+        step = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
+        turn = RigidTransform.from_vectors(step[:3] / target.size, np.zeros(3))
+        pose = RigidTransform(turn.rotation, centre + step[3:] - turn.rotation @ centre) @ pose
+        if np.linalg.norm(step) < STILL * target.size:
+            return pose, done + 1
+    return pose, rounds
+
+
+def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generator) -> list[RigidTransform]:
+    """The proper rotations that lay the cloud's principal axes on the mesh's, middle on middle."""
+    surface, _ = trimesh.sample.sample_surface(mesh, COARSE_POINTS, seed=int(random.integers(1 << 31)))
+    from_axes, from_middle = _box(points)
+    to_axes, to_middle = _box(np.asarray(surface))
+    poses = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        rotation = (to_axes[:, list(order)] * np.array(signs)) @ from_axes.T
+        if np.linalg.det(rotation) > 0.0:
+            poses.append(RigidTransform(rotation, to_middle - rotation @ from_middle))
+    return poses
+
+
+def _box(points: NDArray[np.float64]) -> tuple[Floats, Floats]:
+    """Principal axes in columns and the middle of the box along them."""
+    centre = np.median(points, axis=0)
+    _, axes = np.linalg.eigh(np.cov((points - centre).T))
+    along = (points - centre) @ axes
+    return axes, centre + axes @ ((along.min(axis=0) + along.max(axis=0)) / 2.0)

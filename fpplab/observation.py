@@ -1,0 +1,181 @@
+"""What one capture of a board tells: where its points lie for the camera and for the projector.
+
+The projector's view of a point comes from a smooth fit to the decoded maps around it, not from
+the pixel it falls on: noise averages out and wrong fringe orders are found out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Floats
+from fpplab.detection import LEAST_POINTS, Detection, homography, local_frames, window
+from fpplab.errors import CalibrationError
+from fpplab.plan import Plan
+from fpplab.targets import Target
+
+if TYPE_CHECKING:
+    from fpplab.phase import Decoded
+
+WINDOW = 0.8
+"""Half side of the window of the local fit, in pitches of the board."""
+
+MOST_SLOPE = 0.12
+"""Greatest relative gradient of the modulation in 1/px; steeper pixels mix two surfaces' phases."""
+
+LEAST_PIXELS = 40
+"""Pixels that a local fit of six coefficients needs to reject outliers."""
+
+PLANE_SHARE = 0.5
+"""Least share of the pixels whose fringe orders must fit one plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One pose of a board.
+
+    ids (K,) are rows of `Target.points`; camera_px, projector_px (K, 2) are (u, v) in px.
+    repaired: share of the pixels used whose fringe order was mended.
+    """
+
+    name: str
+    ids: NDArray[np.intp]
+    camera_px: Floats
+    projector_px: Floats
+    repaired: float = 0.0
+
+
+def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, float]:
+    """Pitch in projector px of the finest fringes along u and v, for `observe`.
+
+    Raises `CalibrationError` when the plan does not code both axes.
+    """
+    if plan.axes != ("x", "y"):
+        raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
+    stripes = [plan.fringes[plan.sets_along(axis)[-1]].stripes for axis in plan.axes]
+    return projector_size[0] / stripes[0], projector_size[1] / stripes[1]
+
+
+def observe(
+    name: str,
+    image: NDArray[np.floating] | NDArray[np.integer],
+    decoded: Decoded,
+    target: Target,
+    periods_px: tuple[float, float] | None = None,
+) -> Observation:
+    """Find a board in one capture, and its points in the camera and in the projector.
+
+    image: grey [v, u], the mean of a fringe set. decoded: the capture's maps; its u and v are
+    NaN where invalid. periods_px: pitch of the finest fringes along u and v in projector px
+    (`finest_periods`); coordinates on the board that are off by whole ones are mended. None
+    takes the fringe orders as they are, but for outliers around each point.
+
+    Raises `CalibrationError` that names the pose when the board is not found, when too few of its
+    points are lit, or when its coordinates do not fit a plane.
+    """
+    if image.shape != decoded.u.shape:
+        raise CalibrationError(
+            f"{name}: the image is {image.shape[::-1]} but the decoded maps {decoded.u.shape[::-1]}"
+        )
+    detection = target.detect(image)
+    if detection is None:
+        raise CalibrationError(f"{name}: the board was not found in the picture")
+    maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
+    maps[_steep(decoded.modulation)] = np.nan
+    mended = maps
+    if periods_px is not None:
+        mended = _mend_orders(name, maps, target, detection, np.array(periods_px))
+    found = _local_fits(mended, decoded.modulation.astype(np.float64), target, detection)
+    kept = np.isfinite(found).all(axis=1)
+    if kept.sum() < LEAST_POINTS:
+        raise CalibrationError(f"{name}: only {kept.sum()} points of the board are lit well enough")
+    changed = np.abs(mended - maps).max(axis=-1)
+    changed = changed[np.isfinite(changed)]
+    return Observation(
+        name, detection.ids[kept], detection.pixels[kept], found[kept], float(np.mean(changed > 0))
+    )
+
+
+def _steep(modulation: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Pixels on an edge: blur there shifts the phase by its square times the relative gradient."""
+    smooth = cv2.GaussianBlur(np.nan_to_num(modulation.astype(np.float64)), (0, 0), 1.0)
+    slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
+    return np.asarray(slope > MOST_SLOPE * smooth)
+
+
+def _mend_orders(name: str, maps: Floats, target: Target, detection: Detection, periods: Floats) -> Floats:
+    """The maps on the board with every pixel moved by the whole periods that bring it onto its plane.
+
+    A plane maps camera to projector pixels by a homography, up to distortion, which is far less
+    than half a period. Pixels in between are no use, and NaN; so is everything off the board.
+    Raises `CalibrationError` when fewer than `PLANE_SHARE` of the pixels agree on a plane.
+    """
+    mended = np.full_like(maps, np.nan)
+    v, u = np.nonzero(np.isfinite(maps).all(axis=-1) & _board_area(maps.shape[:2], target, detection))
+    if len(u) < LEAST_PIXELS * LEAST_POINTS:
+        raise CalibrationError(f"{name}: too little of the board is lit by the projector")
+    pixels = np.stack([u, v], axis=-1).astype(np.float64)
+    step = max(len(u) // 4000, 1)
+    plane, inliers = cv2.findHomography(pixels[::step], maps[v, u][::step] / periods, cv2.RANSAC, 0.25)
+    if plane is None or inliers.mean() < PLANE_SHARE:
+        raise CalibrationError(f"{name}: the projector's coordinates on the board do not fit a plane")
+    expected = cv2.perspectiveTransform(pixels[None], plane)[0]
+    excess = maps[v, u] / periods - expected
+    orders = np.rint(excess)
+    certain = (np.abs(excess - orders) < 0.4).all(axis=1)
+    mended[v[certain], u[certain]] = (maps[v, u] - orders * periods)[certain]
+    return mended
+
+
+def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) -> NDArray[np.bool_]:
+    """Pixels within the windows of the points found."""
+    area = np.zeros(shape, np.uint8)
+    half = WINDOW * np.array(target.spacing_mm)
+    low, high = (f(target.points()[detection.ids, :2], axis=0) for f in (np.min, np.max))
+    (left, top), (right, bottom) = low - half, high + half
+    corners = np.array([[[left, top], [right, top], [right, bottom], [left, bottom]]])
+    seen = cv2.perspectiveTransform(corners, homography(target, detection))
+    cv2.fillConvexPoly(area, np.rint(seen[0]).astype(np.int32), 1)
+    return area.astype(bool)
+
+
+def _local_fits(maps: Floats, modulation: Floats, target: Target, detection: Detection) -> Floats:
+    """Projector coordinates (K, 2) of the points found; NaN where too little of the map is valid."""
+    board = target.points()[detection.ids, :2]
+    frames = local_frames(homography(target, detection), board)
+    half_mm = WINDOW * min(target.spacing_mm)
+    found = np.full((len(board), 2), np.nan)
+    for row, (pixel, frame) in enumerate(zip(detection.pixels, frames, strict=True)):
+        x, y, seen = window(maps, pixel, frame, half_mm)
+        _, _, weight = window(modulation, pixel, frame, half_mm)
+        reach = half_mm * np.abs(frame).sum(axis=1).max()
+        found[row] = _value_at_centre(x / reach, y / reach, seen, weight)
+    return found
+
+
+def _value_at_centre(x: Floats, y: Floats, seen: Floats, weight: Floats) -> Floats:
+    """The value (2,) at the origin of a quadric through samples (n, 2), outliers left out.
+
+    x, y: (n,) scaled to about ±1. weight: (n,) inversely proportional to the samples' noise.
+    """
+    used = np.isfinite(seen).all(axis=1) & (weight > 0)
+    nothing = np.full(2, np.nan)
+    for _ in range(4):
+        if used.sum() < LEAST_PIXELS or np.hypot(x[used].mean(), y[used].mean()) > 0.35:
+            return nothing
+        basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+        weighted = (basis[used] * weight[used, None] ** 2).T
+        coefficients = np.linalg.solve(weighted @ basis[used], weighted @ seen[used])
+        misfit = np.abs(seen - basis @ coefficients) * weight[:, None]
+        limit = 4 * 1.4826 * np.median(misfit[used], axis=0) + 1e-9
+        agree = np.isfinite(misfit).all(axis=1) & (weight > 0)
+        agree[agree] = (misfit[agree] <= limit).all(axis=1)
+        if np.array_equal(agree, used):
+            break
+        used = agree
+    return np.asarray(coefficients[0])

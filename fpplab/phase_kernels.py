@@ -1,0 +1,368 @@
+"""One pass over the pixels: frames -> phase, modulation, coordinate, uncertainty, mask.
+
+What follows is shaped by the machine. A chunk of pixels is small enough that its
+sums stay in the cache while every frame is read once, four frames at a time; all
+sums lie in ONE buffer at constant distances, because only then can the compiler
+prove that they do not overlap and use vector instructions; constants are float32,
+because one float64 among them would halve the vectors; there are no branches, and
+what is not measured becomes NaN at the very end. Phases are counted in turns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+CHUNK = 2048
+"""Pixels whose sums are kept in the cache at a time."""
+
+GROUP = 4
+"""Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
+
+SEAM_SIGMAS = 1.5
+"""How many sigmas beyond the projector's edge noise is believed to carry a coordinate."""
+
+APART = 9.0
+"""Two hypotheses are told apart if their χ² differ by more than this …"""
+
+APART_LEAST = 1e-5
+"""… and their costs, the weighted sums of squared disagreements in periods, by more than rounding does."""
+
+_f = np.float32
+_u = np.uintp
+_ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
+_TINY, _FAR = _f(1e-30), _f(100)
+_SIGMAS, _APART, _APART_LEAST = _f(SEAM_SIGMAS), _f(APART), _f(APART_LEAST)
+
+# Rows lie a little more than a chunk apart: at multiples of a memory page the processor
+# takes a row's element for the one it has just stored in another row, and waits.
+_ROW = CHUNK + 48
+# Rows of the buffer of sums, at constant distances.
+_COS, _MEAN, _SQUARE, _PEAK = _u(_ROW), _u(2 * _ROW), _u(3 * _ROW), _u(4 * _ROW)
+_SUM_ROWS = 5
+# … and behind them the greatest raw values of all sets and chunks, which are never cleared.
+_HIGHEST = _u(_SUM_ROWS * _ROW)
+# Rows of the buffer of the ladder: two hypotheses of position, cost and worst disagreement.
+_COST, _WORST = _u(_ROW), _u(2 * _ROW)
+_OTHER, _OTHER_COST, _OTHER_WORST, _RUNG = _u(3 * _ROW), _u(4 * _ROW), _u(5 * _ROW), _u(6 * _ROW)
+_LADDER_ROWS = 7
+
+
+def _arctangent() -> tuple[np.float32, ...]:
+    """Coefficients in z = q² of atan(q)/(2π q) on [0, 1]: interpolation at Chebyshev's nodes.
+
+    Degree 9 leaves 4e-9 rad, so that the rounding of float32 alone limits the phase.
+    """
+
+    def function(z: NDArray[np.float64]) -> NDArray[np.float64]:
+        q = np.sqrt(z)
+        return np.asarray(np.arctan(q) / (2 * np.pi * q))
+
+    series: Any = np.polynomial.Chebyshev.interpolate(  # type: ignore[no-untyped-call]
+        function, 9, domain=[0, 1]
+    )
+    return tuple(np.float32(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
+
+
+_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent()
+
+
+class Recipe(NamedTuple):
+    """Everything the kernel needs to know about frames, plan, rules and noise.
+
+    F is the padded number of frames, S of fringe sets, R of rungs over both axes.
+    addresses: (F,) of every frame's first pixel. weights: (F, 3) of sine, cosine and
+    mean, with the grey scale in them. first: (S + 1,) where each set starts among the
+    F. origin: (S,) turns. coefficients: (R, S) and stripes: (R,) of the rungs,
+    x's before y's, coarse to fine. rungs: (3,) where each axis starts among the R.
+    finest: (2,) the set that gives each axis its coordinate, -1 if none. length: (2,)
+    px. spread: (2,) px of coordinate per unit of u_I/B. reference: the set whose
+    modulation is reported. The rest are the rules of `MaskRules`, the seam in px, and
+    the variance of a grey level, `constant + per_level * level`, all in 8-bit greys.
+    """
+
+    addresses: NDArray[np.uintp]
+    weights: NDArray[np.float32]
+    first: NDArray[np.int64]
+    origin: NDArray[np.float32]
+    coefficients: NDArray[np.float32]
+    stripes: NDArray[np.float32]
+    trust: NDArray[np.float32]
+    rungs: NDArray[np.int64]
+    finest: NDArray[np.int64]
+    length: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    reference: int
+    grey: np.float32
+    full_scale: np.float32
+    modulation_min: np.float32
+    contrast_min: np.float32
+    residual_max: np.float32
+    disagreement_max: np.float32
+    seam: np.float32
+    noise_constant: np.float32
+    noise_per_level: np.float32
+
+
+class Maps(NamedTuple):
+    """Flat float32 maps of the camera that the kernel fills; an empty one is left out."""
+
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    modulation: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    doubt_u: NDArray[np.float32]
+    doubt_v: NDArray[np.float32]
+
+
+# NaN and infinity keep their meaning: only what cannot hide them is relaxed.
+_compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+@intrinsic
+def _pointer(_typing: Any, address: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+
+    return types.voidptr(types.uintp), generate
+
+
+@_compiled
+def _pixels(address: Any, start: int, n: int, like: Any) -> Any:
+    """`n` pixels of a frame from its `start`th on, as an array of the type of `like`."""
+    at: Any = address + _u(start * like.itemsize)
+    return carray(_pointer(at), (n,), like.dtype)  # type: ignore[call-arg]
+
+
+@_compiled
+def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -> None:
+    s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
+    c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
+    m0, m1, m2, m3 = weights[0, 2], weights[1, 2], weights[2, 2], weights[3, 2]
+    for j in range(n):
+        i = _u(j)
+        x, y, z, w = _f(a[i]), _f(b[i]), _f(c[i]), _f(d[i])
+        mx, my, mz, mw = m0 * x, m1 * y, m2 * z, m3 * w
+        sums[i] += s0 * x + s1 * y + s2 * z + s3 * w
+        sums[i + _COS] += c0 * x + c1 * y + c2 * z + c3 * w
+        sums[i + _MEAN] += mx + my + mz + mw
+        sums[i + _SQUARE] += mx * x + my * y + mz * z + mw * w
+        sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w)
+
+
+@_compiled
+def _turns(s: Any, c: Any) -> Any:
+    """atan2(s, c)/2π in [0, 1] in float32, without a branch; see `_arctangent`."""
+    a, b = abs(s), abs(c)
+    q = min(a, b) / max(a, b, _TINY)
+    z = q * q
+    p = _C5 + z * (_C6 + z * (_C7 + z * (_C8 + z * _C9)))
+    p = q * (_C0 + z * (_C1 + z * (_C2 + z * (_C3 + z * (_C4 + z * p)))))
+    p = _QUARTER - p if a > b else p
+    p = _HALF - p if c < _ZERO else p
+    return _ONE - p if s < _ZERO else p
+
+
+@_compiled
+def _demodulate(
+    sums: Any, turns: Any, modulation: Any, offset: Any, good: Any, n: int, origin: Any, recipe: Any
+) -> None:
+    """Phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
+    grey, full = recipe.grey, recipe.full_scale
+    least, contrast = recipe.modulation_min, recipe.contrast_min
+    misfit = recipe.residual_max * recipe.residual_max
+    for j in range(n):
+        i = _u(j)
+        s, c, mean = sums[i], sums[i + _COS], sums[i + _MEAN]
+        power = s * s + c * c
+        b = np.sqrt(power)
+        p = _turns(s, c) - origin
+        # What of the mean square is neither offset nor fringe is misfit (Parseval).
+        rest = sums[i + _SQUARE] * grey - mean * mean - _HALF * power
+        kept = good[i]
+        kept = kept if b >= least else _ZERO
+        kept = kept if b >= contrast * mean else _ZERO
+        kept = kept if rest <= misfit * power else _ZERO
+        kept = kept if sums[i + _PEAK] < full else _ZERO
+        turns[i] = p - np.floor(p)
+        modulation[i] = b
+        offset[i] = mean
+        good[i] = kept if b > _ZERO else _ZERO
+        sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
+
+
+@_compiled
+def _rung_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
+    """The wrapped phase of a rung, in turns: an integer combination of measured phases."""
+    for j in range(n):
+        rows[_u(j) + _RUNG] = _ZERO
+    for s in range(len(coefficients)):
+        k = coefficients[s]
+        if k != _ZERO:
+            measured = turns[s]
+            for j in range(n):
+                i = _u(j)
+                rows[i + _RUNG] += k * measured[i]
+    for j in range(n):
+        i = _u(j)
+        rows[i + _RUNG] -= np.floor(rows[i + _RUNG])
+
+
+@_compiled
+def _start(rows: Any, n: int, stripes: Any) -> None:
+    """Both hypotheses of the base: as measured, and one turn back or on where that is nearer."""
+    period = _ONE / stripes
+    for j in range(n):
+        i = _u(j)
+        p = rows[i + _RUNG] * period
+        rows[i] = p
+        rows[i + _OTHER] = p - period if rows[i + _RUNG] > _HALF else p + period
+        rows[i + _COST] = rows[i + _WORST] = rows[i + _OTHER_COST] = rows[i + _OTHER_WORST] = _ZERO
+
+
+@_compiled
+def _ascend(rows: Any, n: int, stripes: Any, trust: Any) -> None:
+    """Take both hypotheses one rung up; disagreement is counted in periods of that rung."""
+    period = _ONE / stripes
+    for j in range(n):
+        i = _u(j)
+        measured = rows[i + _RUNG]
+        d = rows[i] * stripes - measured
+        order = np.floor(d + _HALF)
+        d -= order
+        rows[i] = (order + measured) * period
+        rows[i + _COST] += trust * d * d
+        rows[i + _WORST] = max(rows[i + _WORST], abs(d))
+        d = rows[i + _OTHER] * stripes - measured
+        order = np.floor(d + _HALF)
+        d -= order
+        rows[i + _OTHER] = (order + measured) * period
+        rows[i + _OTHER_COST] += trust * d * d
+        rows[i + _OTHER_WORST] = max(rows[i + _OTHER_WORST], abs(d))
+
+
+@_compiled
+def _uncertainty(modulation: Any, offset: Any, spread: Any, recipe: Any, out: Any, n: int) -> None:
+    """1-sigma of a coordinate in px: `spread * u_I/B`."""
+    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+    for j in range(n):
+        i = _u(j)
+        variance = constant + per_level * offset[i]
+        out[i] = spread * np.sqrt(variance) / max(modulation[i], _TINY)
+
+
+@_compiled
+def _choose(
+    rows: Any, sigma: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any, out: Any
+) -> None:
+    """The hypothesis that lies in the projector and agrees better; the coordinate in px."""
+    seam, share = recipe.seam, recipe.disagreement_max
+    apart = _APART * (stripes / length) * (stripes / length)
+    for j in range(n):
+        i = _u(j)
+        tolerance = (seam + _SIGMAS * sigma[i]) / length
+        a, b = rows[i], rows[i + _OTHER]
+        out_a = max(-a, a - _ONE, _ZERO)
+        out_b = max(-b, b - _ONE, _ZERO)
+        far_a = _FAR + out_a if out_a > tolerance else _ZERO
+        far_b = _FAR + out_b if out_b > tolerance else _ZERO
+        cost_a, cost_b = rows[i + _COST] + far_a, rows[i + _OTHER_COST] + far_b
+        worst_a, worst_b, kept = rows[i + _WORST], rows[i + _OTHER_WORST], good[i]
+        position = b if cost_b < cost_a else a
+        worst = worst_b if cost_b < cost_a else worst_a
+        far = far_b if cost_b < cost_a else far_a
+        kept = kept if worst <= share else _ZERO
+        kept = kept if far == _ZERO else _ZERO
+        # Where one of them is far their costs differ by far more than this.
+        least = max(_APART_LEAST, apart * sigma[i] * sigma[i])
+        good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
+        rows[i + _WORST] = worst
+        out[i] = position * length - _HALF
+
+
+@_compiled
+def _axis(axis: int, recipe: Any, rows: Any, turns: Any, sigma: Any, good: Any, n: int, out: Any) -> None:
+    """Climb one axis' ladder and write its coordinate."""
+    first, last = recipe.rungs[axis], recipe.rungs[axis + 1]
+    _rung_phase(rows, turns, recipe.coefficients[first], n)
+    _start(rows, n, recipe.stripes[first])
+    for r in range(first + 1, last):
+        _rung_phase(rows, turns, recipe.coefficients[r], n)
+        _ascend(rows, n, recipe.stripes[r], recipe.trust[r])
+    _choose(rows, sigma, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe, out)
+
+
+@_compiled
+def _erase(out: Any, good: Any, n: int) -> None:
+    """NaN where a pixel is not measured."""
+    for j in range(n):
+        i = _u(j)
+        out[i] = out[i] if good[i] > _ZERO else _f(np.nan)
+
+
+@_compiled
+def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
+    """Fill `maps` for the pixels `start` … `stop`; returns the greatest raw value met.
+
+    recipe: `Recipe`. like: an empty array of the frames' type. maps: `Maps`, flat.
+    Releases the interpreter's lock, so that threads may share a frame's pixels.
+    """
+    sets = len(recipe.origin)
+    sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_LADDER_ROWS * _ROW, np.float32)
+    good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    turns, modulation, offset = (
+        np.empty((sets, _ROW), np.float32),
+        np.empty((sets, _ROW), np.float32),
+        np.empty((sets, _ROW), np.float32),
+    )
+    for at in range(start, stop, CHUNK):
+        n = min(CHUNK, stop - at)
+        good[:] = _ONE
+        for s in range(sets):
+            sums[: _SUM_ROWS * _ROW] = _ZERO
+            for k in range(recipe.first[s], recipe.first[s + 1], 4):
+                frame = recipe.addresses[k : k + 4]
+                _add_four(
+                    _pixels(frame[0], at, n, like),
+                    _pixels(frame[1], at, n, like),
+                    _pixels(frame[2], at, n, like),
+                    _pixels(frame[3], at, n, like),
+                    recipe.weights[k : k + 4],
+                    sums,
+                    n,
+                )
+            _demodulate(sums, turns[s], modulation[s], offset[s], good, n, recipe.origin[s], recipe)
+        for axis in range(1, -1, -1):
+            finest = recipe.finest[axis]
+            if finest >= 0:
+                # x comes last, so that its sigma is the one that stays.
+                _uncertainty(modulation[finest], offset[finest], recipe.spread[axis], recipe, sigma, n)
+                out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
+                _axis(axis, recipe, rows, turns, sigma, good, n, out)
+                doubt = maps.doubt_u if axis == 0 else maps.doubt_v
+                if len(doubt) > 0:
+                    doubt[at : at + n] = rows[2 * _ROW : 2 * _ROW + n]
+        maps.modulation[at : at + n] = modulation[recipe.reference, :n]
+        maps.sigma[at : at + n] = sigma[:n]
+        if len(maps.u) > 0:
+            _erase(maps.u[at : at + n], good, n)
+        if len(maps.v) > 0:
+            _erase(maps.v[at : at + n], good, n)
+        _erase(maps.modulation[at : at + n], good, n)
+        _erase(maps.sigma[at : at + n], good, n)
+    return sums[_SUM_ROWS * _ROW :].max()
+
+
+@_compiled
+def read_all(addresses: Any, like: Any, start: int, stop: int) -> int:
+    """The sum of all pixels `start` … `stop` of all frames: what reading alone costs."""
+    total = 0
+    for k in range(len(addresses)):
+        pixels = _pixels(addresses[k], start, stop - start, like)
+        for j in range(stop - start):
+            total += np.uint64(pixels[_u(j)])
+    return total

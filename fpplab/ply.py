@@ -1,0 +1,75 @@
+"""The part of PLY that clouds need: one table of scalar vertex properties, with comments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+_LONGEST_HEADER = 1 << 16
+
+Table = NDArray[Any]
+"""A structured array, one record per vertex."""
+
+
+def write(table: Table, comments: list[str], stream: BinaryIO) -> None:
+    """Write the vertices as little-endian binary; fields of type u1, i4 and f4."""
+    kinds = {name: table.dtype[name].str[1:] for name in table.dtype.names or ()}
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    lines += [f"element vertex {len(table)}"]
+    lines += [f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()]
+    stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+    little = np.dtype([(name, "<" + kind) for name, kind in kinds.items()])
+    stream.write(np.ascontiguousarray(table.astype(little, copy=False)).view(np.uint8).data)
+
+
+def read(path: Path) -> tuple[Table, list[str]]:
+    """The vertices of a PLY of any byte order, and its comments. Raises `OSError`, `ValueError`."""
+    with path.open("rb") as stream:
+        order, count, kinds, comments = _header(stream)
+        dtype = np.dtype([(name, (order if order != "=" else "<") + kind) for name, kind in kinds])
+        if order == "=":
+            rows = [stream.readline().split() for _ in range(count)]
+            return np.array([tuple(map(float, row[: len(kinds)])) for row in rows], dtype), comments
+        table = np.fromfile(stream, dtype, count)
+    if len(table) != count:
+        raise ValueError(f"it ends after {len(table)} of {count} vertices")
+    return table, comments
+
+
+def _header(stream: BinaryIO) -> tuple[str, int, list[tuple[str, str]], list[str]]:
+    """Byte order, number of vertices, their properties as (name, kind), comments."""
+    order, count, kinds, comments, element = "", -1, [], [], ""
+    if stream.readline().strip() != b"ply":
+        raise ValueError("it does not begin with 'ply'")
+    while stream.tell() < _LONGEST_HEADER:
+        words = stream.readline().decode("ascii", "replace").split()
+        match words:
+            case ["format", name, *_]:
+                order = _ORDERS[name]
+            case ["comment", *text]:
+                comments.append(" ".join(text))
+            case ["element", element, number]:
+                if element == "vertex":
+                    count = int(number)
+                elif count < 0:
+                    raise ValueError(f"element '{element}' comes before the vertices")
+            case ["property", "list", *_] if element == "vertex":
+                raise ValueError("a vertex has a list as property")
+            case ["property", kind, name] if element == "vertex":
+                kinds.append((name, _TYPES[kind]))
+            case ["end_header"]:
+                if not order or count < 0:
+                    raise ValueError("its header names no format or no vertices")
+                return order, count, kinds, comments
+    raise ValueError("its header has no end")

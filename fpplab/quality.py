@@ -1,0 +1,140 @@
+"""Which pixels are measured, and how well: masks, intensity noise, uncertainty.
+
+The noise of a pixel is got from the frames themselves, as photon transfer does: its
+variance is a linear function of the signal, `a + b I` (read-out noise and shot noise).
+Phase noise follows as `u_φ = √2/√(M N) · u_I/B` for N steps of M frames each, and
+the coordinate's as `u_φ W/(2π stripes)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from fpplab.conventions import TWO_PI, Floats, Mask
+from fpplab.plan import MaskRules
+
+QUANTISATION = 1 / 12
+"""Variance of rounding to integers, in units of the last place squared."""
+
+_BINS = 24
+_LEAST_PER_BIN = 30
+_LEAST_PIXELS = 100
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared."""
+
+    constant: float
+    per_level: float
+
+    def variance(self, level: Floats | float) -> Floats:
+        """Variance in grey levels squared at the given levels."""
+        return np.asarray(self.constant + self.per_level * np.asarray(level))
+
+
+def phase_uncertainty(
+    noise: float | Floats, modulation: float | Floats, steps: int, repeats: int = 1
+) -> Floats:
+    """`u_φ = √2/√(M N) · u_I/B` in rad, for noise u_I and modulation B in the same grey levels."""
+    return np.asarray(np.sqrt(2.0 / (repeats * steps)) * np.asarray(noise) / np.asarray(modulation))
+
+
+def coordinate_uncertainty(phase_sigma: float | Floats, stripes: float, length: int) -> Floats:
+    """1-sigma in projector px of a coordinate whose phase has the 1-sigma `phase_sigma` in rad."""
+    return np.asarray(np.asarray(phase_sigma) * length / (TWO_PI * stripes))
+
+
+def measurable(
+    modulation: Floats,
+    offset: Floats,
+    misfit: Floats,
+    peak: Floats,
+    rules: MaskRules,
+    full_scale: float,
+) -> Mask:
+    """Where one fringe set satisfies the rules; all maps in 8-bit grey levels, but `peak` raw.
+
+    misfit: RMS of what the sinusoid leaves. peak: greatest raw value of the set's
+    frames; a pixel that reached `full_scale` in any of them is saturated.
+    """
+    return np.asarray(
+        (modulation > 0)
+        & (modulation >= rules.modulation_min)
+        & (modulation >= rules.contrast_min * offset)
+        & (misfit <= rules.residual_max * modulation)
+        & (peak < full_scale)
+    )
+
+
+def fit_noise(samples: Sequence[Floats], full_scale: float, grey: float) -> NoiseModel:
+    """Photon transfer from the frames of a measurement, robust against scene and motion.
+
+    Where a set has more than three steps, noise is what its sinusoid leaves, beyond the
+    second and third harmonic too where there are steps enough (a response that is not
+    linear is no noise). Where all have three, it is how far the sets' offsets differ. One
+    set of three steps tells nothing: the model is then the rounding alone, a lower bound.
+
+    Parameters
+    ----------
+    samples: of each fringe set (N, P) raw values, the same P pixels in all.
+    full_scale: the raw value at which a pixel is saturated. grey: 8-bit grey levels per raw unit.
+    """
+    floor = QUANTISATION * grey**2
+    lowest = np.min([s.min(axis=0) for s in samples], axis=0)
+    highest = np.max([s.max(axis=0) for s in samples], axis=0)
+    usable = (lowest > 0) & (highest < full_scale)
+    if usable.sum() < _LEAST_PIXELS:
+        # Dark pixels clip at zero and scatter less; better than none.
+        usable = highest < full_scale
+    variance, freedom = _scatter([s[:, usable] for s in samples])
+    if freedom == 0 or usable.sum() < _LEAST_PIXELS:
+        return NoiseModel(floor, 0.0)
+    level = np.mean([s[:, usable].mean(axis=0) for s in samples], axis=0) * grey
+    return _fit_line(level, variance * grey**2 / _median_of_chi2(freedom), floor)
+
+
+def _scatter(samples: Sequence[Floats]) -> tuple[Floats, int]:
+    """Variance of each pixel in raw units squared, (P,), and its degrees of freedom."""
+    long = [s for s in samples if len(s) > 3]
+    if long:
+        powers, freedoms = zip(*(_power_beyond_harmonics(s) for s in long), strict=True)
+        return np.sum(powers, axis=0) / sum(freedoms), sum(freedoms)
+    offsets = np.array([s.mean(axis=0) for s in samples])
+    freedom = len(samples) - 1
+    squares = 3.0 * ((offsets - offsets.mean(axis=0)) ** 2).sum(axis=0)
+    return squares / max(freedom, 1), freedom
+
+
+def _power_beyond_harmonics(sample: Floats) -> tuple[Floats, int]:
+    """Sum of squares that offset and harmonics leave, (P,), and its degrees of freedom."""
+    steps = len(sample)
+    harmonics = min(max((steps - 3) // 2, 1), 3)
+    spectrum = np.fft.rfft(sample, axis=0)[harmonics + 1 :]
+    weight = np.full(len(spectrum), 2.0)
+    if steps % 2 == 0:
+        weight[-1] = 1.0
+    power = np.tensordot(weight, np.abs(spectrum) ** 2, axes=1) / steps
+    return power, int(weight.sum())
+
+
+def _median_of_chi2(freedom: int) -> float:
+    """Median of χ²/ν with ν degrees of freedom (Wilson and Hilferty)."""
+    return float((1.0 - 2.0 / (9.0 * freedom)) ** 3)
+
+
+def _fit_line(level: Floats, variance: Floats, floor: float) -> NoiseModel:
+    """`a + b I` with a ≥ floor, b ≥ 0 through the medians of bins of equally many pixels."""
+    bins = max(1, min(_BINS, len(level) // _LEAST_PER_BIN))
+    order = np.array_split(np.argsort(level), bins)
+    centre = np.array([level[i].mean() for i in order])
+    median = np.array([np.median(variance[i]) for i in order])
+    # Medians scatter in proportion to the variance itself.
+    weight = 1.0 / np.maximum(median, floor)
+    design = np.stack([np.ones(bins), centre], axis=1) * weight[:, None]
+    (constant, per_level), _ = nnls(design, np.maximum(median - floor, 0.0) * weight)
+    return NoiseModel(floor + float(constant), float(per_level))

@@ -1,0 +1,296 @@
+"""Projector coordinates -> points: triangulation on the camera's rays, with both distortions.
+
+A camera pixel's ray X = z (a, b, 1) is known exactly from the camera's model. Its depth z is
+where the point's image in the projector, distortion included, has the decoded coordinates:
+the projector's surface u = const is curved, so the distorted projection itself is solved by
+Gauss-Newton. One coded axis gives one equation; two give least squares along the ray, and
+what remains is the distance from the epipolar curve. The camera's frame is the cloud's.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from typing import Protocol
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from fpplab.calibration import Calibration
+from fpplab.clouds import Cloud
+from fpplab.conventions import Floats, Map
+from fpplab.errors import DataError
+from fpplab.geometry import Pinhole
+from fpplab.pixelgrid import PixelGrid
+
+PIXEL_TOLERANCE = 1e-9
+"""The camera's distortion is inverted until the pixel is met this well, in px."""
+DEPTH_TOLERANCE = 1e-5
+"""Relative size of the last step in depth; each step squares the error, so the depth is good to 1e-10."""
+ITERATIONS = 20
+BLOCK = 16
+"""Rows that one thread solves one after the other."""
+LEAST_SENSITIVITY = 1e-3
+"""Projector px per mm along the ray's z below which the coordinates say nothing about the depth."""
+CACHED_CAMERAS = 2
+
+_slopes: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
+_lock = threading.Lock()
+
+
+class DecodedMaps(Protocol):
+    """Projector coordinates of a camera's pixels, float32 [v, u], NaN where they are not known.
+
+    u, v: in projector px, all NaN where that axis was not coded. sigma: standard deviation, in
+    px, of each of them.
+    """
+
+    @property
+    def u(self) -> Map: ...
+    @property
+    def v(self) -> Map: ...
+    @property
+    def sigma(self) -> Map: ...
+
+
+def triangulate(
+    decoded: DecodedMaps,
+    calibration: Calibration,
+    texture: NDArray[np.uint8] | None = None,
+    normals: bool = True,
+) -> Cloud:
+    """Points in mm in the camera's frame, in the order of the camera's pixels.
+
+    texture: uint8 [v, u], for the points' grey. normals: whether to compute them.
+
+    Where two axes are coded a pixel needs both. Points behind a device, outside the projector's
+    image, where its distortion folds, or without a solution are dropped. `sigma_mm` is the decoded
+    sigma propagated along the ray; `epipolar_px` is given for two axes.
+
+    Raises `CalibrationError` when the maps are of another camera, `DataError` when nothing remains.
+    """
+    height, width = decoded.u.shape
+    calibration.check_camera((width, height), "decoded maps")
+    if texture is not None and texture.shape != (height, width):
+        raise DataError(
+            f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
+            "take it from the same session"
+        )
+    use_u, use_v = bool(np.isfinite(decoded.u).any()), bool(np.isfinite(decoded.v).any())
+    if not (use_u or use_v):
+        raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
+    slopes = camera_slopes(calibration.camera)
+    depth, spread, epipolar = (np.empty((height, width), np.float32) for _ in range(3))
+    counts = _solve(
+        slopes,
+        np.ascontiguousarray(decoded.u, np.float32),
+        np.ascontiguousarray(decoded.v, np.float32),
+        np.ascontiguousarray(decoded.sigma, np.float32),
+        use_u,
+        use_v,
+        *_projector(calibration),
+        depth,
+        spread,
+        epipolar,
+    )
+    if not counts.any():
+        raise DataError(
+            "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
+            "fringes run across the baseline"
+        )
+    points, pixels, sigma_mm, distances = _collect(counts, slopes, depth, spread, epipolar)
+    return Cloud(
+        points=points,
+        pixels=pixels,
+        size=(width, height),
+        normals=PixelGrid.of(points, pixels, (width, height), sigma_mm).normals() if normals else None,
+        colour=None if texture is None else np.asarray(texture, np.uint8)[pixels[:, 1], pixels[:, 0]],
+        sigma_mm=sigma_mm,
+        epipolar_px=distances if use_u and use_v else None,
+    )
+
+
+def camera_slopes(camera: Pinhole) -> Floats:
+    """Ray slopes x/z and y/z of every pixel's centre, float64 (2, height, width), NaN where none exists.
+
+    The inverse of the distortion to `PIXEL_TOLERANCE`; kept for the last cameras used.
+    """
+    key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())
+    with _lock:
+        if key not in _slopes:
+            slopes = np.empty((2, camera.size[1], camera.size[0]))
+            _invert(_intrinsics(camera), slopes)
+            slopes.flags.writeable = False
+            _slopes[key] = slopes
+        _slopes.move_to_end(key)
+        while len(_slopes) > CACHED_CAMERAS:
+            _slopes.popitem(last=False)
+        return _slopes[key]
+
+
+def forget_cameras() -> None:
+    """Drop the rays kept by `camera_slopes`."""
+    with _lock:
+        _slopes.clear()
+
+
+# The kernels take numbers in tuples, which stay in registers; an array might alias their output.
+Numbers = tuple[float, ...]
+
+
+def _intrinsics(device: Pinhole) -> Numbers:
+    """(fx, fy, cx, cy, k1, k2, p1, p2, k3)."""
+    k = device.matrix
+    return tuple(map(float, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion)))
+
+
+def _projector(calibration: Calibration) -> tuple[Numbers, Numbers, tuple[int, int]]:
+    """The projector's intrinsics, rows of (rotation | translation), and its size."""
+    pose = calibration.T_projector_camera.matrix[:3].ravel()
+    return _intrinsics(calibration.projector), tuple(pose.tolist()), calibration.projector.size
+
+
+@njit(inline="always")
+def _distort(x: float, y: float, c: Numbers) -> tuple[float, float, float, float, float, float]:
+    """Distorted slopes and their derivatives (∂xd/∂x, ∂xd/∂y = ∂yd/∂x, ∂yd/∂y), and the radial
+    growth d(r·radial)/dr, which is negative where the model folds."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (c[4] + r2 * (c[5] + r2 * c[8]))
+    growth = c[4] + r2 * (2.0 * c[5] + r2 * 3.0 * c[8])
+    xd = x * radial + 2.0 * c[6] * x * y + c[7] * (r2 + 2.0 * x * x)
+    yd = y * radial + c[6] * (r2 + 2.0 * y * y) + 2.0 * c[7] * x * y
+    xx = radial + 2.0 * x * x * growth + 2.0 * c[6] * y + 6.0 * c[7] * x
+    xy = 2.0 * x * y * growth + 2.0 * c[6] * x + 2.0 * c[7] * y
+    yy = radial + 2.0 * y * y * growth + 6.0 * c[6] * y + 2.0 * c[7] * x
+    return xd, yd, xx, xy, yy, radial + 2.0 * r2 * growth
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _invert(camera: Numbers, slopes: Floats) -> None:
+    height, width = slopes.shape[1:]
+    fx, fy = camera[0], camera[1]
+    for v in prange(height):
+        for u in range(width):
+            target_x, target_y = (u - camera[2]) / fx, (v - camera[3]) / fy
+            x, y = target_x, target_y
+            slopes[0, v, u] = slopes[1, v, u] = np.nan
+            for _ in range(ITERATIONS):
+                xd, yd, xx, xy, yy, growth = _distort(x, y, camera)
+                determinant = xx * yy - xy * xy
+                if growth <= 0.0 or determinant <= 0.0:
+                    break
+                ex, ey = target_x - xd, target_y - yd
+                if abs(ex) * fx < PIXEL_TOLERANCE and abs(ey) * fy < PIXEL_TOLERANCE:
+                    slopes[0, v, u], slopes[1, v, u] = x, y
+                    break
+                x += (yy * ex - xy * ey) / determinant
+                y += (xx * ey - xy * ex) / determinant
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _solve(
+    slopes: Floats,
+    coded_u: Map,
+    coded_v: Map,
+    sigma: Map,
+    use_u: bool,
+    use_v: bool,
+    projector: Numbers,
+    pose: Numbers,
+    size: tuple[int, int],
+    depth: Map,
+    spread: Map,
+    epipolar: Map,
+) -> NDArray[np.int64]:
+    """Fill depth z (NaN where none), its sigma along the ray, both in mm, and epipolar distance in px.
+
+    Returns the number of points in each row.
+    """
+    height, width = coded_u.shape
+    counts = np.zeros(height, np.int64)
+    fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
+    per_fx, per_fy = 1.0 / fx, 1.0 / fy
+    xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
+    wu, wv = (1.0 if use_u else 0.0), (1.0 if use_v else 0.0)
+    for block in prange((height + BLOCK - 1) // BLOCK):
+        # What distortion does to the pixel above is a start that needs one step only.
+        shift_x, shift_y = np.zeros(width), np.zeros(width)
+        for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
+            found = 0
+            for column in range(width):
+                depth[row, column] = np.nan
+                u = float(coded_u[row, column]) if use_u else cx
+                v = float(coded_v[row, column]) if use_v else cy
+                a, b = slopes[0, row, column], slopes[1, row, column]
+                if np.isnan(u + v + a):
+                    continue
+                dx, dy, dz = xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc
+                # With the distortion taken as known the equations are linear in z.
+                x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
+                mx, my = wu * (x * dz - dx), wv * (y * dz - dy)
+                z = (mx * (tx - x * tz) + my * (ty - y * tz)) / (mx * mx + my * my + 1e-300)
+                for _ in range(ITERATIONS):
+                    pz = z * dz + tz
+                    if not (z > 0.0 and pz > 0.0):
+                        break
+                    near = 1.0 / pz
+                    x, y = (z * dx + tx) * near, (z * dy + ty) * near
+                    xd, yd, xx, xy, yy, growth = _distort(x, y, projector)
+                    x_z, y_z = (dx - x * dz) * near, (dy - y * dz) * near
+                    ju, jv = wu * fx * (xx * x_z + xy * y_z), wv * fy * (xy * x_z + yy * y_z)
+                    pu, pv = fx * xd + cx, fy * yd + cy
+                    eu, ev = u - pu, v - pv
+                    square = ju * ju + jv * jv
+                    if square < LEAST_SENSITIVITY * LEAST_SENSITIVITY:
+                        break
+                    per_square = 1.0 / square
+                    step = (ju * eu + jv * ev) * per_square
+                    z += step
+                    if abs(step) <= DEPTH_TOLERANCE * z:
+                        shift_x[column], shift_y[column] = xd - x, yd - y
+                        inside = -0.5 <= pu <= size[0] - 0.5 and -0.5 <= pv <= size[1] - 0.5
+                        if inside and growth > 0.0:
+                            depth[row, column] = z
+                            reach = np.sqrt((1.0 + a * a + b * b) * per_square)
+                            spread[row, column] = sigma[row, column] * reach
+                            epipolar[row, column] = abs(ju * ev - jv * eu) * np.sqrt(per_square)
+                            found += 1
+                        break
+            counts[row] = found
+    return counts
+
+
+def _collect(
+    counts: NDArray[np.int64], slopes: Floats, depth: Map, spread: Map, epipolar: Map
+) -> tuple[Map, NDArray[np.int32], Map, Map]:
+    """Points (N, 3), their pixels (N, 2) as (u, v), sigma and epipolar distance (N,), row by row."""
+    total = int(counts.sum())
+    points, pixels = np.empty((total, 3), np.float32), np.empty((total, 2), np.int32)
+    sigma, distance = np.empty(total, np.float32), np.empty(total, np.float32)
+    _fill(np.cumsum(counts) - counts, slopes, depth, spread, epipolar, points, pixels, sigma, distance)
+    return points, pixels, sigma, distance
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _fill(
+    starts: NDArray[np.int64],
+    slopes: Floats,
+    depth: Map,
+    spread: Map,
+    epipolar: Map,
+    points: Map,
+    pixels: NDArray[np.int32],
+    sigma: Map,
+    distance: Map,
+) -> None:
+    height, width = depth.shape
+    for v in prange(height):
+        at = starts[v]
+        for u in range(width):
+            z = float(depth[v, u])
+            if not np.isnan(z):
+                points[at, 0], points[at, 1], points[at, 2] = z * slopes[0, v, u], z * slopes[1, v, u], z
+                pixels[at, 0], pixels[at, 1] = u, v
+                sigma[at], distance[at] = spread[v, u], epipolar[v, u]
+                at += 1

@@ -1,0 +1,354 @@
+"""The report: one HTML file that says what was measured, how well, and shows it.
+
+Everything is inside the file, pictures included; there are no scripts and nothing is fetched,
+so that it can be mailed, printed and read in ten years. Every section is optional: the same
+function reports a demonstration, a single scan, or a characterisation.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from fpplab import __version__, figures
+from fpplab.characterisation import Characterisation
+from fpplab.clouds import Cloud, local_quadric_distance
+from fpplab.comparison import Comparison
+from fpplab.conventions import Axis, Floats, Image, Map
+from fpplab.files import write_text
+from fpplab.gamma import Response
+from fpplab.phase import Decoded, Wrapped
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSection:
+    """What the report shows of one scan.
+
+    name: of the object. images: how many the plan takes. frame: one raw frame of the finest set
+    [v, u], of `bits` depth. wrapped: that set, demodulated. comparison: with the true shape,
+    where it is known.
+    """
+
+    name: str
+    images: int
+    frame: Image
+    wrapped: Wrapped
+    decoded: Decoded
+    cloud: Cloud
+    comparison: Comparison | None = None
+    bits: int = 8
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture in the page: PNG as base64, what it shows in words, and its caption."""
+
+    png: str
+    alt: str
+    caption: str
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under columns; the first column names the row. words: the others are sentences."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    words: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of the page."""
+
+    title: str
+    text: str = ""
+    tables: tuple[Table, ...] = ()
+    figures: tuple[Figure, ...] = ()
+
+
+def write_report(
+    path: Path,
+    title: str,
+    *,
+    facts: Mapping[str, str] | None = None,
+    response: tuple[Response, Floats] | None = None,
+    characterisation: Characterisation | None = None,
+    scans: Sequence[ScanSection] = (),
+    when: datetime | None = None,
+) -> None:
+    """Write the report as one HTML file, whole or not at all.
+
+    facts: what else the head of the page says (rig, plan, operator). response: the fit and its
+    levels (K, 2), in and out in [0, 1]. when: the time of the measurement; now by default.
+    Raises `DataError` when it cannot be written or there is nothing to draw.
+    """
+    sections = []
+    if response:
+        sections.append(_response_section(*response))
+    if characterisation:
+        sections.append(_characterisation_section(characterisation))
+    sections += [_scan_section(scan) for scan in scans]
+    page = _template().render(
+        title=title,
+        when=(when or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
+        facts=facts or {},
+        summary=_summary(characterisation, scans),
+        sections=sections,
+        version=__version__,
+    )
+    write_text(path, page)
+
+
+def _template() -> Any:
+    loader = PackageLoader("fpplab", "templates")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("report.html.j2")
+
+
+def _figure(png: bytes, alt: str, caption: str, wide: bool = False) -> Figure:
+    return Figure(base64.b64encode(png).decode("ascii"), alt, caption, wide)
+
+
+# Summary
+
+COMPARED = (
+    "Artefact",
+    "Images",
+    "Points",
+    "Surface RMS in µm",
+    "Surface P95 in µm",
+    "Surface SMCD in µm",
+    "SMCD in µm",
+    "SMCD floor in µm",
+    "Completeness",
+    "Outliers",
+)
+FLOOR = (
+    "The floor is what a perfect measurement, sampled alike, would score for the SMCD; "
+    "the surface figures have none."
+)
+SCANNED = ("Scan", "Images", "Points", "Roughness in µm", "Noise in µm")
+ROUGHNESS = (
+    "Roughness: median distance of a point from the quadric through its surroundings. "
+    "Noise: median standard deviation along the ray, as predicted from the fringes."
+)
+CHARACTERISED = (
+    "Characterisation",
+    "RMS in px",
+    "In poses left out, px",
+    "Fitted apart, px",
+    "Focal length in px",
+    "Principal point in px",
+)
+REPROJECTION = (
+    "RMS: distance between each point of the board and where the model sees it. In poses left out: "
+    "the same, in each pose as seen by the devices fitted to all the others."
+)
+
+
+def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSection]) -> list[Table]:
+    tables = []
+    if characterisation:
+        rows = tuple(_device_row(characterisation, device) for device in ("camera", "projector"))
+        tables.append(Table(CHARACTERISED, rows, REPROJECTION))
+    compared = tuple(_compared_row(s, s.comparison) for s in scans if s.comparison is not None)
+    if compared:
+        tables.append(Table(COMPARED, compared, FLOOR))
+    alone = tuple(
+        (s.name, str(s.images), _count(len(s.cloud)), _roughness(s.cloud), _noise(s.cloud))
+        for s in scans
+        if s.comparison is None
+    )
+    if alone:
+        tables.append(Table(SCANNED, alone, ROUGHNESS))
+    return tables
+
+
+def _compared_row(scan: ScanSection, found: Comparison) -> tuple[str, ...]:
+    lengths = (
+        found.surface_rms_um,
+        found.surface_p95_um,
+        found.surface_smcd_um,
+        found.smcd_um,
+        found.smcd_floor_um,
+    )
+    outliers = f"{_count(found.outliers)} ({_percent(found.outliers / found.points)})"
+    head = (scan.name, str(scan.images), _count(len(scan.cloud)))
+    return (*head, *map(_number, lengths), _percent(found.completeness), outliers)
+
+
+def _roughness(cloud: Cloud) -> str:
+    if cloud.pixels is None:
+        return NOT_KNOWN
+    distances = np.abs(local_quadric_distance(cloud))
+    known = distances[np.isfinite(distances)]
+    return _number(1e3 * float(np.median(known)) if len(known) else None)
+
+
+def _noise(cloud: Cloud) -> str:
+    return _number(None if cloud.sigma_mm is None else 1e3 * float(np.median(cloud.sigma_mm)))
+
+
+def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
+    calibration, held = found.calibration, found.leave_one_out_px or {}
+    matrix = (calibration.camera if name == "camera" else calibration.projector).matrix
+    focal = (_with_sigma(found, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy")))
+    centre = (_with_sigma(found, matrix[i, 2], f"{name}.{key}") for i, key in enumerate(("cx", "cy")))
+    return (
+        name.capitalize(),
+        f"{calibration.rms_px[name]:.3f}",
+        f"{held[name]:.3f}" if held else NOT_KNOWN,
+        f"{found.apart_px[name]:.3f}",
+        " / ".join(focal),
+        " / ".join(centre),
+    )
+
+
+def _with_sigma(found: Characterisation, value: float, name: str) -> str:
+    return f"{value:.1f} ± {found.sigma[name]:.1f}" if name in found.sigma else f"{value:.1f}"
+
+
+# Sections
+
+
+def _characterisation_section(found: Characterisation) -> Section:
+    calibration, observations = found.calibration, found.observations
+    rms = found.pose_rms_px
+    bars = figures.pose_rms(
+        list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
+    )
+    pictures = [
+        _figure(bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True)
+    ]
+    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
+    seen = (
+        ("camera", calibration.camera.size, cameras, found.camera_residuals),
+        ("projector", calibration.projector.size, projectors, found.projector_residuals),
+    )
+    for device, size, pixels, residuals in seen:
+        drawn = figures.residuals(np.concatenate(pixels), np.concatenate(residuals), size, device)
+        caption = (
+            f"Reprojection errors of the {device}, model minus observation: over its pixels, and together."
+        )
+        pictures.append(_figure(drawn, f"Reprojection errors of the {device}", caption, wide=True))
+    for device, size, pixels, _ in seen:
+        drawn = figures.coverage(pixels, size, device)
+        caption = f"Where the board's points lay for the {device}, one colour per pose."
+        pictures.append(_figure(drawn, f"Points of the board over the {device}'s pixels", caption))
+    joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
+    text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
+    text += f" Baseline {baseline:.2f} mm."
+    left_out = tuple(found.left_out.items())
+    tables = (Table(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
+    return Section("Characterisation", text, tables, tuple(pictures))
+
+
+def _response_section(response: Response, levels: Floats) -> Section:
+    values = zip((response.a, response.b, response.g), response.sigma, strict=True)
+    row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
+    columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
+    picture = _figure(
+        figures.response_curve(response, levels),
+        f"Response of projector and camera, with a fitted exponent of {response.g:.3f}",
+        "Left: the levels measured and the fitted response. Right: measured minus fitted.",
+        wide=True,
+    )
+    text = "Level seen = a · (level shown)ᵍ + b, levels as shares of full scale."
+    return Section("Response", text, (Table(columns, (row,), "; ".join(response.left_out)),), (picture,))
+
+
+def _scan_section(scan: ScanSection) -> Section:
+    name, decoded, cloud = scan.name, scan.decoded, scan.cloud
+    phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
+    pictures = [
+        _figure(
+            figures.camera_image(scan.frame, scan.bits),
+            f"Camera image of the {name} under the finest fringes",
+            "One frame of the finest fringe set.",
+        ),
+        _figure(
+            figures.modulation(decoded.modulation),
+            f"Map of the fringes' modulation on the {name}",
+            "Modulation: the amplitude of the fringes.",
+        ),
+        _figure(
+            figures.wrapped_phase(phase),
+            f"Map of the wrapped phase of the {name}",
+            "Wrapped phase of the finest set.",
+        ),
+        *_coordinates(scan),
+        _figure(
+            figures.relief(cloud),
+            f"Shaded relief of the measured {name}",
+            f"The measured surface, lit from the upper left: {_count(len(cloud))} points.",
+        ),
+        _figure(
+            figures.depth(cloud),
+            f"Map of the distance of the {name} from the camera",
+            "Distance from the camera along its axis.",
+        ),
+    ]
+    text = (
+        f"{scan.images} images; {_percent(float(decoded.valid.mean()))} of the camera's pixels are measured."
+    )
+    if scan.comparison is not None:
+        pictures.append(_error_figure(scan, scan.comparison))
+        text += f" Both devices see {_percent(scan.comparison.visible_share)} of the true shape's surface."
+    return Section(name[:1].upper() + name[1:], text + " Grey: not measured.", figures=tuple(pictures))
+
+
+def _coordinates(scan: ScanSection) -> list[Figure]:
+    maps: tuple[tuple[Axis, Map, str], ...] = (
+        ("x", scan.decoded.u, "columns"),
+        ("y", scan.decoded.v, "rows"),
+    )
+    return [
+        _figure(
+            figures.coordinate(values, axis),
+            f"Map of the projector's {name} as seen on the {scan.name}",
+            f"Unwrapped: the projector's {name}, with contour lines.",
+        )
+        for axis, values, name in maps
+        if np.isfinite(values).any()
+    ]
+
+
+def _error_figure(scan: ScanSection, found: Comparison) -> Figure:
+    alt = f"Signed error of the {scan.name}, with its distribution; RMS {_number(found.surface_rms_um)} µm"
+    caption = (
+        f"Signed distance of every point that counts from the true surface; red lies outside the "
+        f"true shape. {_count(found.beside)} points beside it are left out."
+    )
+    drawn = figures.error_map(scan.cloud, found.distances_mm, found.counted)
+    return _figure(drawn, alt, caption, wide=True)
+
+
+# Words
+
+NOT_KNOWN = "–"
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return NOT_KNOWN
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+
+
+def _count(value: int) -> str:
+    return f"{value:,}".replace(",", "\u202f")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g}\u202f%"

@@ -1,0 +1,75 @@
+"""What a device sees of a mesh: its image, the sides that face it, and what lies before them."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from fpplab.conventions import Floats, Mask
+from fpplab.geometry import Pinhole, RigidTransform
+
+OCCLUDED_MM = 0.02
+"""A surface this much nearer hides a point; less is the rounding of single-precision rays."""
+BORDER_SAMPLES = 64
+
+
+class Shape:
+    """A mesh in mm in the camera's frame, ready for rays."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self.triangles = np.asarray(mesh.triangles, np.float64)
+        self.normals = np.asarray(mesh.face_normals, np.float64)
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, self.triangles.astype(np.float32))
+
+    def facing(self, centre: Floats) -> Mask:
+        """The faces (F,) whose outward side is towards a point (3,): the same for all of a flat face."""
+        towards = np.asarray(centre) - self.triangles[:, 0]
+        return np.asarray(np.einsum("ij,ij->i", towards, self.normals) > 0.0)
+
+    def inclination_deg(self, centre: Floats, points: Floats, faces: NDArray[np.int64]) -> Floats:
+        """Angle in degrees (N,) between the view from a centre and the outward normal at points of faces."""
+        towards = np.asarray(centre) - points
+        cosine = np.einsum("ij,ij->i", towards, self.normals[faces]) / np.linalg.norm(towards, axis=1)
+        return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+    def depth(self, centre: Floats, directions: Floats) -> Floats:
+        """Distance in mm (N,) from the centre to the first hit along unit directions (N, 3), inf without."""
+        origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
+        # The bindings answer misses with the largest length they start from.
+        hits = self._scene.run(np.ascontiguousarray(origins), directions.astype(np.float32), query="DISTANCE")
+        return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
+
+    def lit(self, centre: Floats, points: Floats) -> Mask:
+        """Which points (N, 3) of the surface have nothing between them and a centre (3,)."""
+        rays = points - centre
+        lengths = np.linalg.norm(rays, axis=1)
+        return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)
+
+
+def in_image(device: Pinhole, points: Floats, T_device_camera: RigidTransform | None = None) -> Mask:
+    """Which points (N, 3) in the camera's frame fall into the device's image, distortion included."""
+    local = (T_device_camera or RigidTransform.identity()).apply(points)
+    inside = np.asarray(local[:, 2] > 0.0)
+    # Far outside the image the distortion may fold back into it, so the rays are bounded first.
+    low, high = _border_slopes(device)
+    slopes = local[inside, :2] / local[inside, 2:]
+    inside[inside] = ((slopes >= low) & (slopes <= high)).all(axis=1)
+    if inside.any():
+        pixels = device.project(local[inside])
+        inside[inside] = ((pixels >= -0.5) & (pixels <= np.array(device.size) - 0.5)).all(axis=1)
+    return inside
+
+
+def _border_slopes(device: Pinhole) -> tuple[Floats, Floats]:
+    """The least and the greatest slopes (x/z, y/z) along the image's border."""
+    along = np.linspace(0.0, 1.0, BORDER_SAMPLES)
+    ends = np.zeros_like(along), np.ones_like(along)
+    sides = [(along, ends[0]), (along, ends[1]), (ends[0], along), (ends[1], along)]
+    border = np.concatenate([np.stack(side, axis=1) for side in sides]) * np.array(device.size) - 0.5
+    slopes = device.normalise(border)
+    margin = 1e-3
+    return slopes.min(axis=0) - margin, slopes.max(axis=0) + margin

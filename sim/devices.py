@@ -1,0 +1,228 @@
+"""The virtual bench: the four devices of a rig over one simulated world.
+
+bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
+camera:    {backend: "sim.devices:SimCamera"}
+projector: {backend: "sim.devices:SimProjector"}
+stage:     {backend: "sim.devices:SimStage"}
+fixture:   {backend: "sim.devices:SimFixture"}
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from fpplab.devices import (
+    Camera,
+    CameraCaps,
+    CameraSettings,
+    DeviceInfo,
+    Fixture,
+    FixtureCaps,
+    Frame,
+    Projector,
+    ProjectorCaps,
+    Stage,
+    StageCaps,
+    Trigger,
+)
+from fpplab.errors import ConfigError
+from fpplab.geometry import RigidTransform
+from fpplab.patterns import Pattern, quantise
+from sim.items import item_poses
+from sim.light import Light, Picture, Setup, Show
+from sim.sensor import SensorModel
+from sim.worker import Blender
+from sim.world import BoardItem, World
+
+DARK = "dark"
+"""The pattern id of a frame that was taken with the projector blank."""
+
+LEAST_EXPOSURE_S = {
+    1: 235e-6, 2: 700e-6, 3: 1570e-6, 4: 1700e-6, 5: 2000e-6, 6: 2500e-6, 7: 4500e-6, 8: 8333e-6,
+}  # fmt: skip
+"""By bit depth: the DLP LightCrafter 4500's, whose place the projector takes."""
+
+
+class VirtualBench:
+    """What the devices share: the world, and how it stands at the moment.
+
+    options: `world`, a world file by path or by the name of one that comes with fpplab.
+    Raises `ConfigError` for a wrong option or world. Blender starts with the first picture that needs it.
+    """
+
+    def __init__(self, options: dict[str, Any]) -> None:
+        unknown = sorted(set(options) - {"world"})
+        if unknown:
+            raise ConfigError(f"bench: has no option '{unknown[0]}'; it has 'world'")
+        if not isinstance(options.get("world"), str):
+            raise ConfigError("bench: 'world' is missing; name a world file")
+        self.world = World.load(options["world"])
+        self.blender = Blender("bench")
+        self.light = Light(self.world, self.blender)
+        self.setup = Setup()
+        self.show: Show | None = None
+
+    def open(self) -> None:
+        """Start from an empty bench, dark."""
+        self.setup, self.show = Setup(), None
+
+    def close(self) -> None:
+        """End the Blender process and let go of every picture; legal any number of times."""
+        self.blender.close()
+        self.light.forget()
+
+    def irradiance(self) -> Picture:
+        """What reaches the sensor now, (height, width), 1 for white. Raises `DeviceError`."""
+        return self.light.irradiance(self.setup, self.show)
+
+
+def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
+    if not isinstance(bench, VirtualBench):
+        raise ConfigError(f"{name}: needs the bench 'sim.devices:VirtualBench' in the rig file")
+    if options:
+        raise ConfigError(f"{name}: has no option '{next(iter(options))}'; the world file describes it")
+    return bench
+
+
+class SimCamera(Camera):
+    """The world's camera. Frames know the pattern that was on show, or `DARK`."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._bench = _shared(bench, self.name, options)
+        camera = self._bench.world.camera
+        self._sensor = SensorModel(camera.sensor, camera.binning, self._bench.world.seed)
+
+    def _open(self) -> None:
+        self._index = self._count = 0  # in this run, and since opening
+        self._clock_s = 0.0
+
+    def _close(self) -> None:
+        """Nothing to make safe."""
+
+    def _info(self) -> DeviceInfo:
+        camera = self._bench.world.camera
+        return DeviceInfo("camera", f"simulated, binning {camera.binning}", "world", "Blender")
+
+    def _caps(self) -> CameraCaps:
+        camera = self._bench.world.camera
+        sensor = camera.sensor
+        return CameraCaps(camera.size, tuple(sensor.bits), sensor.exposure_s, sensor.gain_db, ("software",))
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        return settings
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        self._index = 0  # a software trigger is the call of `read` itself
+
+    def _read(self, timeout_s: float) -> Frame:
+        settings = self._configured("read")
+        shown = self._bench.show
+        image = self._sensor.expose(self._bench.irradiance(), settings, self._count)
+        index, self._index, self._count = self._index, self._index + 1, self._count + 1
+        self._clock_s += settings.exposure_s
+        pattern_id = shown.pattern.id if shown else DARK
+        return Frame(image, index, settings, time.time(), self._clock_s, pattern_id)
+
+    def _stop(self) -> None:
+        """Nothing is under way between calls."""
+
+
+class SimProjector(Projector):
+    """The world's projector. It has no trigger output yet, so it shows patterns one by one."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._bench = _shared(bench, self.name, options)
+
+    def _open(self) -> None:
+        self._bench.show = None
+        self._loaded = ()
+
+    def _close(self) -> None:
+        self._bench.show = None
+
+    def _info(self) -> DeviceInfo:
+        projector = self._bench.world.projector
+        return DeviceInfo("projector", f"simulated, {projector.lattice} lattice", "world", "Blender")
+
+    def _caps(self) -> ProjectorCaps:
+        projector = self._bench.world.projector
+        return ProjectorCaps(projector.size, projector.lattice, LEAST_EXPOSURE_S, 0, 1000)
+
+    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
+        self._bench.show = None
+        return [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
+
+    def _show(self, i: int) -> None:
+        self._bench.show = Show(self._loaded, i)
+
+    def _play(self, exposure_s: float) -> None:
+        raise AssertionError("refused before: there is no trigger output")
+
+    def _blank(self) -> None:
+        self._bench.show = None
+
+
+class SimStage(Stage):
+    """Carries the projector along the baseline; homing ends at 0, where the world file's pose holds."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._bench = _shared(bench, self.name, options)
+
+    def _open(self) -> None:
+        self._homed = False
+
+    def _close(self) -> None:
+        """It stands still between calls."""
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("stage", "simulated", "world", "Blender")
+
+    def _caps(self) -> StageCaps:
+        return StageCaps(self._bench.world.stage.travel_mm)
+
+    def _home(self) -> None:
+        self._place(0.0)
+
+    def _move_to(self, mm: float, deadline_s: float) -> None:
+        self._place(mm)
+
+    def _position_mm(self) -> float:
+        return self._bench.setup.stage_mm
+
+    def _halt(self) -> None:
+        """It stands still between calls."""
+
+    def _place(self, mm: float) -> None:
+        self._bench.setup = replace(self._bench.setup, stage_mm=float(mm))
+
+
+class SimFixture(Fixture):
+    """Holds the world's items, and knows where they are."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._bench = _shared(bench, self.name, options)
+
+    def _open(self) -> None:
+        self._held = {name: item_poses(self._bench.world, name) for name in self._bench.world.items}
+        self._mount("nothing", 0)
+
+    def _close(self) -> None:
+        self._mount("nothing", 0)
+
+    def _info(self) -> DeviceInfo:
+        boards = sum(isinstance(item, BoardItem) for item in self._bench.world.items.values())
+        return DeviceInfo(
+            "fixture", f"simulated, {len(self._held)} items, {boards} boards", "world", "Blender"
+        )
+
+    def _caps(self) -> FixtureCaps:
+        return FixtureCaps({name: len(poses) for name, poses in self._held.items()})
+
+    def _mount(self, item: str, pose: int) -> None:
+        self._bench.setup = replace(self._bench.setup, item=item, pose=pose)
+
+    def _pose(self, item: str, pose: int) -> RigidTransform:
+        return self._held[item][pose]

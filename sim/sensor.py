@@ -1,0 +1,80 @@
+"""The sensor: irradiance -> electrons -> numbers, with shot noise, read noise and saturation.
+
+Photon transfer: a pixel with mean charge N electrons and gain K numbers per electron has the variance
+`K² (N + read²) + 1/12` (Janesick, Photon Transfer, 2007; 1/12 for rounding).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings
+from sim.world import Sensor
+
+MANY = 1000.0
+"""Electrons from which a Poisson variable is drawn as a normal one; the skewness left out is 3 %."""
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """The sensor of a camera that sums the charge of `binning` x `binning` pixels."""
+
+    sensor: Sensor
+    binning: int
+    seed: int
+
+    def electrons(self, irradiance: float, exposure_s: float) -> float:
+        """Mean charge of a binned pixel, without saturation."""
+        s = self.sensor
+        per_pixel = s.white_photons * s.quantum_efficiency * exposure_s / s.nominal_exposure_s
+        return irradiance * per_pixel * self.binning**2
+
+    def gain(self, settings: CameraSettings) -> float:
+        """Numbers per electron."""
+        full_scale = (1 << settings.bits) - 1
+        share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
+        return float(full_scale * share * 10 ** (settings.gain_db / 20))
+
+    def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
+        """One frame [v, u], uint8 up to 8 bits, else uint16; the noise follows from seed and counter."""
+        random = np.random.Generator(np.random.SFC64([self.seed, counter]))
+        charge = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
+        read = self.sensor.read_noise_e * self.binning
+        noise = random.standard_normal(charge.shape, np.float32)
+        few = charge < MANY
+        counted = random.poisson(charge[few]).astype(np.float32) + np.float32(read) * noise[few]
+        full_scale = (1 << settings.bits) - 1
+        out: Image = np.empty(charge.shape, np.uint8)
+        if settings.bits > 8:
+            out = np.empty(charge.shape, np.uint16)
+        noise *= np.sqrt(charge + np.float32(read**2))
+        charge += noise
+        charge[few] = counted
+        _digitise(
+            charge.ravel(),
+            self.sensor.full_well_e * self.binning**2,
+            self.gain(settings),
+            self.sensor.black_level * full_scale,
+            full_scale,
+            out.ravel(),
+        )
+        return out
+
+
+@numba.njit(cache=True)
+def _digitise(
+    charge: NDArray[np.float32],
+    full_well: float,
+    gain: float,
+    black: float,
+    full_scale: int,
+    out: Image,
+) -> None:
+    for i in range(charge.size):
+        number = min(charge[i], full_well) * gain + black
+        out[i] = int(min(max(number, 0.0), full_scale) + 0.5)

@@ -1,0 +1,73 @@
+"""What the conformance tests have in common: a plan that any rig can show, and how to look at it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Floats
+from fpplab.devices import Device
+from fpplab.errors import FrameLossError
+from fpplab.patterns import Pattern, make_patterns
+from fpplab.plan import FringeSet, Plan
+from fpplab.rig import Rig
+
+EXPOSURE_S = 0.02
+FLAT = FringeSet(axis="x", stripes=0.01, steps=4)
+"""So few stripes that step 0 is white all over and step 2 is black."""
+COLUMNS = FringeSet(axis="x", stripes=4, steps=4)
+ROWS = FringeSet(axis="y", stripes=4, steps=4)
+
+WHITE, BLACK = 0, 2
+DISTINCT = (0, 2, 4, 5, 6, 7, 8, 9, 10, 11)
+"""Indices of patterns that no two look alike."""
+
+
+def dim_plan(rig: Rig) -> Plan:
+    """White, black and four-step columns and rows, at an exposure that the camera has."""
+    least, most = rig.camera.caps.exposure_s
+    return Plan(fringes=(FLAT, COLUMNS, ROWS), exposure_s=min(max(EXPOSURE_S, least), most))
+
+
+def patterns_for(rig: Rig) -> list[Pattern]:
+    caps = rig.projector.caps
+    return make_patterns(dim_plan(rig), caps.size, caps.lattice)
+
+
+def devices_of(rig: Rig) -> list[Device]:
+    return [d for d in (rig.camera, rig.projector, rig.stage, rig.fixture) if d is not None]
+
+
+def picture(rig: Rig, i: int) -> Floats:
+    """What the camera sees of loaded pattern `i`, as a share of full scale."""
+    rig.projector.show(i)
+    return seen(rig)
+
+
+def seen(rig: Rig) -> Floats:
+    frame = rig.camera.snap()
+    return frame.image / float((1 << frame.settings.bits) - 1)
+
+
+def brightness(picture: NDArray[Any]) -> float:
+    """Of the brightest tenth, so that it does not matter how much of the view is lit."""
+    return float(np.quantile(picture, 0.9))
+
+
+def is_dark(rig: Rig) -> bool:
+    """Whether nothing is on show: the camera sees less than of a black pattern, or says it saw none."""
+    rig.projector.load(patterns_for(rig))
+    black = brightness(picture(rig, BLACK))
+    white = brightness(picture(rig, WHITE))
+    rig.projector.blank()
+    return dark_now(rig, black, white)
+
+
+def dark_now(rig: Rig, black: float, white: float) -> bool:
+    """Whether the camera sees nothing now; where darkness was never recorded it refuses a picture."""
+    try:
+        return brightness(seen(rig)) < black + 0.1 * (white - black)
+    except FrameLossError:
+        return True

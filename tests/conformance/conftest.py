@@ -1,0 +1,106 @@
+"""Every conformance test runs on every rig; what a rig has is read from its file and its devices.
+
+A test asks for `rig` (open, idle and dark), for one device of it, or for `device`: each device
+of each rig in turn.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fpplab import config
+from fpplab.acquisition import acquire
+from fpplab.devices import Camera, Device, Fixture, Projector, Stage, State
+from fpplab.rig import Rig, RigFile
+from fpplab.session import Session
+from tests.conformance.bench import devices_of, dim_plan
+
+RIGS = Path(__file__).parent / "rigs"
+RECORDED = RIGS / "rig_reference.yaml"
+KINDS = ("camera", "projector", "stage", "fixture")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    wanted = [kind for kind in KINDS if kind in metafunc.fixturenames]
+    files = [path for path in _rig_files(metafunc.config) if all(kind in _kinds(path) for kind in wanted)]
+    if "device" in metafunc.fixturenames:
+        pairs = [(path, kind) for path in files for kind in _kinds(path)]
+        ids = [f"{path.stem}-{kind}" for path, kind in pairs]
+        metafunc.parametrize(("opened", "kind"), pairs, indirect=["opened"], ids=ids, scope="session")
+    elif "opened" in metafunc.fixturenames:
+        metafunc.parametrize("opened", files, indirect=True, ids=[p.stem for p in files], scope="session")
+
+
+def _rig_files(settings: pytest.Config) -> list[Path]:
+    named = [Path(name).resolve() for name in settings.getoption("--rig")]
+    return named or sorted(RIGS.glob("rig_*.yaml"))
+
+
+def _kinds(path: Path) -> list[str]:
+    file = config.load(path, RigFile)
+    return [kind for kind in KINDS if getattr(file, kind) is not None]
+
+
+@pytest.fixture(scope="session")
+def rigs_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The rig files, with the recording that one of them plays back beside them."""
+    folder = tmp_path_factory.mktemp("conformance") / "rigs"
+    shutil.copytree(RIGS, folder)
+    with Rig.load(RECORDED) as rig:
+        plan = dim_plan(rig)
+        acquire(rig, plan, Session.create(folder / "recording", plan, rig.described()))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def opened(request: pytest.FixtureRequest, rigs_folder: Path) -> Iterator[Rig]:
+    """A rig that stays open for all its tests: some take long to open."""
+    path: Path = request.param
+    with Rig.load(rigs_folder / path.name if path.parent == RIGS else path) as rig:
+        yield rig
+
+
+@pytest.fixture
+def rig(opened: Rig) -> Rig:
+    """The rig as a test may expect it: freshly opened devices, dark, with something to look at."""
+    for device in devices_of(opened):
+        device.close()
+        device.open()
+    if opened.fixture is not None:
+        opened.fixture.mount(next(iter(opened.fixture.caps.items)))
+    return opened
+
+
+@pytest.fixture
+def device(rig: Rig, kind: str) -> Device:
+    found: Device = getattr(rig, kind)
+    assert found.state is State.IDLE
+    return found
+
+
+@pytest.fixture
+def camera(rig: Rig) -> Camera:
+    """The camera, configured as the rig file says."""
+    rig.camera.configure(rig.camera_settings(dim_plan(rig).exposure_s))
+    return rig.camera
+
+
+@pytest.fixture
+def projector(rig: Rig) -> Projector:
+    return rig.projector
+
+
+@pytest.fixture
+def stage(rig: Rig) -> Stage:
+    assert rig.stage is not None
+    return rig.stage
+
+
+@pytest.fixture
+def fixture(rig: Rig) -> Fixture:
+    assert rig.fixture is not None
+    return rig.fixture

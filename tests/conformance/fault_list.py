@@ -1,0 +1,292 @@
+"""The seeded faults: what goes wrong, where, and how it is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+DEVICES = "fpplab/devices.py"
+ACQUISITION = "fpplab/acquisition.py"
+RIG = "fpplab/rig.py"
+REPLAY = "fpplab/replay.py"
+REFERENCE = "tests/conformance/reference.py"
+SIM = "sim/devices.py"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """`old`, which stands once in `file`, becomes `new`."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+
+
+LIFE = [
+    Fault(
+        "a foreign exception is swallowed",
+        DEVICES,
+        "            self._fault()\n            raise DeviceError(\n",
+        "            self._fault()\n            return\n            raise DeviceError(\n",
+    ),
+    Fault(
+        "a foreign exception passes as it is",
+        DEVICES,
+        "        except Exception as error:\n            self._fault()",
+        "        except ZeroDivisionError as error:\n            self._fault()",
+    ),
+    Fault(
+        "a fault does not last",
+        DEVICES,
+        "            self._state = State.FAULT\n",
+        "            self._state = State.IDLE\n",
+    ),
+    Fault(
+        "closing twice is refused",
+        DEVICES,
+        "        if self._state is State.CLOSED:\n            return\n",
+        '        self._need(State.IDLE, State.ARMED, State.FAULT, doing="close")\n',
+    ),
+    Fault(
+        "a failed closing leaves it open",
+        DEVICES,
+        "                self._close()\n        finally:\n",
+        "                self._close()\n        except KeyError:\n            raise\n        else:\n",
+    ),
+    Fault(
+        "a failed opening counts as one",
+        DEVICES,
+        "            self._close_quietly()\n            raise\n",
+        "            self._close_quietly()\n            self._state = State.IDLE\n            raise\n",
+    ),
+    Fault(
+        "opening twice is accepted",
+        DEVICES,
+        '        if self._state is not State.CLOSED:\n            raise StateError(self.name, "open"',
+        '        if self._state is State.FAULT:\n            raise StateError(self.name, "open"',
+    ),
+    Fault("what was known survives a closing", DEVICES, "        self._forget()\n", ""),
+]
+
+CAMERA = [
+    Fault(
+        "the exposure is clamped",
+        DEVICES,
+        '        self._within("exposure_s", settings.exposure_s, caps.exposure_s, "s")\n',
+        "        least, most = caps.exposure_s\n"
+        "        settings = replace(settings, exposure_s=min(max(settings.exposure_s, least), most))\n",
+    ),
+    Fault(
+        "the gain is not checked",
+        DEVICES,
+        '        self._within("gain_db", settings.gain_db, caps.gain_db, "dB")\n',
+        "",
+    ),
+    Fault(
+        "the bits are not checked", DEVICES, "if settings.bits not in caps.bits:", "if settings.bits > 16:"
+    ),
+    Fault(
+        "settings are returned as asked for",
+        DEVICES,
+        "        return self._settings\n\n    @final\n    def arm",
+        "        return settings\n\n    @final\n    def arm",
+    ),
+    Fault(
+        "armed after the last frame",
+        DEVICES,
+        "if self._taken == self._awaited:",
+        "if self._taken > self._awaited:",
+    ),
+    Fault(
+        "armed after a stop",
+        DEVICES,
+        "            self._stop()\n        self._state = State.IDLE\n",
+        "            self._stop()\n",
+    ),
+    Fault(
+        "arming while armed", DEVICES, '(State.IDLE, doing="arm")', '(State.IDLE, State.ARMED, doing="arm")'
+    ),
+    Fault(
+        "a lost frame is not noticed",
+        DEVICES,
+        "if frame.index != self._taken:",
+        "if frame.index < self._taken:",
+    ),
+    Fault("a trigger that is not there", DEVICES, "if trigger not in self.caps.triggers:", "if not trigger:"),
+    Fault("a frame is dropped", REFERENCE, "self._count += 1", "self._count += 2"),
+    Fault(
+        "a frame is repeated",
+        REFERENCE,
+        "        self._buffer[...] = ",
+        "        if not self._buffer.any():\n            self._buffer[...] = ",
+    ),
+    Fault("frames share a buffer", REFERENCE, "self._buffer.copy()", "self._buffer"),
+    Fault(
+        "a time-out is ignored",
+        REFERENCE,
+        '            raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")',
+        "            return self._bench.on_show",
+    ),
+    Fault("12 bits hold 8", REFERENCE, "full = (1 << settings.bits) - 1", "full = 255"),
+    Fault("another clock than the host's", REFERENCE, "time.time()", "time.monotonic()"),
+]
+
+PROJECTOR = [
+    Fault(
+        "one pattern too far",
+        DEVICES,
+        "if not 0 <= i < len(self._loaded):",
+        "if not 0 <= i <= len(self._loaded):",
+    ),
+    Fault(
+        "patterns from the end",
+        DEVICES,
+        "if not 0 <= i < len(self._loaded):",
+        "if not i < len(self._loaded):",
+    ),
+    Fault(
+        "patterns of any size",
+        DEVICES,
+        "if pattern.image.shape != (height, width) or",
+        "if",
+    ),
+    Fault("patterns of any kind", DEVICES, " or pattern.image.dtype != np.uint8:", ":"),
+    Fault(
+        "patterns of any depth",
+        DEVICES,
+        "if pattern.bit_depth not in caps.bit_depths:",
+        "if not pattern.bit_depth:",
+    ),
+    Fault(
+        "too many patterns",
+        DEVICES,
+        "if not 1 <= len(patterns) <= caps.max_patterns:",
+        "if not 1 <= len(patterns):",
+    ),
+    Fault(
+        "half a load",
+        DEVICES,
+        "        for pattern in patterns:\n            self._check_pattern(pattern, caps)\n",
+        "        for pattern in patterns:\n            self._check_pattern(pattern, caps)\n"
+        "            self._loaded = (*self._loaded, pattern)\n",
+    ),
+    Fault("patterns are not copied", DEVICES, "replace(pattern, image=pattern.image.copy())", "pattern"),
+    Fault(
+        "playing without a trigger output",
+        DEVICES,
+        "if not caps.trigger_outputs:",
+        "if caps.trigger_outputs < 0:",
+    ),
+    Fault("playing too fast", DEVICES, "if not exposure_s >= least:", "if exposure_s < 0:"),
+    Fault(
+        "shown while it plays",
+        DEVICES,
+        "            self._play(exposure_s)\n        self._state = State.ARMED\n",
+        "            self._play(exposure_s)\n",
+    ),
+    Fault(
+        "off by one",
+        REFERENCE,
+        "self._bench.on_show = self._held[i]",
+        "self._bench.on_show = self._held[i - 1]",
+    ),
+    Fault(
+        "blank is not dark",
+        REFERENCE,
+        "    def _blank(self) -> None:\n        self._bench.on_show = None\n",
+        "    def _blank(self) -> None:\n        self._bench.pulses.clear()\n",
+    ),
+    Fault(
+        "closing is not dark",
+        REFERENCE,
+        "    def _close(self) -> None:\n        self._bench.on_show = None\n",
+        "    def _close(self) -> None:\n        self._held = []\n",
+    ),
+    Fault(
+        "not quantised",
+        REFERENCE,
+        "image=quantise(p.image / 255.0, p.bit_depth)",
+        "image=p.image",
+    ),
+    Fault("pattern ids are lost", REFERENCE, "replace(p, image=", 'replace(p, id="", image='),
+    Fault("a replayed frame is another's", REPLAY, "session.read(index)", "session.read(max(index - 1, 0))"),
+    Fault(
+        "a replayed pattern is another", REPLAY, "shown = self._indices[i]", "shown = self._indices[i - 1]"
+    ),
+]
+
+STAGE_AND_FIXTURE = [
+    Fault("moves without homing", DEVICES, "if not self._homed:", "if self._homed is None:"),
+    Fault(
+        "moves are clamped",
+        DEVICES,
+        "        if not least <= mm <= most:\n",
+        "        mm = min(max(mm, least), most)\n        if not least <= mm <= most:\n",
+    ),
+    Fault(
+        "the position asked for is returned",
+        DEVICES,
+        "time.monotonic() + timeout_s)\n            return self._position_mm()",
+        "time.monotonic() + timeout_s)\n            return mm",
+    ),
+    Fault(
+        "a halt keeps the reference",
+        DEVICES,
+        'doing="halt")\n        self._homed = False\n',
+        'doing="halt")\n',
+    ),
+    Fault("any item", DEVICES, "if item not in items:", "if not item:"),
+    Fault("one pose too many", DEVICES, "and pose >= poses):", "and pose > poses):"),
+]
+
+IN_STEP = [
+    Fault("never dark again", ACQUISITION, "        rig.make_dark()\n", "        pass\n"),
+    Fault(
+        "dark only once the exception is forgotten",
+        ACQUISITION,
+        "from contextlib import closing\n",
+        "from contextlib import nullcontext as closing\n",
+    ),
+    Fault("lit when the camera cannot stop", RIG, "both.callback(safe)", "safe()"),
+    Fault("the pattern before", ACQUISITION, "projector.show(i)", "projector.show(max(i - 1, 0))"),
+    Fault(
+        "another pattern is not noticed",
+        ACQUISITION,
+        "if frame.pattern_id not in (None, pattern.id):",
+        "if False:",
+    ),
+    Fault(
+        "a wrong pattern id",
+        ACQUISITION,
+        "shot.showing(patterns[index].id,",
+        "shot.showing(patterns[index - 1].id,",
+    ),
+    Fault(
+        "everything taken again",
+        ACQUISITION,
+        "wanted = session.missing()",
+        "wanted = list(range(plan.images))",
+    ),
+    Fault("one frame short", ACQUISITION, "wanted = session.missing()", "wanted = session.missing()[:-1]"),
+    Fault(
+        "played before the camera listens",
+        ACQUISITION,
+        '    camera.arm(len(patterns), "hardware")\n    projector.play(settings.exposure_s)\n',
+        '    projector.play(settings.exposure_s)\n    camera.arm(len(patterns), "hardware")\n',
+    ),
+]
+
+SIMULATED = [
+    Fault("simulated: off by one", SIM, "Show(self._loaded, i)", "Show(self._loaded, i - 1)"),
+    Fault(
+        "simulated: blank is not dark",
+        SIM,
+        "    def _blank(self) -> None:\n        self._bench.show = None\n",
+        "    def _blank(self) -> None:\n        self._loaded = self._loaded\n",
+    ),
+    Fault(
+        "simulated: counts on after a stop", SIM, "        self._index = 0  #", "        self._index += 0  #"
+    ),
+]
+
+FAULTS: list[Fault] = LIFE + CAMERA + PROJECTOR + STAGE_AND_FIXTURE + IN_STEP + SIMULATED

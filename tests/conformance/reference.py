@@ -1,0 +1,214 @@
+"""A rig without optics that has every capability: what the conformance suite is measured on.
+
+The camera sees the projector's image pixel for pixel, scaled to its own size, and adds a
+black level and noise. Nothing else happens, so that every deviation is a fault of the
+device interface.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fpplab.conventions import Floats, Image, Lattice
+from fpplab.devices import (
+    Camera,
+    CameraCaps,
+    CameraSettings,
+    DeviceInfo,
+    Fixture,
+    FixtureCaps,
+    Frame,
+    Projector,
+    ProjectorCaps,
+    Stage,
+    StageCaps,
+    Trigger,
+)
+from fpplab.errors import TimeoutError
+from fpplab.patterns import Pattern, quantise
+
+CAMERA_SIZE, PROJECTOR_SIZE = (48, 32), (24, 16)
+EXPOSURE_TICK_S, GAIN_STEP_DB, STAGE_STEP_MM = 1e-5, 0.1, 0.0125
+BLACK, WHITE, NOISE = 0.02, 0.7, 0.002
+REFERENCE_EXPOSURE_S = 0.02
+
+
+@dataclass
+class ReferenceBench:
+    """The light between the devices."""
+
+    options: dict[str, Any]
+
+    def open(self) -> None:
+        self.on_show: Pattern | None = None
+        self.pulses: deque[Pattern] = deque()
+        self.reflectance = 1.0
+        self.random = np.random.default_rng(1)
+
+    def close(self) -> None:
+        self.on_show = None
+
+    def light(self, pattern: Pattern | None) -> Floats:
+        """Share of full scale at the reference exposure, (height, width) of the camera."""
+        width, height = CAMERA_SIZE
+        light = np.full((height, width), BLACK)
+        if pattern is not None:
+            rows = np.arange(height) * PROJECTOR_SIZE[1] // height
+            columns = np.arange(width) * PROJECTOR_SIZE[0] // width
+            light += self.reflectance * WHITE * pattern.image[np.ix_(rows, columns)] / 255.0
+        light += self.random.normal(0.0, NOISE, light.shape)
+        return light
+
+
+class ReferenceCamera(Camera):
+    """Reads exposure and gain back on its own grid, and keeps one buffer as drivers do."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        super()._setup(options, bench)
+        self._bench: ReferenceBench = bench
+
+    def _open(self) -> None:
+        self._applied = CameraSettings(REFERENCE_EXPOSURE_S)
+        self._trigger: Trigger = "software"
+        self._count = 0
+        self._opened_s = time.monotonic()
+
+    def _close(self) -> None:
+        self._bench.pulses.clear()
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("camera", "reference", "1", "memory")
+
+    def _caps(self) -> CameraCaps:
+        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), ("software", "hardware"))
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        exposure = round(settings.exposure_s / EXPOSURE_TICK_S) * EXPOSURE_TICK_S
+        gain = round(settings.gain_db / GAIN_STEP_DB) * GAIN_STEP_DB
+        self._applied = CameraSettings(exposure, gain, settings.bits)
+        shape = CAMERA_SIZE[::-1]
+        self._buffer: Image = np.zeros(shape, np.uint8) if settings.bits == 8 else np.zeros(shape, np.uint16)
+        return self._applied
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        self._trigger, self._count = trigger, 0
+        self._bench.pulses.clear()
+
+    def _read(self, timeout_s: float) -> Frame:
+        pattern = self._exposed()
+        settings = self._applied
+        gain = settings.exposure_s / REFERENCE_EXPOSURE_S * 10 ** (settings.gain_db / 20)
+        full = (1 << settings.bits) - 1
+        self._buffer[...] = np.rint(np.clip(self._bench.light(pattern) * gain, 0.0, 1.0) * full)
+        frame = Frame(
+            self._buffer.copy(),
+            self._count,
+            settings,
+            time.time(),
+            time.monotonic() - self._opened_s,
+            pattern.id if pattern else None,
+        )
+        self._count += 1
+        return frame
+
+    def _exposed(self) -> Pattern | None:
+        if self._trigger == "software":
+            return self._bench.on_show
+        if not self._bench.pulses:
+            raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
+        return self._bench.pulses.popleft()
+
+    def _stop(self) -> None:
+        self._bench.pulses.clear()
+
+
+class ReferenceProjector(Projector):
+    """Shows patterns at 1 or 8 bits and pulses with each that it plays."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        super()._setup(options, bench)
+        self._bench: ReferenceBench = bench
+
+    def _open(self) -> None:
+        self._held: list[Pattern] = []
+
+    def _close(self) -> None:
+        self._bench.on_show = None
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("projector", "reference", "2", "memory")
+
+    def _caps(self) -> ProjectorCaps:
+        return ProjectorCaps(PROJECTOR_SIZE, Lattice.DIAMOND, {1: 2e-4, 8: 8e-3}, 1, 32)
+
+    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
+        self._held = [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
+        return self._held
+
+    def _show(self, i: int) -> None:
+        self._bench.on_show = self._held[i]
+
+    def _play(self, exposure_s: float) -> None:
+        self._bench.pulses.extend(self._held)
+
+    def _blank(self) -> None:
+        self._bench.on_show = None
+
+
+class ReferenceStage(Stage):
+    """Moves at once, in whole steps."""
+
+    def _open(self) -> None:
+        self._steps = 400
+
+    def _close(self) -> None:
+        """Nothing moves by itself."""
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("stage", "reference", "3", "memory")
+
+    def _caps(self) -> StageCaps:
+        return StageCaps((0.0, 50.0))
+
+    def _home(self) -> None:
+        self._steps = 0
+
+    def _move_to(self, mm: float, deadline_s: float) -> None:
+        if time.monotonic() >= deadline_s:
+            raise TimeoutError(self.name, "move_to", f"is at {self._position_mm():g} mm still")
+        self._steps = round(mm / STAGE_STEP_MM)
+
+    def _position_mm(self) -> float:
+        return self._steps * STAGE_STEP_MM
+
+    def _halt(self) -> None:
+        """Nothing moves by itself."""
+
+
+class ReferenceFixture(Fixture):
+    """Holds a white sheet or a grey one."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        super()._setup(options, bench)
+        self._bench: ReferenceBench = bench
+
+    def _open(self) -> None:
+        """Always there."""
+
+    def _close(self) -> None:
+        """Always there."""
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("fixture", "reference", "4", "memory")
+
+    def _caps(self) -> FixtureCaps:
+        return FixtureCaps({"white": None, "grey": 2})
+
+    def _mount(self, item: str, pose: int) -> None:
+        self._bench.reflectance = {"nothing": 0.05, "grey": 0.5, "white": 1.0}[item]

@@ -1,0 +1,124 @@
+"""Is the conformance suite worth anything? Faults seeded into a copy of the sources, one at a time.
+
+    python -m tests.conformance.seeded_faults [PART OF A NAME]
+
+Each fault is one of the mistakes that are made when devices are driven. The suite must fail on
+every copy that holds one, and pass on the copy that holds none.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from tests.conformance.fault_list import FAULTS, Fault
+
+ROOT = Path(__file__).parents[2]
+COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
+RIGS = {
+    "fast": ("rig_reference.yaml", "rig_replay.yaml"),
+    "sim": ("rig_simulated.yaml",),
+}
+SECONDS = 240
+
+
+class Verdict(StrEnum):
+    """What became of a fault."""
+
+    KILLED = "killed"
+    SURVIVED = "SURVIVED"
+    BROKEN = "BROKEN"
+    """The suite could not run at all, which proves nothing."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A verdict, and the test that reached it."""
+
+    name: str
+    verdict: Verdict
+    evidence: str
+
+
+@contextmanager
+def copy_of_the_tree() -> Iterator[Path]:
+    """The sources in a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="seeded-") as folder:
+        for name in COPIED:
+            source, copy = ROOT / name, Path(folder) / name
+            if source.is_dir():
+                shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+            else:
+                shutil.copy(source, copy)
+        yield Path(folder)
+
+
+def seed(tree: Path, fault: Fault) -> None:
+    """Put a fault into a copy; its place must be found exactly once."""
+    path = tree / fault.file
+    text = path.read_text(encoding="utf-8")
+    found = text.count(fault.old)
+    if found != 1:
+        raise LookupError(f"'{fault.name}': its place is in {fault.file} {found} times, not once")
+    path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+
+
+def run_suite(tree: Path, rigs: tuple[str, ...]) -> tuple[Verdict, str]:
+    """The conformance suite of the copy, up to its first failure."""
+    command = [sys.executable, "-m", "pytest", "tests/conformance", "-x", "-q", "-m", "not slow"]
+    command += ["-p", "no:cacheprovider", "--no-header", "--tb=no"]
+    command += [word for rig in rigs for word in ("--rig", f"tests/conformance/rigs/{rig}")]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS, check=False
+    )
+    output = (done.stdout + done.stderr).strip().splitlines()
+    failed = [line for line in output if line.startswith(("FAILED", "ERROR")) and "::" in line]
+    if done.returncode == 1 and failed:
+        return Verdict.KILLED, failed[0].split(" - ")[0]
+    return Verdict.SURVIVED if done.returncode == 0 else Verdict.BROKEN, output[-1]
+
+
+def rigs_for(fault: Fault) -> tuple[str, ...]:
+    """The fastest rigs on which a fault can show."""
+    return RIGS["sim" if fault.file.startswith("sim/") else "fast"]
+
+
+def try_fault(fault: Fault) -> Trial:
+    """Seed one fault and let the suite judge."""
+    with copy_of_the_tree() as tree:
+        seed(tree, fault)
+        return Trial(fault.name, *run_suite(tree, rigs_for(fault)))
+
+
+def try_none() -> Trial:
+    """The suite on an unharmed copy, on every rig."""
+    with copy_of_the_tree() as tree:
+        return Trial("no fault at all", *run_suite(tree, RIGS["fast"] + RIGS["sim"]))
+
+
+def main(words: list[str]) -> int:
+    """Try the faults whose names hold every word, and the unharmed copy."""
+    chosen = [f for f in FAULTS if all(word in f.name for word in words)]
+    unharmed = try_none()
+    print(f"{'passes' if unharmed.verdict is Verdict.SURVIVED else 'FAILS':8}  {unharmed.name}", flush=True)
+    killed = 0
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for trial in pool.map(try_fault, chosen):
+            killed += trial.verdict is Verdict.KILLED
+            print(f"{trial.verdict:8}  {trial.name}\n{'':10}{trial.evidence}", flush=True)
+    print(f"{killed} of {len(chosen)} faults killed")
+    return 0 if killed == len(chosen) and unharmed.verdict is Verdict.SURVIVED else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

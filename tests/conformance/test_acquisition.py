@@ -1,0 +1,226 @@
+"""Patterns and frames in step, on every rig."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpplab.acquisition import acquire, expose
+from fpplab.devices import Frame, State
+from fpplab.errors import CapabilityError, DataError, DeviceError, SyncError
+from fpplab.plan import Plan
+from fpplab.rig import Rig
+from fpplab.session import Session
+from tests.conformance.bench import BLACK, WHITE, brightness, dark_now, dim_plan, patterns_for, picture
+
+
+@pytest.fixture
+def session(rig: Rig, tmp_path: Path) -> Session:
+    return Session.create(tmp_path / "session", dim_plan(rig), rig.described())
+
+
+def ids(plan: Plan) -> list[str]:
+    return [name for _, _, name in plan.steps()]
+
+
+def reference_levels(rig: Rig) -> tuple[float, float]:
+    """Brightness of a black and of a white pattern; the projector is dark afterwards."""
+    rig.camera.configure(rig.camera_settings(dim_plan(rig).exposure_s))
+    rig.projector.load(patterns_for(rig))
+    levels = brightness(picture(rig, BLACK)), brightness(picture(rig, WHITE))
+    rig.projector.blank()
+    return levels
+
+
+def test_every_pattern_is_taken_once_and_in_order(rig: Rig, session: Session) -> None:
+    levels = reference_levels(rig)
+    frames: list[Frame] = []
+    acquire(rig, session.plan, session, frames.append)
+    assert [f.pattern_id for f in frames] == ids(session.plan)
+    assert [f.index for f in frames] == list(range(session.plan.images))
+    assert dark_now(rig, *levels)
+    recorded = Session.open(session.path)
+    assert recorded.missing() == []
+    assert [r.pattern for r in recorded.records] == ids(session.plan)
+    for frame, image in zip(frames, recorded.stack(), strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
+def test_each_frame_shows_its_pattern(rig: Rig, session: Session) -> None:
+    reference_levels(rig)
+    rig.projector.load(patterns_for(rig))
+    full = float((1 << rig.file.camera.bits) - 1)
+    known = {i: picture(rig, i) for i in (0, 2, 4, 6, 8, 10)}
+    rig.projector.blank()
+    acquire(rig, session.plan, session)
+    for i in known:
+        frame = session.read(i) / full
+        assert min(known, key=lambda k: float(np.abs(frame - known[k]).mean())) == i
+
+
+def test_a_failure_in_the_middle_leaves_the_bench_dark(rig: Rig, session: Session) -> None:
+    levels = reference_levels(rig)
+
+    def fail(frame: Frame) -> None:
+        if frame.index == 3:
+            raise KeyError("the viewer fell over")
+
+    try:
+        acquire(rig, session.plan, session, fail)
+    except KeyError:
+        assert rig.camera.state is State.IDLE
+        assert dark_now(rig, *levels), "dark before anyone has handled the exception"
+    else:
+        pytest.fail("the exception was swallowed")
+
+
+def test_resuming_takes_only_what_is_missing(rig: Rig, session: Session) -> None:
+    def fail(frame: Frame) -> None:
+        if frame.index == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        acquire(rig, session.plan, session, fail)
+    again = Session.resume(session.path, session.plan, rig.described())
+    before = [again.read(i).copy() for i in range(5)]
+    frames: list[Frame] = []
+    acquire(rig, again.plan, again, frames.append)
+    assert [f.index for f in frames] == list(range(5, session.plan.images))
+    assert [f.pattern_id for f in frames] == ids(session.plan)[5:]
+    assert Session.open(session.path).missing() == []
+    for i, image in enumerate(before):
+        np.testing.assert_array_equal(again.read(i), image)
+
+
+def test_a_complete_session_takes_nothing(rig: Rig, session: Session) -> None:
+    acquire(rig, session.plan, session)
+    frames: list[Frame] = []
+    acquire(rig, session.plan, session, frames.append)
+    assert frames == []
+
+
+def test_a_frame_of_another_pattern_is_noticed(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the backend knows what was on show; where it cannot know, nothing is invented."""
+    levels = reference_levels(rig)
+    rig.projector.load(patterns_for(rig))
+    rig.projector.show(0)
+    knows = rig.camera.snap().pattern_id is not None
+    really_show = rig.projector._show
+    monkeypatch.setattr(rig.projector, "_show", lambda i: really_show(i + 1 if i == 2 else i))
+    if knows:
+        with pytest.raises(SyncError, match=f"shows '{ids(session.plan)[3]}' instead of"):
+            acquire(rig, session.plan, session)
+        assert len(session.records) == 2
+    else:
+        acquire(rig, session.plan, session)
+    assert dark_now(rig, *levels)
+
+
+def test_a_camera_that_fails_leaves_the_projector_dark(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels = reference_levels(rig)
+    really_read, reads = rig.camera._read, []
+
+    def fail(timeout_s: float) -> Frame:
+        reads.append(timeout_s)
+        if len(reads) == 3:
+            raise OSError("the cable is gone")
+        return really_read(timeout_s)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.camera, "_read", fail)
+        with pytest.raises(DeviceError, match="the cable is gone"):
+            acquire(rig, session.plan, session)
+    assert rig.camera.state is State.FAULT
+    rig.camera.close()
+    rig.camera.open()
+    rig.camera.configure(rig.camera_settings(session.plan.exposure_s))
+    assert dark_now(rig, *levels)
+    assert [r.index for r in session.records] == [0, 1]
+
+
+def test_a_camera_that_cannot_stop_leaves_the_projector_dark(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels = reference_levels(rig)
+    rig.projector.load(patterns_for(rig))
+    rig.projector.show(WHITE)
+
+    def fail() -> None:
+        raise OSError("it does not listen")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.camera, "_stop", fail)
+        with pytest.raises(DeviceError, match="it does not listen"):
+            rig.make_dark()
+    rig.camera.close()
+    rig.camera.open()
+    rig.camera.configure(rig.camera_settings(dim_plan(rig).exposure_s))
+    assert dark_now(rig, *levels)
+
+
+def test_a_frame_lost_on_the_way_is_noticed(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really_read = rig.camera._read
+
+    def late(timeout_s: float) -> Frame:
+        return replace(really_read(timeout_s), index=1)
+
+    monkeypatch.setattr(rig.camera, "_read", late)
+    with pytest.raises(DeviceError, match="frame 1 arrived instead of frame 0"):
+        acquire(rig, session.plan, session)
+
+
+def test_a_full_disk_leaves_the_bench_dark(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels = reference_levels(rig)
+
+    def full(frame: Frame) -> None:
+        raise DataError("no space left on the disk")
+
+    monkeypatch.setattr(session, "write", full)
+    try:
+        acquire(rig, session.plan, session)
+    except DataError:
+        assert dark_now(rig, *levels)
+    else:
+        pytest.fail("the exception was swallowed")
+
+
+def test_leaving_an_exposure_early_leaves_the_bench_dark(rig: Rig) -> None:
+    levels = reference_levels(rig)
+    plan = dim_plan(rig)
+    shots = expose(rig, patterns_for(rig), rig.camera_settings(plan.exposure_s), plan)
+    next(shots)
+    shots.close()
+    assert dark_now(rig, *levels)
+
+
+def test_a_triggered_plan(rig: Rig, session: Session) -> None:
+    levels = reference_levels(rig)
+    plan = session.plan.model_copy(update={"trigger": "triggered"})
+    able = rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers
+    if not able:
+        with pytest.raises(CapabilityError, match="trigger"):
+            acquire(rig, plan, session)
+        assert session.records == []
+    else:
+        stepped = Session.create(session.path.with_name("stepped"), session.plan, rig.described())
+        acquire(rig, session.plan, stepped)
+        acquire(rig, plan, session)
+        assert session.missing() == []
+        full = float((1 << rig.file.camera.bits) - 1)
+        known = {i: stepped.read(i) / full for i in (0, 2, 4, 6, 8, 10)}
+        for i in known:
+            frame = session.read(i) / full
+            assert min(known, key=lambda k: float(np.abs(frame - known[k]).mean())) == i
+    assert dark_now(rig, *levels)
+    assert rig.projector.state is State.IDLE

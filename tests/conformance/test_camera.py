@@ -1,0 +1,208 @@
+"""What every camera does, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpplab.devices import Camera, CameraSettings, State
+from fpplab.errors import CapabilityError, SettingError, StateError, TimeoutError
+from fpplab.rig import Rig
+from tests.conformance.bench import BLACK, DISTINCT, WHITE, brightness, dim_plan, patterns_for
+
+PROBE = 1.0 / math.pi
+"""A point of a range that lies on nobody's grid."""
+
+
+def settings_of(rig: Rig) -> CameraSettings:
+    return rig.camera_settings(dim_plan(rig).exposure_s)
+
+
+def show(rig: Rig, i: int) -> None:
+    """Give the camera something to see."""
+    rig.projector.load(patterns_for(rig))
+    rig.projector.show(i)
+
+
+def test_caps_make_sense(camera: Camera) -> None:
+    caps = camera.caps
+    assert caps.size[0] > 0
+    assert caps.size[1] > 0
+    assert 0 < caps.exposure_s[0] <= caps.exposure_s[1]
+    assert caps.gain_db[0] <= caps.gain_db[1]
+    assert caps.bits
+    assert set(caps.bits) <= set(range(8, 17))
+    assert caps.triggers
+    assert set(caps.triggers) <= {"software", "hardware"}
+
+
+def test_settings_are_read_back(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    least, most = camera.caps.exposure_s
+    wanted = replace(settings_of(rig), exposure_s=least + (min(most, 0.05) - least) * PROBE)
+    back = camera.configure(wanted)
+    assert back.exposure_s == pytest.approx(wanted.exposure_s, rel=0.02)
+    assert back.gain_db == pytest.approx(wanted.gain_db, abs=0.5)
+    assert back.bits == wanted.bits
+    assert camera.snap().settings == back
+    assert camera.configure(back) == back
+
+
+@pytest.mark.parametrize("bound", [0, 1])
+def test_both_ends_of_the_ranges_are_accepted(rig: Rig, camera: Camera, bound: int) -> None:
+    caps = camera.caps
+    wanted = replace(settings_of(rig), exposure_s=caps.exposure_s[bound], gain_db=caps.gain_db[bound])
+    back = camera.configure(wanted)
+    assert back.exposure_s == pytest.approx(wanted.exposure_s, rel=0.02)
+    assert back.gain_db == pytest.approx(wanted.gain_db, abs=0.5)
+
+
+def test_what_lies_outside_is_refused_and_the_old_settings_stay(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    caps, good = camera.caps, camera.configure(settings_of(rig))
+    outside = [
+        replace(good, exposure_s=math.nextafter(caps.exposure_s[0], -math.inf)),
+        replace(good, exposure_s=math.nextafter(caps.exposure_s[1], math.inf)),
+        replace(good, exposure_s=math.nan),
+        replace(good, exposure_s=-good.exposure_s),
+        replace(good, gain_db=math.nextafter(caps.gain_db[0], -math.inf)),
+        replace(good, gain_db=math.nextafter(caps.gain_db[1], math.inf)),
+        replace(good, gain_db=math.nan),
+        *(replace(good, bits=bits) for bits in range(1, 18) if bits not in caps.bits),
+    ]
+    for settings in outside:
+        with pytest.raises(SettingError, match="configure"):
+            camera.configure(settings)
+        assert camera.state is State.IDLE
+    assert camera.snap().settings == good
+
+
+def test_it_must_be_configured_first_also_after_reopening(camera: Camera) -> None:
+    camera.close()
+    camera.open()
+    for use in (camera.snap, lambda: camera.arm(1)):
+        with pytest.raises(StateError, match="not configured"):
+            use()
+    assert camera.state is State.IDLE
+
+
+def test_frames_are_what_was_configured(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    for bits in camera.caps.bits:
+        settings = camera.configure(replace(settings_of(rig), bits=bits))
+        frame = camera.snap()
+        width, height = camera.caps.size
+        assert frame.image.shape == (height, width)
+        assert frame.image.dtype == (np.uint8 if bits == 8 else np.uint16)
+        assert frame.image.max() < 1 << bits
+        assert frame.image.max() > (1 << bits) * 0.05, "the full scale is that of the bits"
+        assert frame.settings == settings
+        assert frame.index == 0
+
+
+def test_arming_gives_so_many_frames_and_no_more(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    camera.arm(3)
+    for index in range(3):
+        assert camera.state is State.ARMED
+        assert camera.read(10.0).index == index
+    assert camera.state is State.IDLE
+    with pytest.raises(StateError):
+        camera.read(10.0)
+    camera.arm(1)
+    assert camera.read(10.0).index == 0
+
+
+def test_while_armed_nothing_else_is_accepted(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    settings = settings_of(rig)
+    camera.arm(2)
+    for use in (camera.snap, lambda: camera.arm(1), lambda: camera.configure(settings)):
+        with pytest.raises(StateError, match="armed"):
+            use()
+        assert camera.state is State.ARMED
+    assert [camera.read(10.0).index for _ in range(2)] == [0, 1]
+
+
+@pytest.mark.parametrize("n", [0, -1])
+def test_no_frames_cannot_be_asked_for(camera: Camera, n: int) -> None:
+    with pytest.raises(SettingError, match=f"n is {n}"):
+        camera.arm(n)
+    assert camera.state is State.IDLE
+
+
+def test_stopping_mid_way_and_arming_again_gives_fresh_frames(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    camera.arm(3)
+    white = camera.read(10.0)
+    camera.stop()
+    assert camera.state is State.IDLE
+    rig.projector.show(BLACK)
+    camera.arm(3)
+    for index in range(3):
+        frame = camera.read(10.0)
+        assert frame.index == index
+        assert brightness(frame.image) < brightness(white.image), "the frame is a stale one"
+
+
+def test_stopping_is_always_legal(camera: Camera) -> None:
+    camera.stop()
+    camera.arm(1)
+    camera.stop()
+    camera.stop()
+    assert camera.state is State.IDLE
+
+
+def test_closing_while_armed_is_legal(camera: Camera) -> None:
+    camera.arm(5)
+    camera.close()
+    assert camera.state is State.CLOSED
+
+
+def test_a_frame_is_its_owners(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    first = camera.snap()
+    kept = first.image.copy()
+    later = []
+    for i in DISTINCT[1:5]:
+        rig.projector.show(i)
+        later.append(camera.snap())
+    assert not any(np.shares_memory(first.image, frame.image) for frame in later)
+    np.testing.assert_array_equal(first.image, kept)
+
+
+def test_time_goes_on(rig: Rig, camera: Camera) -> None:
+    show(rig, WHITE)
+    before = time.time()
+    camera.arm(4)
+    frames = [camera.read(10.0) for _ in range(4)]
+    host = [before, *(f.host_time_s for f in frames), time.time()]
+    assert host == sorted(host)
+    device = [f.device_time_s for f in frames if f.device_time_s is not None]
+    assert len(device) in (0, 4)
+    assert device == sorted(device)
+
+
+def test_a_trigger_that_it_has_not_is_refused(camera: Camera) -> None:
+    for trigger in {"software", "hardware", "telepathic"} - set(camera.caps.triggers):
+        with pytest.raises(CapabilityError, match=f"has no {trigger} trigger"):
+            camera.arm(1, trigger)  # type: ignore[arg-type]
+        assert camera.state is State.IDLE
+
+
+def test_without_a_pulse_the_hardware_trigger_times_out(camera: Camera) -> None:
+    if "hardware" not in camera.caps.triggers:
+        with pytest.raises(CapabilityError):
+            camera.arm(1, "hardware")
+        return
+    camera.arm(1, "hardware")
+    with pytest.raises(TimeoutError):
+        camera.read(0.1)
+    assert camera.state is State.FAULT
+    camera.close()
+    camera.open()
+    assert camera.info()

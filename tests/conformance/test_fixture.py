@@ -1,0 +1,41 @@
+"""What every fixture holds, and what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+
+from fpplab.devices import Fixture, State
+from fpplab.errors import ConfigError, SettingError
+from fpplab.rig import Rig
+
+
+def test_every_item_can_be_mounted_and_taken_away(fixture: Fixture) -> None:
+    assert fixture.caps.items
+    for item in fixture.caps.items:
+        fixture.mount(item)
+    fixture.mount("nothing")
+    assert fixture.state is State.IDLE
+
+
+def test_an_unknown_item_is_refused(fixture: Fixture) -> None:
+    with pytest.raises(SettingError, match="has no item 'philosopher's stone'"):
+        fixture.mount("philosopher's stone")
+    assert fixture.state is State.IDLE
+
+
+def test_a_pose_that_it_has_not_is_refused(fixture: Fixture) -> None:
+    for item, poses in fixture.caps.items.items():
+        for pose in (-1, *([] if poses is None else [poses])):
+            with pytest.raises(SettingError, match=f"{item} has no pose {pose}"):
+                fixture.mount(item, pose)
+        if poses:
+            fixture.mount(item, poses - 1)
+    assert fixture.state is State.IDLE
+
+
+def test_a_rig_says_when_it_has_no_fixture(rig: Rig) -> None:
+    if rig.fixture is not None:
+        assert rig.need_fixture("this test") is rig.fixture
+    else:
+        with pytest.raises(ConfigError, match="'fixture' is missing, and this test needs one"):
+            rig.need_fixture("this test")

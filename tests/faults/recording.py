@@ -1,0 +1,50 @@
+"""A small session, and how to harm it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings, Frame
+from fpplab.plan import FringeSet, Plan
+from fpplab.session import Session
+
+PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=4, projector_size=(64, 48)),))
+SIZE = (20, 16)
+
+
+def image_of(index: int, size: tuple[int, int] = SIZE) -> Image:
+    """A picture that no other frame has."""
+    rows = np.arange(size[0] * size[1], dtype=np.uint32).reshape(size[1], size[0])
+    return ((rows * 7 + index * 31) % 251).astype(np.uint8)
+
+
+def frame(index: int, plan: Plan = PLAN, image: Image | None = None, bits: int = 8) -> Frame:
+    ids = [name for _, _, name in plan.steps()]
+    picture = image_of(index) if image is None else image
+    return Frame(picture, index, CameraSettings(0.02, 0.0, bits), 100.0 + index, None, ids[index])
+
+
+def record(path: Path, count: int = PLAN.images, plan: Plan = PLAN) -> Session:
+    """A session whose first `count` frames are there."""
+    session = Session.create(path, plan)
+    for index in range(count):
+        session.write(frame(index, plan))
+    return session
+
+
+def in_a_child(work: Callable[[], object]) -> int:
+    """Run `work` in a forked process; its exit code, or minus the signal that ended it."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            work()
+            code = 0
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -1,0 +1,98 @@
+"""Small worlds, and one Blender process for each module that needs one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab import config
+from fpplab.conventions import Floats
+from fpplab.patterns import Pattern
+from sim.light import Light, Picture, Setup, Show
+from sim.worker import Blender
+from sim.world import World
+
+SIZE = (192, 128)
+
+
+def plain(**changes: Any) -> dict[str, Any]:
+    """The demonstration's bench with few pixels, as plain data; `changes` replace whole sections' fields."""
+    data: dict[str, Any] = {
+        "seed": 7,
+        "camera": {
+            "sensor_size": SIZE,
+            "pixel_um": 13132.8 / SIZE[0],
+            "binning": 1,
+            "focal_mm": 35,
+            "centre_offset_px": [1.5, -0.75],
+            "distortion": [-0.2, 0.3, 0.001, -0.002, 0.05],
+        },
+        "projector": {
+            "distortion": [-0.05, 0.08, 0.0004, 0.0006, 0.01],
+            "T_camera_projector": {"rotation_deg": [-13.8, -18.1, 2.2], "translation_mm": [150, 0, 0]},
+            "response": {"a": 1.0, "b": 0.0, "g": 1.0},
+        },
+        "items": {
+            "card": {
+                "card_mm": [300, 240],
+                "pose": {"rotation_deg": [8, -5, 0], "translation_mm": [0, 0, 450]},
+            },
+            "pillars": {
+                "artefact": "pillars",
+                "pose": {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]},
+            },
+            "board": {"target": "target_paper.yaml", "poses": {"count": 4}},
+        },
+        "render": {"subpixels": 1},
+    }
+    for section, fields in changes.items():
+        data[section] = {**data.get(section, {}), **fields} if isinstance(fields, dict) else fields
+    return data
+
+
+def world(**changes: Any) -> World:
+    """`plain` as a world."""
+    return config.validate(plain(**changes), World, "test world")
+
+
+@pytest.fixture(scope="module")
+def blender() -> Iterator[Blender]:
+    """One Blender process for the tests of a module."""
+    process = Blender("bench")
+    yield process
+    process.close()
+
+
+def levels(function: Any, of: World) -> Pattern:
+    """A pattern from a function of the mirrors' (u, v) that gives levels in [0, 1]."""
+    from fpplab.conventions import mirror_centres
+    from fpplab.patterns import quantise
+
+    u, v = mirror_centres(of.projector.size, of.projector.lattice)
+    return Pattern("test", quantise(np.broadcast_to(np.asarray(function(u, v), np.float64), u.shape)))
+
+
+def seen(blender: Blender, of: World, setup: Setup, *patterns: Pattern) -> list[Picture]:
+    """What the camera sees of `setup` under each pattern."""
+    light = Light(of, blender)
+    return [light.irradiance(setup, Show(patterns, i)) for i in range(len(patterns))]
+
+
+def card_points(of: World, pixels: Floats) -> Floats:
+    """Points (..., 3) of the card in the camera's frame that the true camera sees at pixels (..., 2)."""
+    item = of.items["card"]
+    pose = item.pose.transform()  # type: ignore[union-attr]
+    rays = np.concatenate([of.camera_model().normalise(pixels), np.ones((*pixels.shape[:-1], 1))], axis=-1)
+    normal = pose.rotation[:, 2]
+    depth = normal @ pose.translation / (rays @ normal)
+    return np.asarray(rays * depth[..., None])
+
+
+def grid(of: World) -> Floats:
+    """Every pixel (height, width, 2)."""
+    width, height = of.camera.size
+    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+    return np.stack([u, v], axis=-1)

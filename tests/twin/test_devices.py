@@ -1,0 +1,177 @@
+"""The four devices over one world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab import config
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings
+from fpplab.errors import CapabilityError, ConfigError, LimitError, SettingError
+from fpplab.patterns import Pattern, uniform_patterns
+from sim.devices import DARK, SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
+from tests.twin.conftest import plain
+
+
+def write_world(folder: Path, data: dict[str, Any]) -> str:
+    """A world file; its name."""
+    path = folder / "world.yaml"
+    path.write_text(
+        config.to_yaml(
+            {**data, "camera": {**data["camera"], "sensor_size": list(data["camera"]["sensor_size"])}}
+        )
+    )
+    return str(path)
+
+
+class Bench:
+    """The whole rig, open."""
+
+    def __init__(self, world: str) -> None:
+        self.shared = VirtualBench({"world": world})
+        self.camera = SimCamera("camera", {}, self.shared)
+        self.projector = SimProjector("projector", {}, self.shared)
+        self.stage = SimStage("stage", {}, self.shared)
+        self.fixture = SimFixture("fixture", {}, self.shared)
+
+    def open(self) -> None:
+        self.shared.open()
+        for device in (self.camera, self.projector, self.stage, self.fixture):
+            device.open()
+        self.camera.configure(CameraSettings(0.02, bits=12))
+        self.projector.load(uniform_patterns([0, 128, 255], self.projector.caps.size))
+
+    def close(self) -> None:
+        for device in (self.camera, self.projector, self.stage, self.fixture):
+            device.close()
+        self.shared.close()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    rig = Bench(write_world(tmp_path_factory.mktemp("world"), plain()))
+    rig.open()
+    yield rig
+    rig.close()
+
+
+def test_frames_show_what_is_on_show(bench: Bench) -> None:
+    bench.fixture.mount("card")
+    names, means = [], []
+    for i in range(3):
+        bench.projector.show(i)
+        frame = bench.camera.snap()
+        names.append(frame.pattern_id)
+        means.append(float(frame.image.mean()))
+    bench.projector.blank()
+    dark = bench.camera.snap()
+    assert names == ["grey-000", "grey-128", "grey-255"]
+    assert dark.pattern_id == DARK
+    black = 0.01 * 4095
+    assert abs(dark.image.mean() - black) < 1
+    assert abs(means[0] - black) < 1
+    assert abs((means[1] - black) / (means[2] - black) - 128 / 255) < 0.002
+    bench.fixture.mount("nothing")
+    bench.projector.show(2)
+    assert abs(bench.camera.snap().image.mean() - black) < 1
+
+
+def test_exposure_and_gain_scale_the_signal(bench: Bench) -> None:
+    bench.fixture.mount("card")
+    bench.projector.show(1)
+    means = {}
+    for settings in (
+        CameraSettings(0.02, bits=12),
+        CameraSettings(0.01, bits=12),
+        CameraSettings(0.01, 6.0206, 12),
+    ):
+        bench.camera.configure(settings)
+        means[settings.exposure_s, settings.gain_db] = bench.camera.snap().image.mean() - 0.01 * 4095
+    full = means[0.02, 0.0]
+    assert abs(means[0.01, 0.0] / full - 0.5) < 0.002
+    assert abs(means[0.01, 6.0206] / full - 1.0) < 0.002
+    bench.camera.configure(CameraSettings(0.02, bits=12))
+
+
+def test_same_seed_gives_the_same_frames_and_every_frame_its_own_noise(bench: Bench) -> None:
+    bench.fixture.mount("card")
+    bench.projector.show(1)
+
+    def run() -> list[Image]:
+        bench.camera.close()
+        bench.camera.open()
+        bench.camera.configure(CameraSettings(0.02))
+        return [bench.camera.snap().image for _ in range(2)]
+
+    first, second = run(), run()
+    np.testing.assert_array_equal(first, second)
+    assert (first[0] != first[1]).mean() > 0.1
+    bench.camera.configure(CameraSettings(0.02, bits=12))
+
+
+def test_stage_carries_the_projector_along_the_baseline(bench: Bench) -> None:
+    """A lit edge moves on the card as the moved projector's model says."""
+    bench.fixture.mount("card")
+    edge = np.zeros(bench.projector.caps.size[::-1], np.uint8)
+    edge[:, 456:] = 255
+    bench.projector.load([Pattern("edge", edge)])
+    bench.projector.show(0)
+    bench.stage.home()
+    world = bench.shared.world
+    pose = bench.fixture.pose("card")
+    assert pose is not None
+    for position in (0.0, -30.0):
+        assert bench.stage.move_to(position) == position
+        image = bench.camera.snap().image.astype(float)
+        row = image[64] > image[64].max() / 2
+        column = int(np.argmax(row)) if not row[0] else int(np.argmin(row))
+        ray = np.append(world.camera_model().normalise(np.array([column - 0.5, 64.0])), 1.0)
+        normal = pose.rotation[:, 2]
+        point = ray * (normal @ pose.translation) / (normal @ ray)
+        u = world.projector_model().project(point[None], world.T_projector_camera(position))[0, 0]
+        # The edge lies between mirrors, at 455.5 or half a mirror on; a camera pixel spans 2 mirrors here.
+        assert abs(u - 455.75) < 2.5
+    bench.stage.move_to(0.0)
+    bench.projector.load(uniform_patterns([0, 128, 255], bench.projector.caps.size))
+    with pytest.raises(LimitError):
+        bench.stage.move_to(1000.0)
+
+
+def test_projector_shows_what_its_depth_can(bench: Bench) -> None:
+    image = np.full(bench.projector.caps.size[::-1], 100, np.uint8)
+    shown = bench.projector.load([Pattern("coarse", image, bit_depth=1), Pattern("fine", image)])
+    assert [int(p.image[0, 0]) for p in shown] == [0, 100]
+    bench.projector.load(uniform_patterns([0, 128, 255], bench.projector.caps.size))
+
+
+def test_without_a_trigger_output_playing_is_refused(bench: Bench) -> None:
+    with pytest.raises(CapabilityError, match="no trigger output"):
+        bench.projector.play(0.02)
+    with pytest.raises(CapabilityError, match="hardware trigger"):
+        bench.camera.arm(1, "hardware")
+
+
+def test_fixture_lists_items_and_refuses_others(bench: Bench) -> None:
+    assert bench.fixture.caps.items == {"card": 1, "pillars": 1, "board": 4}
+    with pytest.raises(SettingError, match="has no pose 4"):
+        bench.fixture.mount("board", 4)
+    with pytest.raises(SettingError, match="has no item 'cup'"):
+        bench.fixture.pose("cup")
+
+
+def test_wrong_options_are_refused(bench: Bench) -> None:
+    with pytest.raises(ConfigError, match="'world' is missing"):
+        VirtualBench({})
+    with pytest.raises(ConfigError, match="no option 'wrld'"):
+        VirtualBench({"wrld": "x"})
+    with pytest.raises(ConfigError, match="no such file"):
+        VirtualBench({"world": "nowhere.yaml"})
+    with pytest.raises(ConfigError, match=r"needs the bench 'sim\.devices:VirtualBench'"):
+        SimCamera("camera", {}, None)
+    with pytest.raises(ConfigError, match="no option 'serial'"):
+        SimStage("stage", {"serial": "1"}, bench.shared)

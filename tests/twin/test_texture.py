@@ -1,0 +1,51 @@
+"""Mirrors as a texture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fpplab.conventions import Lattice, mirror_centres
+from sim.texture import LEAST_BLUR, MirrorTexture
+
+
+@pytest.mark.parametrize("lattice", list(Lattice))
+@pytest.mark.parametrize("size", [(8, 9), (9, 8), (16, 11)])
+def test_every_mirror_has_its_texel_at_its_centre(lattice: Lattice, size: tuple[int, int]) -> None:
+    texture = MirrorTexture(size, lattice, 0.0)
+    light = np.arange(1, size[0] * size[1] + 1, dtype=np.float32).reshape(size[::-1])
+    texels = texture.spread(light)
+    u, v = mirror_centres(size, lattice)
+    column, row = np.einsum("ij,jvu->ivu", texture.affine, np.stack([u, v, np.ones_like(u)]))
+    np.testing.assert_allclose(column, np.rint(column), atol=1e-12)
+    np.testing.assert_allclose(row, np.rint(row), atol=1e-12)
+    np.testing.assert_array_equal(texels[row.astype(int), column.astype(int)], light)
+    assert texels.sum() == light.sum()
+    edge = np.concatenate([texels[0], texels[-1], texels[:, 0], texels[:, -1]])
+    assert edge.max() == 0
+
+
+@pytest.mark.parametrize("lattice", list(Lattice))
+@pytest.mark.parametrize("blur", [0.45, 0.6, 1.5])
+def test_a_mirror_s_light_has_the_stated_width_and_keeps_its_flux(lattice: Lattice, blur: float) -> None:
+    """Texels and their linear interpolation together: variance blur² of the lens and 1/12 of the mirror."""
+    texture = MirrorTexture((41, 61), lattice, blur)
+    light = np.zeros((61, 41), np.float32)
+    light[30, 20] = 1
+    texels = texture.spread(light).astype(np.float64)
+    assert texels.sum() == pytest.approx(1, abs=1e-6)
+    for axis in (0, 1):
+        profile = texels.sum(axis=axis)
+        place = np.arange(len(profile))
+        mean = profile @ place
+        variance = profile @ (place - mean) ** 2 + 1 / 6
+        assert math.sqrt(variance) == pytest.approx(math.sqrt(blur**2 + 1 / 12), rel=1e-3)
+
+
+def test_least_blur_is_linear_interpolation_alone() -> None:
+    texture = MirrorTexture((9, 9), Lattice.SQUARE, LEAST_BLUR)
+    light = np.zeros((9, 9), np.float32)
+    light[4, 4] = 1
+    assert np.count_nonzero(texture.spread(light)) == 1

@@ -1,0 +1,141 @@
+"""The world file and what follows from it without a picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab import config
+from fpplab.errors import ConfigError
+from fpplab.targets import Target
+from sim.items import build_scene, item_poses
+from sim.world import World
+from tests.twin.conftest import plain, world
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("world_demo.yaml", (1368, 912)), ("world_demo_quick.yaml", (684, 456))]
+)
+def test_worlds_of_the_demonstration_are_as_described(name: str, size: tuple[int, int]) -> None:
+    of = World.load(name)
+    assert of.camera_model().size == size
+    corners = np.array([[-0.5, -0.5], [size[0] - 0.5, size[1] - 0.5]])
+    plain_camera = of.model_copy(update={"camera": of.camera.model_copy(update={"distortion": (0.0,) * 5})})
+    field = 450 * np.diff(plain_camera.camera_model().normalise(corners), axis=0)[0]
+    np.testing.assert_allclose(field, [168.8, 112.6], atol=0.1)
+    projector = of.projector_model()
+    assert projector.matrix[1, 1] == 2 * projector.matrix[0, 0] == pytest.approx(2 * 1.2 * 912)
+    assert np.linalg.norm(of.T_projector_camera().translation) == pytest.approx(150)
+
+
+def test_both_demonstrations_are_one_bench_at_two_resolutions() -> None:
+    full, quick = World.load("world_demo.yaml").model_dump(), World.load("world_demo_quick.yaml").model_dump()
+    full["camera"].pop("binning")
+    quick["camera"].pop("binning")
+    assert full == quick
+
+
+@pytest.mark.parametrize("depth", [425.0, 475.0])
+def test_the_whole_field_of_the_demonstration_is_lit(depth: float) -> None:
+    """At every stop of the stage, with room to spare."""
+    of = World.load("world_demo.yaml")
+    width, height = of.camera.size
+    v, u = np.mgrid[0 : height - 1 : 20j, 0 : width - 1 : 20j]
+    rays = np.concatenate([of.camera_model().normalise(np.stack([u, v], -1)), np.ones((20, 20, 1))], axis=-1)
+    for stage in of.stage.travel_mm:
+        pixels = of.projector_model().project(depth * rays, of.T_projector_camera(stage))
+        assert pixels.min() > 10
+        assert (pixels.max(axis=(0, 1)) < np.array(of.projector.size) - 10).all()
+
+
+def test_axis_x_of_the_demonstration_measures_depth() -> None:
+    """A point that moves in depth moves along u, hardly along v, whose rows lie half as far apart."""
+    of = World.load("world_demo.yaml")
+    points = np.array([[0.0, 0.0, 450.0], [0.0, 0.0, 451.0]])
+    step = np.diff(of.projector_model().project(points, of.T_projector_camera()), axis=0)[0]
+    assert abs(step[0]) > 0.7
+    assert abs(step[1]) / 2 < 0.1 * abs(step[0])
+
+
+def test_binned_pixels_lie_on_the_same_sensor() -> None:
+    """The centre of a binned pixel is the mean of the centres that it is made of."""
+    cameras = {}
+    for binning in (1, 4):
+        data = plain()
+        data["camera"] = {**data["camera"], "sensor_size": [192, 128], "binning": binning}
+        cameras[binning] = config.validate(data, World, "test").camera_model()
+    point = np.array([[12.0, -7.0, 450.0]])
+    fine, coarse = (cameras[b].project(point)[0] for b in (1, 4))
+    np.testing.assert_allclose(coarse, (fine - 1.5) / 4, atol=1e-9)
+
+
+def test_stage_moves_the_projector_along_its_axis() -> None:
+    of = world(stage={"axis": [2, 0, 0]})
+    centres = [of.T_projector_camera(mm).inverse().translation for mm in (0.0, 10.0)]
+    np.testing.assert_allclose(centres[1] - centres[0], [10, 0, 0], atol=1e-9)
+
+
+def test_board_poses_are_reproducible_spread_and_in_view() -> None:
+    of = World.load("world_demo.yaml")
+    poses = item_poses(of, "board")
+    assert len(poses) == 15
+    size = Target.load("target_paper.yaml").size_mm
+    corners = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * [*size, 1]
+    for pose in poses:
+        seen = pose.apply(corners)
+        for device, points in (
+            (of.camera_model(), seen),
+            (of.projector_model(), of.T_projector_camera().apply(seen)),
+        ):
+            pixels = device.project(points)
+            assert (pixels > 0).all()
+            assert (pixels < np.array(device.size) - 1).all()
+        assert np.degrees(np.arccos(pose.rotation[2, 2])) <= 30.001
+        assert abs(pose.translation[2] - 450) <= 25
+    centres = np.array([pose.translation for pose in poses])
+    assert np.ptp(centres[:, 0]) > 70
+    assert np.ptp(centres[:, 1]) > 40
+    again = item_poses(World.load("world_demo_quick.yaml"), "board")
+    other = item_poses(of.model_copy(update={"seed": 2}), "board")
+    assert len(again) == len(other) == 15
+    for one, two in zip(poses, other, strict=True):
+        assert not np.allclose(one.translation, two.translation)
+    once_more = item_poses(World.load("world_demo.yaml"), "board")
+    np.testing.assert_array_equal([p.matrix for p in once_more], [p.matrix for p in poses])
+
+
+def test_a_board_that_does_not_fit_is_refused() -> None:
+    data = plain()
+    data["items"]["board"]["poses"] = {"count": 1, "distance_mm": 100.0, "range_mm": 0.0}
+    with pytest.raises(ConfigError, match="hardly any lie in the camera's image"):
+        item_poses(config.validate(data, World, "test"), "board")
+
+
+@pytest.mark.parametrize(
+    ("section", "fields", "said"),
+    [
+        ("camera", {"binning": 3}, "binning"),
+        ("camera", {"binning": 8, "sensor_size": [100, 100]}, "must divide"),
+        ("projector", {"blur": 0.1}, "must be 0 .ideal mirrors. or at least 0.289"),
+        ("projector", {"response": {"a": 0.9, "b": 0.2, "g": 1.0}}, "at most 1"),
+        ("render", {"path": "transport", "bounces": 1}, "knows direct light alone"),
+        ("stage", {"travel_mm": [5.0, 10.0]}, "must hold 0"),
+        ("stage", {"axis": [0.0, 0.0, 0.0]}, "must be a direction"),
+        ("items", {"nothing": plain()["items"]["card"]}, "empty fixture"),
+        ("render", {"sampels": 3}, "unknown key"),
+    ],
+)  # fmt: skip
+def test_wrong_worlds_are_refused(section: str, fields: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        world(**{section: fields})
+
+
+def test_unknown_artefact_and_target_are_refused() -> None:
+    pose = {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]}
+    with pytest.raises(ConfigError, match="no such file"):
+        item_poses(world(items={"board": {"target": "target_none.yaml"}}), "board")
+    of = world(items={"vase": {"artefact": "vase", "pose": pose}})
+    with pytest.raises(ConfigError, match="no artefact 'vase'"):
+        build_scene(of, "vase", 0, 0.0)

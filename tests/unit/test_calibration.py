@@ -1,0 +1,74 @@
+"""The calibration file: back as it was, and refused when it does not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpplab.calibration import Calibration
+from fpplab.conventions import Lattice
+from fpplab.errors import CalibrationError, ConfigError
+from fpplab.geometry import Pinhole, RigidTransform
+
+CALIBRATION = Calibration(
+    Pinhole.from_focal((1368, 912), (3645.1234567, 3640.7), (683.5, 455.25), (-0.12, 0.2, 1e-3, -8e-4, 0.05)),
+    Pinhole.from_focal((912, 1140), (1094.4, 2188.8), (455.5, 1110.0), lattice=Lattice.DIAMOND),
+    RigidTransform.from_vectors(np.array([0.01, -0.3, 0.02]), np.array([-120.0, 3.0, 12.5])),
+    {"camera": 0.031, "projector": 0.082, "joint": 0.06},
+)
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "results" / "calibration.yaml"
+    CALIBRATION.save(path)
+    back = Calibration.load(path)
+    for device, known in ((back.camera, CALIBRATION.camera), (back.projector, CALIBRATION.projector)):
+        assert device.size == known.size
+        assert device.lattice is known.lattice
+        np.testing.assert_array_equal(device.matrix, known.matrix)
+        np.testing.assert_array_equal(device.distortion, known.distortion)
+    np.testing.assert_allclose(
+        back.T_projector_camera.matrix, CALIBRATION.T_projector_camera.matrix, atol=1e-14
+    )
+    assert back.rms_px == CALIBRATION.rms_px
+
+
+def test_the_projector_stands_where_the_transform_puts_it() -> None:
+    assert CALIBRATION.baseline_mm == pytest.approx(np.sqrt(120.0**2 + 3.0**2 + 12.5**2))
+    centre = CALIBRATION.projector_centre
+    np.testing.assert_allclose(CALIBRATION.T_projector_camera.apply(centre), 0.0, atol=1e-12)
+    assert np.linalg.norm(centre) == pytest.approx(CALIBRATION.baseline_mm)
+
+
+def test_another_sensor_is_refused() -> None:
+    CALIBRATION.check_camera((1368, 912), "s")
+    with pytest.raises(
+        CalibrationError, match="s: camera frames are 640 x 480 but the calibration is for 1368 x 912"
+    ):
+        CALIBRATION.check_camera((640, 480), "s")
+
+
+def test_another_projector_is_refused() -> None:
+    CALIBRATION.check_projector((912, 1140), "s")
+    with pytest.raises(
+        CalibrationError, match="s: projector patterns are 1140 x 912 but .* 912 x 1140"
+    ) as caught:
+        CALIBRATION.check_projector((1140, 912), "s")
+    assert caught.value.exit_code == 5
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    CALIBRATION.save(path)
+    text = path.read_text()
+    for old, new, complaint in (
+        ("lattice: diamond", "lattice: hexagonal", "'projector.lattice' is 'hexagonal'"),
+        ("rms_px:", "rms_mm:", "unknown key 'rms_mm'"),
+        ("- 1368", "- wide", r"'camera.size\[0\]' is 'wide'"),
+    ):
+        assert text.count(old) == 1
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ConfigError, match=complaint):
+            Calibration.load(path)
