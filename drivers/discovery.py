@@ -39,7 +39,12 @@ def projectors() -> list[DeviceInfo]:
         ) from error
     found = hid.enumerate(DLP4500_VENDOR, DLP4500_PRODUCT)
     return [
-        DeviceInfo("projector", d["product_string"] or "DLPC350", d["serial_number"] or "", f"USB {d['path'].decode()}")
+        DeviceInfo(
+            "projector",
+            d["product_string"] or "DLPC350",
+            d["serial_number"] or "",
+            f"USB {d['path'].decode()}",
+        )
         for d in found
         if d["interface_number"] in (-1, 0)
     ]

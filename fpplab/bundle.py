@@ -234,7 +234,7 @@ def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Flo
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     pixels, slopes = cv2.projectPoints(points, pose[:3], pose[3:], matrix, intrinsics[4:])
-    return pixels.reshape(-1, 2), slopes
+    return np.asarray(pixels, np.float64).reshape(-1, 2), np.asarray(slopes, np.float64)
 
 
 def _chain(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from fpplab import config
 from fpplab.config import Document
-from fpplab.conventions import Lattice
+from fpplab.conventions import Floats, Lattice
 from fpplab.errors import CalibrationError
 from fpplab.files import write_text
 from fpplab.geometry import Pinhole, RigidTransform
@@ -34,7 +34,7 @@ class Calibration:
         return float(np.linalg.norm(self.T_projector_camera.translation))
 
     @property
-    def projector_centre(self) -> np.ndarray:
+    def projector_centre(self) -> Floats:
         """Centre of the projector's lens in the camera's frame, (3,) in mm."""
         return self.T_projector_camera.inverse().translation
 

@@ -21,7 +21,7 @@ from fpplab.errors import Cancelled, ConfigError
 class Commands(TyperGroup):
     """Turns Ctrl-C into the project's own word for it, with its exit code."""
 
-    def invoke(self, ctx: typer.Context) -> Any:
+    def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -92,7 +92,9 @@ def devices(json: Json = False) -> None:
 def import_(
     folder: Annotated[Path, typer.Argument(help="Folder of grey images, one per pattern of the plan.")],
     plan: PlanName,
-    frames: Annotated[str, typer.Option("--frames", help="Name of image {index}, from 0, such as 'f_{index:02d}.png'.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="Name of image {index}, from 0, such as 'f_{index:02d}.png'.")
+    ],
     out: Out,
     bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
     force: Force = False,
@@ -246,6 +248,10 @@ def scan(
         known.check_camera(bench.camera.caps.size, calibration)
         known.check_projector(caps.size, calibration)
         viewer = stack.enter_context(live.Viewer.open()) if view else None
+        if viewer:
+            console.say(f"Watch it at {viewer.where}")
+            viewer.plan(wanted, caps.size, caps.lattice)
+            viewer.calibration(known)
         if item:
             bench.need_fixture(f"--item {item}").mount(item, pose)
         with console.progress("Scanning") as report:
@@ -254,8 +260,9 @@ def scan(
             decoded, cloud = finish_scan(session, known, report)
         if viewer:
             viewer.decoded(decoded)
-            viewer.calibration(known)
             viewer.cloud(cloud)
+            console.say("Close the viewer, or press Ctrl-C, to end.")
+            viewer.wait()
     result = {"points": len(cloud.points), "images": wanted.images, "seconds": seconds()}
     console.answer({**result, "cloud": str(out / CLOUD), "report": str(out / REPORT)}, json)
 
@@ -293,10 +300,14 @@ def reconstruct(
 def compare(
     cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz.")],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
-    align: Annotated[bool, typer.Option("--align", help="Move the mesh onto the cloud first (rigidly).")] = False,
+    align: Annotated[
+        bool, typer.Option("--align", help="Move the mesh onto the cloud first (rigidly).")
+    ] = False,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="Count only what both devices see. Default: the one beside the cloud."),
+        typer.Option(
+            "--calibration", help="Count only what both devices see. Default: the one beside the cloud."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write a picture of the errors, as PNG.")] = None,
     force: Force = False,
@@ -322,7 +333,7 @@ def compare(
     with console.progress("Comparing"):
         result = comparison.compare(measured, load_mesh(mesh), known, align=align)
     if out:
-        picture = figures.error_map(measured, result.distances_mm)
+        picture = figures.error_map(measured, result.distances_mm, result.counted)
         write_atomic(out, lambda stream: stream.write(picture))
     console.answer(result.summary(), json)
 
@@ -351,7 +362,10 @@ def view(
         refuse_existing(out, force)
     beside = session / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
-    shown = live.view_session(Session.open(session), Calibration.load(source) if source else None, out)
+    known = Calibration.load(source) if source else None
+    shown = live.view_session(
+        Session.open(session), known, out, lambda where: console.say(f"Shown at {where}")
+    )
     console.answer({"session": str(session), "shown": shown}, json)
 
 
@@ -374,7 +388,7 @@ def bench(
 
 def _show_demo(result: dict[str, Any]) -> None:
     scans = [[s[k] for k in DEMO_COLUMNS] for s in result["scans"]]
-    console.table("Scans", list(DEMO_COLUMNS), scans)
+    console.table("Scans", list(DEMO_COLUMNS.values()), scans)
     found = result["characterisation"]
     console.stdout.print(
         f"camera {found['camera']['rms_px']:.3f} px, projector {found['projector']['rms_px']:.3f} px, "
@@ -383,7 +397,16 @@ def _show_demo(result: dict[str, Any]) -> None:
     console.stdout.print(f"report: {result['report']}")
 
 
-DEMO_COLUMNS = ("artefact", "images", "points", "surface_rms_um", "surface_smcd_um", "smcd_um", "smcd_floor_um", "completeness")  # fmt: skip
+DEMO_COLUMNS = {
+    "artefact": "artefact",
+    "images": "images",
+    "points": "points",
+    "surface_rms_um": "RMS µm",
+    "surface_smcd_um": "surface SMCD µm",
+    "smcd_um": "SMCD µm",
+    "smcd_floor_um": "its floor µm",
+    "completeness": "complete",
+}
 
 
 def main() -> None:

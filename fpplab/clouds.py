@@ -51,13 +51,14 @@ class Cloud:
             values = getattr(self, name)
             if values is not None and values.shape != shape:
                 raise DataError(f"cloud: {name} has the shape {values.shape} instead of {shape}")
-        if n == 0 or not np.isfinite(self.points).all():
+        if n == 0 or not np.isfinite([self.points.min(), self.points.max()]).all():
             raise DataError("cloud: there must be at least one point, and none that is not finite")
         if (self.pixels is None) != (self.size is None):
             raise DataError("cloud: pixels need the camera's size, and the size pixels")
         if self.pixels is None or self.size is None:
             return
-        if ((self.pixels < 0) | (self.pixels >= self.size)).any():
+        u, v = self.pixels.T
+        if min(u.min(), v.min()) < 0 or u.max() >= self.size[0] or v.max() >= self.size[1]:
             raise DataError(f"cloud: pixels lie outside the camera's {self.size}")
 
     def __len__(self) -> int:
@@ -120,7 +121,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     """A true shape in mm from STL, PLY or OBJ. Raises `ConfigError`, `DataError`."""
     suffix = _known_suffix(path, MESH_SUFFIXES)
     try:
-        mesh = trimesh.load_mesh(path, file_type=suffix[1:])
+        with path.open("rb") as stream:
+            mesh = trimesh.load_mesh(stream, file_type=suffix[1:])
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
     except Exception as error:  # the readers of three formats raise what they like

@@ -56,9 +56,9 @@ class Lattice(StrEnum):
 def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:
     """Coordinates (u, v) of every mirror's centre, each (height, width), in projector pixels."""
     width, height = size
-    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     if lattice is Lattice.DIAMOND:
-        u += 0.5 * (v % 2)
+        u[1::2] += 0.5
     return u, v
 
 

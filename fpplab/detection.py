@@ -81,7 +81,8 @@ def local_frames(matrix: Floats, points: Floats) -> Floats:
 def _stretched(level: Floats) -> NDArray[np.uint8]:
     """The picture on the full 8-bit scale: finders are tuned for well exposed pictures."""
     low, high = np.percentile(level, [0.5, 99.5])
-    return np.clip(255.0 * (level - low) / max(high - low, 1e-12), 0, 255).astype(np.uint8)
+    share = (level - low) / max(high - low, 1e-12)
+    return np.asarray(np.clip(255.0 * share, 0, 255), np.uint8)
 
 
 def _find_checkerboard(target: Target, grey: NDArray[np.uint8]) -> Detection | None:
@@ -91,11 +92,11 @@ def _find_checkerboard(target: Target, grey: NDArray[np.uint8]) -> Detection | N
 
 
 def _find_circles(target: Target, grey: NDArray[np.uint8]) -> Detection | None:
-    parameters = cv2.SimpleBlobDetector_Params()
+    parameters = cv2.SimpleBlobDetector.Params()
     parameters.blobColor = 0 if target.foreground < target.background else 255
     parameters.minArea, parameters.maxArea = 20.0, 0.02 * grey.size
     parameters.minDistBetweenBlobs = 3.0
-    blobs = cv2.SimpleBlobDetector_create(parameters)
+    blobs = cv2.SimpleBlobDetector.create(parameters)
     columns, rows = target.counts
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.staggered else cv2.CALIB_CB_SYMMETRIC_GRID
     for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
@@ -295,4 +296,4 @@ def _eccentricity(target: Target, found: Detection) -> Floats:
 
 def _dual_circle(centre: Floats, radius: float) -> Floats:
     pole = np.append(centre, 1.0)
-    return np.outer(pole, pole) - radius**2 * np.diag([1.0, 1.0, 0.0])
+    return np.asarray(np.outer(pole, pole) - radius**2 * np.diag([1.0, 1.0, 0.0]))

@@ -34,6 +34,7 @@ FINEST = 1200
 """Columns beyond which a map is thinned before it is drawn."""
 RELIEF_COLUMNS = 760
 """Columns of a relief: points are averaged to this, which takes the noise out of the normals."""
+CONTOUR_COLUMNS = 400
 UNMEASURED = "#b9bcc0"
 INK, ACCENT, SECOND, ALARM = "#22262b", "#1f6f9f", "#c0662b", "#ff3b1f"
 STYLE: dict[str, Any] = {
@@ -131,18 +132,14 @@ def coordinate(values: Map, axis: Axis) -> Figure:
     limits = _range(values, 0.1, 99.9)
     mappable = _show(axes, values, "viridis", limits)
     bar = _colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
+    coarse, (height, width) = block_mean(values, CONTOUR_COLUMNS), values.shape
     levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
-    coarse, (height, width) = block_mean(values, 400), values.shape
-    lines = axes.contour(
-        np.linspace(0, width - 1, coarse.shape[1]),
-        np.linspace(0, height - 1, coarse.shape[0]),
-        coarse,
-        levels=levels,
-        colors="white",
-        linewidths=0.6,
-        alpha=0.75,
-    )
-    bar.add_lines(lines)
+    known = coarse[np.isfinite(coarse)]
+    levels = [level for level in levels if len(known) and known.min() < level < known.max()]
+    if levels:
+        u, v = np.linspace(0, width - 1, coarse.shape[1]), np.linspace(0, height - 1, coarse.shape[0])
+        lines = axes.contour(u, v, coarse, levels=levels, colors="white", linewidths=0.6, alpha=0.75)
+        bar.add_lines(lines)
     return figure
 
 
@@ -186,6 +183,8 @@ def shading(points: Map) -> Map:
     """
     coarse = block_mean(points, RELIEF_COLUMNS)
     known = np.isfinite(coarse[..., 0])
+    if min(known.shape) < 2:  # one line of pixels has no normals
+        return np.where(known, np.float32(0.5), np.float32(np.nan))
     weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 1.2)
     smooth = cv2.GaussianBlur(np.nan_to_num(coarse), (0, 0), 1.2) / np.maximum(weight, 1e-6)[..., None]
     normals = np.cross(np.gradient(smooth, axis=1), np.gradient(smooth, axis=0))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fpplab.conventions import Floats, Lattice
 
@@ -36,8 +37,8 @@ class RigidTransform:
     @property
     def rotation_vector(self) -> Floats:
         """OpenCV's rotation vector in rad, (3,)."""
-        vector, _ = cv2.Rodrigues(self.rotation)
-        return np.asarray(vector, np.float64).reshape(3)
+        # Not OpenCV's own inverse: that takes every angle under 1e-5 rad for none.
+        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
 
     @property
     def matrix(self) -> Floats:

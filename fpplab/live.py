@@ -59,6 +59,7 @@ log = logging.getLogger("fpplab")
 
 
 Method = TypeVar("Method", bound=Callable[..., None])
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def _harmless(method: Method) -> Method:
@@ -88,7 +89,7 @@ class Viewer:
         self._stream: Any = None
         self._server: Server | None = None
         self._plan: tuple[Plan, tuple[int, int], Lattice] | None = None
-        self._set: dict[int, Image] = {}
+        self._set: dict[int, NDArray[np.generic]] = {}
 
     @classmethod
     def open(cls, to: Destination | None = None) -> Self:
@@ -102,6 +103,7 @@ class Viewer:
 
     @_harmless
     def _start(self, to: Destination) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # what rerun would print says no more than `fault`
         import rerun as rr
 
         rr.set_strict_mode(True)
@@ -170,7 +172,7 @@ class Viewer:
         fringe = self._plan[0].fringes[index]
         if step == 0:
             self._set = {}
-        self._set[step] = frame.image
+        self._set[step] = _thinned(frame.image)
         if len(self._set) == fringe.steps:
             self.phase(wrapped_phase([self._set[n] for n in range(fringe.steps)], fringe))
 
@@ -237,8 +239,7 @@ class Viewer:
     ) -> None:
         import rerun as rr
 
-        step = max(1, -(-values.shape[1] // MAP_COLUMNS))
-        self._log(entity, rr.Image(_coloured(values[::step, ::step], colours, limits)), static=static)
+        self._log(entity, rr.Image(_coloured(_thinned(values), colours, limits)), static=static)
 
     def _log(self, entity: str, what: Any, static: bool = False) -> None:
         if self._server is not None and not self._server.runs:
@@ -320,7 +321,7 @@ class Server:
 
     def _private(self) -> dict[str, str]:
         """An environment in which the program keeps to itself: it would report its use to its makers."""
-        environment = {**os.environ, "XDG_CONFIG_HOME": self._home.name}
+        environment = {**os.environ, "XDG_CONFIG_HOME": self._home.name, "RUST_LOG": "warn"}
         subprocess.run(
             [_program(), "analytics", "disable"],
             env=environment,
@@ -420,6 +421,12 @@ def _picture(image: NDArray[np.uint8]) -> Any:
     import rerun as rr
 
     return rr.Image(np.ascontiguousarray(image)).compress(jpeg_quality=90)
+
+
+def _thinned(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Every n-th pixel of a map, so that at most `MAP_COLUMNS` columns remain."""
+    step = max(1, -(-values.shape[1] // MAP_COLUMNS))
+    return values[::step, ::step]
 
 
 def _eight_bits(image: Image, bits: int) -> NDArray[np.uint8]:

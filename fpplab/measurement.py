@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.acquisition import acquire, expose
 from fpplab.calibration import Calibration
@@ -107,19 +108,25 @@ def scan_section(
 ) -> ScanSection:
     """What the report shows of one scan."""
     finest = session.plan.sets_along(session.plan.axes[0])[-1]
-    frames = [session.read(i, verify=False) for i, (k, _, _) in enumerate(session.plan.steps()) if k == finest]
+    frames = [
+        session.read(i, verify=False) for i, (k, _, _) in enumerate(session.plan.steps()) if k == finest
+    ]
     wrapped = wrapped_phase(frames, session.plan.fringes[finest])
-    return ScanSection(name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison)
+    return ScanSection(
+        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
+    )
 
 
-def mean_image(session: Session) -> np.ndarray:
+def mean_image(session: Session) -> NDArray[np.uint8]:
     """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
     finest = session.plan.sets_along(session.plan.axes[0])[-1]
     chosen = [i for i, (fringe, _, _) in enumerate(session.plan.steps()) if fringe == finest]
-    total = np.zeros(session.read(chosen[0], verify=False).shape, np.float32)
+    width, height, bits = session.format
+    total = np.zeros((height, width), np.float32)
     for i in chosen:
         total += session.read(i, verify=False)
-    return np.rint(total / (len(chosen) * (1 << (session.format[2] - 8)))).astype(np.uint8)
+    mean: NDArray[np.uint8] = np.rint(total / (len(chosen) * (1 << (bits - 8)))).clip(0, 255).astype(np.uint8)
+    return mean
 
 
 def take_poses(

@@ -7,13 +7,13 @@ the pixel it falls on: noise averages out and wrong fringe orders are found out.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, Map
 from fpplab.detection import LEAST_POINTS, Detection, homography, local_frames, window
 from fpplab.errors import CalibrationError
 from fpplab.plan import Plan
@@ -63,7 +63,7 @@ def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, 
 
 def observe(
     name: str,
-    image: NDArray[np.floating] | NDArray[np.integer],
+    image: NDArray[Any],
     decoded: Decoded,
     target: Target,
     periods_px: tuple[float, float] | None = None,
@@ -101,7 +101,7 @@ def observe(
     )
 
 
-def _steep(modulation: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _steep(modulation: Map) -> NDArray[np.bool_]:
     """Pixels on an edge: blur there shifts the phase by its square times the relative gradient."""
     smooth = cv2.GaussianBlur(np.nan_to_num(modulation.astype(np.float64)), (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
@@ -140,8 +140,8 @@ def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) ->
     (left, top), (right, bottom) = low - half, high + half
     corners = np.array([[[left, top], [right, top], [right, bottom], [left, bottom]]])
     seen = cv2.perspectiveTransform(corners, homography(target, detection))
-    cv2.fillConvexPoly(area, np.rint(seen[0]).astype(np.int32), 1)
-    return area.astype(bool)
+    cv2.fillConvexPoly(area, np.asarray(np.rint(seen[0]), np.int32), (1,))
+    return np.asarray(area, np.bool_)
 
 
 def _local_fits(maps: Floats, modulation: Floats, target: Target, detection: Detection) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,25 +35,36 @@ def fringe_level(
     u, v = mirror_centres(size, lattice)
     coordinate, length = (u if fringe.axis == "x" else v), axis_length(size, fringe.axis)
     phase = phase_of_coordinate(coordinate, fringe.stripes, length) + fringe.phase_origin_rad
-    return 0.5 + 0.5 * np.cos(phase - fringe.shift_sign * phase_steps(fringe.steps)[step])
+    shifted = phase - fringe.shift_sign * phase_steps(fringe.steps)[step]
+    return np.asarray(0.5 + 0.5 * np.cos(shifted))
 
 
 def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
     """Levels in [0, 1] as the nearest grey of a `bit_depth` projector, on the scale 0 … 255."""
     greys = (1 << bit_depth) - 1
-    return np.rint(np.rint(level * greys) * (255.0 / greys)).astype(np.uint8)
+    return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
 
-def make_patterns(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8) -> list[Pattern]:
+def make_patterns(
+    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+) -> tuple[Pattern, ...]:
     """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
 
+    The same plan gives the same, read-only, patterns again, so that a backend can tell them by identity.
     Raises `ConfigError` when the projector cannot resolve the stripes.
     """
     plan.check_projector(size, "plan")
-    return [
-        Pattern(name, quantise(fringe_level(plan.fringes[i], n, size, lattice), bit_depth), bit_depth)
-        for i, n, name in plan.steps()
-    ]
+    return _made(plan, size, lattice, bit_depth)
+
+
+@lru_cache(maxsize=4)
+def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -> tuple[Pattern, ...]:
+    patterns = []
+    for i, n, name in plan.steps():
+        image = quantise(fringe_level(plan.fringes[i], n, size, lattice), bit_depth)
+        image.flags.writeable = False
+        patterns.append(Pattern(name, image, bit_depth))
+    return tuple(patterns)
 
 
 def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:

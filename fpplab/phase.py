@@ -73,7 +73,8 @@ class Decoded:
     def load(cls, path: Path | str) -> Decoded:
         """Read what `save` wrote; `DataError` when the file is missing, damaged or of another kind."""
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            # Opened here, because on a damaged file NumPy forgets to close it.
+            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 maps = {name: archive[name] for name in _KEYS}
         except FileNotFoundError:
             raise DataError(f"{path}: there is no such file; decode a session into it first") from None

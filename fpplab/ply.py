@@ -16,7 +16,7 @@ _TYPES = {
 }  # fmt: skip
 _NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-_LONGEST_HEADER = 1 << 16
+_LONGEST_LINE = 1 << 12
 
 Table = NDArray[Any]
 """A structured array, one record per vertex."""
@@ -52,9 +52,8 @@ def _header(stream: BinaryIO) -> tuple[str, int, list[tuple[str, str]], list[str
     order, count, kinds, comments, element = "", -1, [], [], ""
     if stream.readline().strip() != b"ply":
         raise ValueError("it does not begin with 'ply'")
-    while stream.tell() < _LONGEST_HEADER:
-        words = stream.readline().decode("ascii", "replace").split()
-        match words:
+    while line := stream.readline(_LONGEST_LINE):
+        match line.decode("ascii", "replace").split():
             case ["format", name, *_]:
                 order = _ORDERS[name]
             case ["comment", *text]:

@@ -75,7 +75,7 @@ def block_mean(values: Map, columns: int) -> Map:
 
     values: (h, w) or (h, w, C).
     """
-    step = max(1, round(values.shape[1] / columns))
+    step = max(1, min(round(values.shape[1] / columns), values.shape[0]))
     if step == 1:
         return values
     height, width = (n // step * step for n in values.shape[:2])

@@ -33,6 +33,8 @@ BLOCK = 16
 """Rows that one thread solves one after the other."""
 LEAST_SENSITIVITY = 1e-3
 """Projector px per mm along the ray's z below which the coordinates say nothing about the depth."""
+FARTHEST_PX = 1e6
+"""A coordinate beyond this is none; an infinite one neither."""
 CACHED_CAMERAS = 2
 
 _slopes: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
@@ -77,37 +79,35 @@ def triangulate(
             f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
             "take it from the same session"
         )
-    use_u, use_v = bool(np.isfinite(decoded.u).any()), bool(np.isfinite(decoded.v).any())
+    u, v, sigma = (np.ascontiguousarray(m, np.float32) for m in (decoded.u, decoded.v, decoded.sigma))
+    use_u, use_v = _any_finite(u), _any_finite(v)
     if not (use_u or use_v):
         raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
     slopes = camera_slopes(calibration.camera)
-    depth, spread, epipolar = (np.empty((height, width), np.float32) for _ in range(3))
-    counts = _solve(
-        slopes,
-        np.ascontiguousarray(decoded.u, np.float32),
-        np.ascontiguousarray(decoded.v, np.float32),
-        np.ascontiguousarray(decoded.sigma, np.float32),
-        use_u,
-        use_v,
-        *_projector(calibration),
-        depth,
-        spread,
-        epipolar,
-    )
-    if not counts.any():
+    counts = _count(u if use_u else v, v if use_v else u)
+    total = int(counts.sum())
+    points, pixels = np.empty((total, 3), np.float32), np.empty((total, 2), np.int32)
+    sigma_mm, epipolar = np.empty(total, np.float32), np.empty(total, np.float32)
+    outputs = points, pixels, sigma_mm, epipolar
+    device, pose, size = _projector(calibration)
+    _solve(slopes, u, v, sigma, use_u, use_v, device, pose, size, np.cumsum(counts) - counts, *outputs)
+    solved = np.isfinite(points[:, 2])
+    if not solved.any():
         raise DataError(
             "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
             "fringes run across the baseline"
         )
-    points, pixels, sigma_mm, distances = _collect(counts, slopes, depth, spread, epipolar)
+    if not solved.all():
+        points, pixels, sigma_mm, epipolar = (values[solved] for values in outputs)
+    grid = PixelGrid.of(points, pixels, (width, height), sigma_mm) if normals else None
     return Cloud(
         points=points,
         pixels=pixels,
         size=(width, height),
-        normals=PixelGrid.of(points, pixels, (width, height), sigma_mm).normals() if normals else None,
+        normals=grid.normals() if grid else None,
         colour=None if texture is None else np.asarray(texture, np.uint8)[pixels[:, 1], pixels[:, 0]],
         sigma_mm=sigma_mm,
-        epipolar_px=distances if use_u and use_v else None,
+        epipolar_px=epipolar if use_u and use_v else None,
     )
 
 
@@ -188,7 +188,35 @@ def _invert(camera: Numbers, slopes: Floats) -> None:
                 y += (xx * ey - xy * ex) / determinant
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(cache=True)
+def _any_finite(values: Map) -> bool:
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            if np.isfinite(values[row, column]):
+                return True
+    return False
+
+
+@njit(inline="always")
+def _coded(u: float, v: float) -> bool:
+    """Whether a pixel has both coordinates; as comparisons, which no optimisation takes for granted."""
+    return bool(abs(u) < FARTHEST_PX and abs(v) < FARTHEST_PX)
+
+
+@njit(parallel=True, cache=True)
+def _count(u: Map, v: Map) -> NDArray[np.int64]:
+    """Pixels of each row with both coordinates."""
+    counts = np.zeros(len(u), np.int64)
+    for row in prange(len(u)):
+        found = 0
+        for column in range(u.shape[1]):
+            found += _coded(u[row, column], v[row, column])
+        counts[row] = found
+    return counts
+
+
+# Contracting to multiply-adds changes the last bits only, and NaN keeps its meaning.
+@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _solve(
     slopes: Floats,
     coded_u: Map,
@@ -199,16 +227,17 @@ def _solve(
     projector: Numbers,
     pose: Numbers,
     size: tuple[int, int],
-    depth: Map,
+    starts: NDArray[np.int64],
+    points: Map,
+    pixels: NDArray[np.int32],
     spread: Map,
     epipolar: Map,
-) -> NDArray[np.int64]:
-    """Fill depth z (NaN where none), its sigma along the ray, both in mm, and epipolar distance in px.
+) -> None:
+    """Fill points, pixels, sigma along the ray in mm and epipolar distance in px, each row from its start.
 
-    Returns the number of points in each row.
+    A pixel with coordinates but without a solution has NaN for its point.
     """
     height, width = coded_u.shape
-    counts = np.zeros(height, np.int64)
     fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
     per_fx, per_fy = 1.0 / fx, 1.0 / fy
     xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
@@ -217,14 +246,15 @@ def _solve(
         # What distortion does to the pixel above is a start that needs one step only.
         shift_x, shift_y = np.zeros(width), np.zeros(width)
         for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
-            found = 0
+            at = starts[row] - 1
             for column in range(width):
-                depth[row, column] = np.nan
                 u = float(coded_u[row, column]) if use_u else cx
                 v = float(coded_v[row, column]) if use_v else cy
-                a, b = slopes[0, row, column], slopes[1, row, column]
-                if np.isnan(u + v + a):
+                if not _coded(u, v):
                     continue
+                at += 1
+                points[at, 0] = points[at, 1] = points[at, 2] = np.nan
+                a, b = slopes[0, row, column], slopes[1, row, column]
                 dx, dy, dz = xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc
                 # With the distortion taken as known the equations are linear in z.
                 x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
@@ -251,46 +281,9 @@ def _solve(
                         shift_x[column], shift_y[column] = xd - x, yd - y
                         inside = -0.5 <= pu <= size[0] - 0.5 and -0.5 <= pv <= size[1] - 0.5
                         if inside and growth > 0.0:
-                            depth[row, column] = z
+                            points[at, 0], points[at, 1], points[at, 2] = z * a, z * b, z
+                            pixels[at, 0], pixels[at, 1] = column, row
                             reach = np.sqrt((1.0 + a * a + b * b) * per_square)
-                            spread[row, column] = sigma[row, column] * reach
-                            epipolar[row, column] = abs(ju * ev - jv * eu) * np.sqrt(per_square)
-                            found += 1
+                            spread[at] = sigma[row, column] * reach
+                            epipolar[at] = abs(ju * ev - jv * eu) * np.sqrt(per_square)
                         break
-            counts[row] = found
-    return counts
-
-
-def _collect(
-    counts: NDArray[np.int64], slopes: Floats, depth: Map, spread: Map, epipolar: Map
-) -> tuple[Map, NDArray[np.int32], Map, Map]:
-    """Points (N, 3), their pixels (N, 2) as (u, v), sigma and epipolar distance (N,), row by row."""
-    total = int(counts.sum())
-    points, pixels = np.empty((total, 3), np.float32), np.empty((total, 2), np.int32)
-    sigma, distance = np.empty(total, np.float32), np.empty(total, np.float32)
-    _fill(np.cumsum(counts) - counts, slopes, depth, spread, epipolar, points, pixels, sigma, distance)
-    return points, pixels, sigma, distance
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _fill(
-    starts: NDArray[np.int64],
-    slopes: Floats,
-    depth: Map,
-    spread: Map,
-    epipolar: Map,
-    points: Map,
-    pixels: NDArray[np.int32],
-    sigma: Map,
-    distance: Map,
-) -> None:
-    height, width = depth.shape
-    for v in prange(height):
-        at = starts[v]
-        for u in range(width):
-            z = float(depth[v, u])
-            if not np.isnan(z):
-                points[at, 0], points[at, 1], points[at, 2] = z * slopes[0, v, u], z * slopes[1, v, u], z
-                pixels[at, 0], pixels[at, 1] = u, v
-                sigma[at], distance[at] = spread[v, u], epipolar[v, u]
-                at += 1

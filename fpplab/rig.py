@@ -133,7 +133,7 @@ class Rig:
         if self.file.bench is None:
             return None
         backend = load_backend(self.file.bench.backend, self._source, "bench")
-        bench = backend(self._options(self.file.bench))
+        bench = self._made(backend, self._options(self.file.bench))
         bench.open()
         stack.callback(bench.close)
         return bench
@@ -142,12 +142,15 @@ class Rig:
         backend = load_backend(section.backend, self._source, name)
         if not (isinstance(backend, type) and issubclass(backend, kind)):
             raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
-        try:
-            device: Dev = backend(name, self._options(section), bench)
-        except ConfigError as error:
-            raise ConfigError(f"{self._source}: {error}") from error
+        device: Dev = self._made(backend, name, self._options(section), bench)
         stack.enter_context(device)
         return device
+
+    def _made(self, backend: Any, *arguments: Any) -> Any:
+        try:
+            return backend(*arguments)
+        except ConfigError as error:
+            raise ConfigError(f"{self._source}: {error}") from error
 
     def _options(self, section: Section) -> dict[str, Any]:
         return {key: self._beside(value) for key, value in section.options.items()}

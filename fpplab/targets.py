@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from fpplab import config
 from fpplab.config import Document
-from fpplab.conventions import Floats, Image
+from fpplab.conventions import Floats
 from fpplab.detection import Detection, detect
 
 Dictionary = Literal[
@@ -135,7 +135,7 @@ class Target(Document):
         if self.staggered:
             y += 0.5 * self.spacing_mm[1] * (i % 2)
         points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
-        return points - 0.5 * (points.min(axis=0) + points.max(axis=0))
+        return np.asarray(points - 0.5 * (points.min(axis=0) + points.max(axis=0)))
 
     @property
     def symmetric(self) -> bool:
@@ -159,12 +159,12 @@ class Target(Document):
         for box in self._boxes():
             _paint_box(share, box, scale)
         level = self.background + (self.foreground - self.background) * share
-        return np.rint(255.0 * level).astype(np.uint8)
+        return np.asarray(np.rint(255.0 * level), np.uint8)
 
-    def detect(self, image: Image) -> Detection | None:
-        """Find the board in a picture [v, u], uint8 or uint16; None when it is not there.
+    def detect(self, image: NDArray[Any]) -> Detection | None:
+        """Find the board in a grey picture [v, u] of any real type; None when it is not there.
 
-        Raises `CalibrationError` when the picture is no grey image of integers.
+        Raises `CalibrationError` when the picture is not two-dimensional.
         """
         return detect(self, image)
 
@@ -193,7 +193,7 @@ class Target(Document):
         board = self.charuco()
         dictionary = board.getDictionary()
         modules = dictionary.markerSize + 2
-        for corners, marker in zip(board.getObjPoints(), board.getIds().ravel(), strict=True):
+        for corners, marker in zip(np.array(board.getObjPoints()), np.array(board.getIds()), strict=True):
             (x, y), module = corners[0, :2] + (left, top), (self.marker_mm or 0.0) / modules
             bits = dictionary.generateImageMarker(int(marker), modules, borderBits=1)
             for row, column in np.argwhere(bits == 0):

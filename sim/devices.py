@@ -74,6 +74,15 @@ class VirtualBench:
         self.blender.close()
         self.light.forget()
 
+    def become(self, world: World) -> None:
+        """Go on as another world, with the same Blender process; pictures that still hold are kept.
+
+        For searches that change the response, the sensor or the light of the world many times.
+        """
+        light = Light(world, self.blender)
+        light.inherit(self.light)
+        self.world, self.light = world, light
+
     def irradiance(self) -> Picture:
         """What reaches the sensor now, (height, width), 1 for white. Raises `DeviceError`."""
         return self.light.irradiance(self.setup, self.show)
@@ -92,8 +101,6 @@ class SimCamera(Camera):
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._bench = _shared(bench, self.name, options)
-        camera = self._bench.world.camera
-        self._sensor = SensorModel(camera.sensor, camera.binning, self._bench.world.seed)
 
     def _open(self) -> None:
         self._index = self._count = 0  # in this run, and since opening
@@ -118,9 +125,10 @@ class SimCamera(Camera):
         self._index = 0  # a software trigger is the call of `read` itself
 
     def _read(self, timeout_s: float) -> Frame:
-        settings = self._configured("read")
-        shown = self._bench.show
-        image = self._sensor.expose(self._bench.irradiance(), settings, self._count)
+        # On the bench's clock a picture takes no longer than its exposure, however long Blender works.
+        settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
+        sensor = SensorModel(world.camera.sensor, world.camera.binning, world.seed)
+        image = sensor.expose(self._bench.irradiance(), settings, self._count)
         index, self._index, self._count = self._index, self._index + 1, self._count + 1
         self._clock_s += settings.exposure_s
         pattern_id = shown.pattern.id if shown else DARK

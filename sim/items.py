@@ -33,14 +33,15 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
 def build_scene(world: World, name: str, pose: int, stage_mm: float) -> Scene:
     """The scene with item `name` in its pose number `pose`. Raises `ConfigError`."""
     surface = _surface(world, name, item_poses(world, name)[pose])
-    texture = world.projector.texture()
+    texture, projector = world.projector.texture(), world.projector_model()
     lamp = Lamp(
-        optics=_optics(world.projector_model()),
+        optics=_optics(projector),
         T_camera_projector=world.T_projector_camera(stage_mm).inverse().matrix,
         affine=texture.affine,
         texture_shape=texture.shape,
         exact=texture.exact,
         distance_mm=world.projector.distance_mm,
+        half_angle=_half_angle(projector),
     )
     camera = world.camera_model()
     return Scene(_optics(camera), lamp, (surface,), _window(camera, surface))
@@ -48,6 +49,13 @@ def build_scene(world: World, name: str, pose: int, stage_mm: float) -> Scene:
 
 def _optics(model: Pinhole) -> Optics:
     return Optics(model.size, model.matrix, model.distortion)
+
+
+def _half_angle(projector: Pinhole) -> float:
+    """Of the cone around the axis that holds the whole image and a margin, rad."""
+    width, height = projector.size
+    corners = np.array([[-8.0, -8.0], [width + 8, -8], [width + 8, height + 8], [-8, height + 8]])
+    return float(np.arctan(np.linalg.norm(projector.normalise(corners), axis=-1)).max()) + 0.01
 
 
 def _surface(world: World, name: str, pose: RigidTransform) -> Surface:

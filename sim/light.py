@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -101,6 +102,11 @@ class Light:
         """For every sub-pixel (sub-pixels, height, width, 4): texture column and row, shade, reflectance."""
         return self._keep((setup, None), lambda: self._painted(setup))
 
+    def inherit(self, other: Light) -> None:
+        """Take over the samples of another world that differs in nothing that they depend on."""
+        if _optical(self._world) == _optical(other._world):
+            self._kept.update({key: kept for key, kept in other._kept.items() if key[1] is None})
+
     def forget(self) -> None:
         """Let go of every picture."""
         self._kept.clear()
@@ -167,6 +173,19 @@ class Light:
         while len(self._kept) > 1 and sum(p.nbytes for p in self._kept.values()) > KEEP_BYTES:
             self._kept.popitem(last=False)
         return self._kept[key]
+
+
+def _optical(world: World) -> dict[str, Any]:
+    """All of a world that direct light's samples depend on."""
+    excluded: dict[str, Any] = {
+        "seed": True,
+        "ambient": True,
+        "camera": {"sensor"},
+        "projector": {"response"},
+        "stage": {"travel_mm"},
+        "render": {"path", "samples", "bounces"},
+    }
+    return world.model_dump(exclude=excluded)
 
 
 def span(levels: Picture, allowed: float) -> Basis:

@@ -30,6 +30,8 @@ class Lamp:
     T_camera_projector: (4, 4). affine: (2, 3), projector pixels (u, v, 1) to texture columns and rows.
     texture_shape: (rows, columns). exact: mirrors with sharp edges, else interpolated linearly.
     distance_mm: where a white surface that faces the white projector has irradiance 1.
+    half_angle: of the cone around the axis that holds the image, rad; beyond it the lens's polynomial may
+    fold back into the image.
     """
 
     optics: Optics
@@ -38,6 +40,7 @@ class Lamp:
     texture_shape: tuple[int, int]
     exact: bool
     distance_mm: float
+    half_angle: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,6 +75,7 @@ class Blender:
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
+                start_new_session=True,  # what an interruption means is decided here
                 env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
             )
             self._connection = Connection(ours.detach())

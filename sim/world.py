@@ -7,10 +7,10 @@ faces the white projector at `projector.distance_mm`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from fpplab import config
 from fpplab.calibration import PoseFile
@@ -191,6 +191,23 @@ class CardItem(Document):
     pose: PoseFile
 
 
+def _kind_of_item(item: Any) -> str | None:
+    keys = item if isinstance(item, dict) else type(item).model_fields
+    return next((kind for kind in ("target", "artefact", "card_mm") if kind in keys), None)
+
+
+Item = Annotated[
+    Annotated[BoardItem, Tag("target")]
+    | Annotated[ArtefactItem, Tag("artefact")]
+    | Annotated[CardItem, Tag("card_mm")],
+    Discriminator(
+        _kind_of_item,
+        custom_error_type="item",
+        custom_error_message="must name a 'target', an 'artefact' or a 'card_mm'",
+    ),
+]
+
+
 class Material(Document):
     """The paint of artefacts and cards: diffuse. Boards have the reflectance of their print."""
 
@@ -234,7 +251,7 @@ class World(Document):
     camera: CameraWorld = CameraWorld()
     projector: ProjectorWorld
     stage: StageWorld = StageWorld()
-    items: dict[str, BoardItem | ArtefactItem | CardItem]
+    items: dict[str, Item]
     material: Material = Material()
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     render: Render = Render()

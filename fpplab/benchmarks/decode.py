@@ -185,6 +185,7 @@ f.X, f.Y, f.D = task["projector"][0], task["projector"][1], 1
 f.K = len(task["stripes"])
 f.v = task["stripes"]
 f.N = task["steps"]
+f.p0 = 0.0
 stack = np.stack([tifffile.imread(p) for p in task["paths"]])
 f.decode(stack[:, :64, :64].copy())
 print("ready", flush=True)

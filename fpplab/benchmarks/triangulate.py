@@ -73,7 +73,7 @@ def _bench() -> Calibration:
     projector = Pinhole.from_focal(
         (912, 1140), (1700.0, 1700.0), (450.0, 600.0), (-0.08, 0.05, -0.001, 0.0009, 0.01)
     )
-    turn = RigidTransform.from_vectors(np.array([0.01, np.arctan2(150.0, 450.0), 0.005]), np.zeros(3))
+    turn = RigidTransform.from_vectors(np.array([0.01, -np.arctan2(150.0, 450.0), 0.005]), np.zeros(3))
     place = np.array([-150.0, 4.0, 6.0])
     return Calibration(camera, projector, RigidTransform(turn.rotation, -turn.rotation @ place), {})
 
@@ -82,8 +82,10 @@ def _scene(calibration: Calibration) -> tuple[_Maps, Floats, Floats]:
     """A waved surface: what decoding gives, and the same as pixels (N, 2) and coordinates (N, 2)."""
     a, b = reconstruction.camera_slopes(calibration.camera)
     z = 450.0 + 15.0 * np.sin(40.0 * a) * np.cos(30.0 * b) + 40.0 * a
-    seen = calibration.projector.project(np.stack([a * z, b * z, z], axis=-1), calibration.T_projector_camera)
-    seen = seen.astype(np.float32)
+    exact = calibration.projector.project(
+        np.stack([a * z, b * z, z], axis=-1), calibration.T_projector_camera
+    )
+    seen: Map = exact.astype(np.float32)
     inside = ((seen >= -0.5) & (seen <= np.array(calibration.projector.size) - 0.5)).all(axis=-1)
     seen[~inside] = np.nan
     v, u = np.nonzero(inside)

@@ -65,7 +65,7 @@ def add_projector(scene: Any, lamp: Lamp, texture: NDArray[np.float32] | None) -
     surface it falls on shows where it is lit from and how brightly. Direct light is linear in the tint.
     """
     light = bpy.data.lights.new("projector", "SPOT")
-    light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, math.radians(175)
+    light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle
     light.energy = 4 * math.pi**2 * lamp.distance_mm**2
     item = bpy.data.objects.new("projector", light)
     # A light looks along -z with y up.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import mmap
 import os
 import select
-import signal
 import sys
 import threading
 import warnings
@@ -73,7 +72,6 @@ def _end_with(socket: int) -> None:
 
 def main(arguments: list[str]) -> None:
     """Serve on the inherited socket and memory named by their descriptors."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interruption means
     socket, memory = map(int, arguments)
     warnings.simplefilter("ignore", DeprecationWarning)
     _end_with(socket)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ FLAT = FringeSet(axis="x", stripes=0.01, steps=4)
 COLUMNS = FringeSet(axis="x", stripes=4, steps=4)
 ROWS = FringeSet(axis="y", stripes=4, steps=4)
 
-WHITE, BLACK = 0, 2
+WHITE, GREY, BLACK = 0, 1, 2
 DISTINCT = (0, 2, 4, 5, 6, 7, 8, 9, 10, 11)
 """Indices of patterns that no two look alike."""
 
@@ -32,8 +33,10 @@ def dim_plan(rig: Rig) -> Plan:
 
 
 def patterns_for(rig: Rig) -> list[Pattern]:
+    """The patterns of the plan, for a test to keep or to spoil."""
     caps = rig.projector.caps
-    return make_patterns(dim_plan(rig), caps.size, caps.lattice)
+    made = make_patterns(dim_plan(rig), caps.size, caps.lattice)
+    return [replace(pattern, image=pattern.image.copy()) for pattern in made]
 
 
 def devices_of(rig: Rig) -> list[Device]:

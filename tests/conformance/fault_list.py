@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-DEVICES = "fpplab/devices.py"
+DEVICE = "fpplab/devices/device.py"
+CAMERA_BASE = "fpplab/devices/camera.py"
+PROJECTOR_BASE = "fpplab/devices/projector.py"
+STAGE_BASE = "fpplab/devices/stage.py"
+FIXTURE_BASE = "fpplab/devices/fixture.py"
 ACQUISITION = "fpplab/acquisition.py"
 RIG = "fpplab/rig.py"
 REPLAY = "fpplab/replay.py"
@@ -25,94 +29,102 @@ class Fault:
 LIFE = [
     Fault(
         "a foreign exception is swallowed",
-        DEVICES,
+        DEVICE,
         "            self._fault()\n            raise DeviceError(\n",
         "            self._fault()\n            return\n            raise DeviceError(\n",
     ),
     Fault(
         "a foreign exception passes as it is",
-        DEVICES,
+        DEVICE,
         "        except Exception as error:\n            self._fault()",
         "        except ZeroDivisionError as error:\n            self._fault()",
     ),
     Fault(
         "a fault does not last",
-        DEVICES,
+        DEVICE,
         "            self._state = State.FAULT\n",
         "            self._state = State.IDLE\n",
     ),
     Fault(
         "closing twice is refused",
-        DEVICES,
+        DEVICE,
         "        if self._state is State.CLOSED:\n            return\n",
         '        self._need(State.IDLE, State.ARMED, State.FAULT, doing="close")\n',
     ),
     Fault(
         "a failed closing leaves it open",
-        DEVICES,
+        DEVICE,
         "                self._close()\n        finally:\n",
         "                self._close()\n        except KeyError:\n            raise\n        else:\n",
     ),
     Fault(
         "a failed opening counts as one",
-        DEVICES,
+        DEVICE,
         "            self._close_quietly()\n            raise\n",
         "            self._close_quietly()\n            self._state = State.IDLE\n            raise\n",
     ),
     Fault(
         "opening twice is accepted",
-        DEVICES,
+        DEVICE,
         '        if self._state is not State.CLOSED:\n            raise StateError(self.name, "open"',
         '        if self._state is State.FAULT:\n            raise StateError(self.name, "open"',
     ),
-    Fault("what was known survives a closing", DEVICES, "        self._forget()\n", ""),
+    Fault("what was known survives a closing", DEVICE, "        self._forget()\n", ""),
 ]
 
 CAMERA = [
     Fault(
         "the exposure is clamped",
-        DEVICES,
+        CAMERA_BASE,
         '        self._within("exposure_s", settings.exposure_s, caps.exposure_s, "s")\n',
         "        least, most = caps.exposure_s\n"
         "        settings = replace(settings, exposure_s=min(max(settings.exposure_s, least), most))\n",
     ),
     Fault(
         "the gain is not checked",
-        DEVICES,
+        CAMERA_BASE,
         '        self._within("gain_db", settings.gain_db, caps.gain_db, "dB")\n',
         "",
     ),
     Fault(
-        "the bits are not checked", DEVICES, "if settings.bits not in caps.bits:", "if settings.bits > 16:"
+        "the bits are not checked",
+        CAMERA_BASE,
+        "if settings.bits not in caps.bits:",
+        "if settings.bits > 16:",
     ),
     Fault(
         "settings are returned as asked for",
-        DEVICES,
+        CAMERA_BASE,
         "        return self._settings\n\n    @final\n    def arm",
         "        return settings\n\n    @final\n    def arm",
     ),
     Fault(
         "armed after the last frame",
-        DEVICES,
+        CAMERA_BASE,
         "if self._taken == self._awaited:",
         "if self._taken > self._awaited:",
     ),
     Fault(
         "armed after a stop",
-        DEVICES,
+        CAMERA_BASE,
         "            self._stop()\n        self._state = State.IDLE\n",
         "            self._stop()\n",
     ),
     Fault(
-        "arming while armed", DEVICES, '(State.IDLE, doing="arm")', '(State.IDLE, State.ARMED, doing="arm")'
+        "arming while armed",
+        CAMERA_BASE,
+        '(State.IDLE, doing="arm")',
+        '(State.IDLE, State.ARMED, doing="arm")',
     ),
     Fault(
         "a lost frame is not noticed",
-        DEVICES,
+        CAMERA_BASE,
         "if frame.index != self._taken:",
         "if frame.index < self._taken:",
     ),
-    Fault("a trigger that is not there", DEVICES, "if trigger not in self.caps.triggers:", "if not trigger:"),
+    Fault(
+        "a trigger that is not there", CAMERA_BASE, "if trigger not in self.caps.triggers:", "if not trigger:"
+    ),
     Fault("a frame is dropped", REFERENCE, "self._count += 1", "self._count += 2"),
     Fault(
         "a frame is repeated",
@@ -134,53 +146,53 @@ CAMERA = [
 PROJECTOR = [
     Fault(
         "one pattern too far",
-        DEVICES,
+        PROJECTOR_BASE,
         "if not 0 <= i < len(self._loaded):",
         "if not 0 <= i <= len(self._loaded):",
     ),
     Fault(
         "patterns from the end",
-        DEVICES,
+        PROJECTOR_BASE,
         "if not 0 <= i < len(self._loaded):",
         "if not i < len(self._loaded):",
     ),
     Fault(
         "patterns of any size",
-        DEVICES,
+        PROJECTOR_BASE,
         "if pattern.image.shape != (height, width) or",
         "if",
     ),
-    Fault("patterns of any kind", DEVICES, " or pattern.image.dtype != np.uint8:", ":"),
+    Fault("patterns of any kind", PROJECTOR_BASE, " or pattern.image.dtype != np.uint8:", ":"),
     Fault(
         "patterns of any depth",
-        DEVICES,
+        PROJECTOR_BASE,
         "if pattern.bit_depth not in caps.bit_depths:",
         "if not pattern.bit_depth:",
     ),
     Fault(
         "too many patterns",
-        DEVICES,
+        PROJECTOR_BASE,
         "if not 1 <= len(patterns) <= caps.max_patterns:",
         "if not 1 <= len(patterns):",
     ),
     Fault(
         "half a load",
-        DEVICES,
+        PROJECTOR_BASE,
         "        for pattern in patterns:\n            self._check_pattern(pattern, caps)\n",
         "        for pattern in patterns:\n            self._check_pattern(pattern, caps)\n"
         "            self._loaded = (*self._loaded, pattern)\n",
     ),
-    Fault("patterns are not copied", DEVICES, "replace(pattern, image=pattern.image.copy())", "pattern"),
+    Fault("patterns are not copied", PROJECTOR_BASE, "pattern.image.copy()", "pattern.image.view()"),
     Fault(
         "playing without a trigger output",
-        DEVICES,
+        PROJECTOR_BASE,
         "if not caps.trigger_outputs:",
         "if caps.trigger_outputs < 0:",
     ),
-    Fault("playing too fast", DEVICES, "if not exposure_s >= least:", "if exposure_s < 0:"),
+    Fault("playing too fast", PROJECTOR_BASE, "if not exposure_s >= least:", "if exposure_s < 0:"),
     Fault(
         "shown while it plays",
-        DEVICES,
+        PROJECTOR_BASE,
         "            self._play(exposure_s)\n        self._state = State.ARMED\n",
         "            self._play(exposure_s)\n",
     ),
@@ -216,27 +228,27 @@ PROJECTOR = [
 ]
 
 STAGE_AND_FIXTURE = [
-    Fault("moves without homing", DEVICES, "if not self._homed:", "if self._homed is None:"),
+    Fault("moves without homing", STAGE_BASE, "if not self._homed:", "if self._homed is None:"),
     Fault(
         "moves are clamped",
-        DEVICES,
+        STAGE_BASE,
         "        if not least <= mm <= most:\n",
         "        mm = min(max(mm, least), most)\n        if not least <= mm <= most:\n",
     ),
     Fault(
         "the position asked for is returned",
-        DEVICES,
+        STAGE_BASE,
         "time.monotonic() + timeout_s)\n            return self._position_mm()",
         "time.monotonic() + timeout_s)\n            return mm",
     ),
     Fault(
         "a halt keeps the reference",
-        DEVICES,
+        STAGE_BASE,
         'doing="halt")\n        self._homed = False\n',
         'doing="halt")\n',
     ),
-    Fault("any item", DEVICES, "if item not in items:", "if not item:"),
-    Fault("one pose too many", DEVICES, "and pose >= poses):", "and pose > poses):"),
+    Fault("any item", FIXTURE_BASE, "if item not in items:", "if not item:"),
+    Fault("one pose too many", FIXTURE_BASE, "and pose >= poses):", "and pose > poses):"),
 ]
 
 IN_STEP = [

@@ -11,13 +11,14 @@ import yaml
 
 from tests.system.conftest import Command, Demo
 
+COMPARED = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "completeness"}
 ARTEFACTS = ("pyramid", "pillars", "steps")
 
 
 def test_demo_answers_every_key_of_the_design(demo: Demo) -> None:
     keys = {"gamma", "characterisation", "scans", "mean_surface_smcd_um", "seconds", "report"}
     assert keys <= demo.answer.keys()
-    scan_keys = {"artefact", "images", "points", "smcd_um", "smcd_floor_um", "surface_smcd_um", "surface_rms_um", "completeness"}  # fmt: skip
+    scan_keys = {"artefact", "images", "points", "surface_rms_um", *COMPARED}
     for scan in demo.answer["scans"]:
         assert scan_keys <= scan.keys()
     assert [s["artefact"] for s in demo.answer["scans"]] == list(ARTEFACTS)
@@ -80,8 +81,7 @@ def test_compare_gives_the_demo_s_figures(fpplab: Command, demo: Demo, tmp_path:
     picture = tmp_path / "errors.png"
     done = fpplab("compare", scan / "cloud.ply", scan / "truth.stl", "--align", "--out", picture, "--json")
     assert done.code == 0, done.err
-    keys = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "surface_rms_um", "surface_p95_um", "completeness", "outliers"}  # fmt: skip
-    assert keys <= done.json.keys()
+    assert {"surface_rms_um", "surface_p95_um", "outliers", *COMPARED} <= done.json.keys()
     expected = demo.answer["scans"][0]["surface_rms_um"]
     assert done.json["surface_rms_um"] == pytest.approx(expected, rel=0.02)
     assert picture.read_bytes().startswith(b"\x89PNG")

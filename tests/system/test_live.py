@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +35,14 @@ SIZE, MIRRORS = (64, 48), (90, 70)
 PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1.0, steps=3), FringeSet(axis="x", stripes=6.0, steps=4)))
 
 
-def patterns() -> list[Pattern]:
+def patterns() -> Sequence[Pattern]:
     return make_patterns(PLAN, MIRRORS, Lattice.SQUARE)
 
 
 def frame(index: int, bits: int = 8) -> Frame:
     """The camera sees the middle of the projector's image, pixel by pixel, at half its brightness."""
     pattern = patterns()[index]
-    image = pattern.image[: SIZE[1], : SIZE[0]] // 2 + 20
+    image: Any = pattern.image[: SIZE[1], : SIZE[0]] // 2 + 20
     image = image if bits == 8 else image.astype(np.uint16) << (bits - 8)
     return Frame(image, index, CameraSettings(0.02, 0.0, bits), 0.0, None, pattern.id)
 
@@ -138,7 +138,7 @@ def test_devices_stand_where_the_calibration_says(recording: Recording) -> None:
         by_columns = np.array(recording.value(entity, "PinholeProjection")).reshape(3, 3)
         expected = device.matrix.copy()
         expected[:2, 2] += 0.5
-        assert by_columns.T == pytest.approx(expected, rel=1e-6)
+        assert pytest.approx(expected, rel=1e-6) == by_columns.T
         assert recording.value(entity, "Resolution") == list(device.size)
         rotation = np.array(recording.value(entity, "TransformMat3x3")).reshape(3, 3).T
         assert rotation == pytest.approx(pose.rotation, abs=1e-6)

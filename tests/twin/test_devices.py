@@ -15,7 +15,7 @@ from fpplab.devices import CameraSettings
 from fpplab.errors import CapabilityError, ConfigError, LimitError, SettingError
 from fpplab.patterns import Pattern, uniform_patterns
 from sim.devices import DARK, SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
-from tests.twin.conftest import plain
+from tests.twin.conftest import plain, world
 
 
 def write_world(folder: Path, data: dict[str, Any]) -> str:
@@ -32,8 +32,8 @@ def write_world(folder: Path, data: dict[str, Any]) -> str:
 class Bench:
     """The whole rig, open."""
 
-    def __init__(self, world: str) -> None:
-        self.shared = VirtualBench({"world": world})
+    def __init__(self, file: str) -> None:
+        self.shared = VirtualBench({"world": file})
         self.camera = SimCamera("camera", {}, self.shared)
         self.projector = SimProjector("projector", {}, self.shared)
         self.stage = SimStage("stage", {}, self.shared)
@@ -122,7 +122,7 @@ def test_stage_carries_the_projector_along_the_baseline(bench: Bench) -> None:
     bench.projector.load([Pattern("edge", edge)])
     bench.projector.show(0)
     bench.stage.home()
-    world = bench.shared.world
+    of = bench.shared.world
     pose = bench.fixture.pose("card")
     assert pose is not None
     for position in (0.0, -30.0):
@@ -130,16 +130,36 @@ def test_stage_carries_the_projector_along_the_baseline(bench: Bench) -> None:
         image = bench.camera.snap().image.astype(float)
         row = image[64] > image[64].max() / 2
         column = int(np.argmax(row)) if not row[0] else int(np.argmin(row))
-        ray = np.append(world.camera_model().normalise(np.array([column - 0.5, 64.0])), 1.0)
+        ray = np.append(of.camera_model().normalise(np.array([column - 0.5, 64.0])), 1.0)
         normal = pose.rotation[:, 2]
         point = ray * (normal @ pose.translation) / (normal @ ray)
-        u = world.projector_model().project(point[None], world.T_projector_camera(position))[0, 0]
+        u = of.projector_model().project(point[None], of.T_projector_camera(position))[0, 0]
         # The edge lies between mirrors, at 455.5 or half a mirror on; a camera pixel spans 2 mirrors here.
         assert abs(u - 455.75) < 2.5
     bench.stage.move_to(0.0)
     bench.projector.load(uniform_patterns([0, 128, 255], bench.projector.caps.size))
     with pytest.raises(LimitError):
         bench.stage.move_to(1000.0)
+
+
+def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
+    """A changed response or sensor needs no render; a changed pose does."""
+    bench.fixture.mount("card")
+    bench.projector.show(1)
+    before = bench.camera.snap().image.astype(float)
+    original, blender = bench.shared.world, bench.shared.blender
+    samples = bench.shared.light.transport(bench.shared.setup)
+    bent = world(projector={**plain()["projector"], "response": {"a": 1.0, "b": 0.0, "g": 2.0}})
+    bench.shared.become(bent)
+    assert bench.shared.light.transport(bench.shared.setup) is samples
+    black = 0.01 * 4095
+    ratio = (bench.camera.snap().image.mean() - black) / (before.mean() - black)
+    assert abs(ratio - 128 / 255) < 0.002
+    moved = world(projector={**plain()["projector"], "centre_px": [440.0, 1110.0]})
+    bench.shared.become(moved)
+    assert bench.shared.light.transport(bench.shared.setup) is not samples
+    bench.shared.become(original)
+    assert bench.shared.blender is blender
 
 
 def test_projector_shows_what_its_depth_can(bench: Bench) -> None:

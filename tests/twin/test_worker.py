@@ -44,7 +44,8 @@ def gone(pid: int) -> bool:
 
 
 def shared_memory() -> set[str]:
-    return set(os.listdir("/dev/shm"))
+    """Named memory; semaphores are of others."""
+    return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.")}
 
 
 def descriptors() -> int:
@@ -74,7 +75,7 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_i
         with pytest.raises(StateError):
             camera.snap()
         camera.close()
-        bench.light._world = world(render={"subpixels": 1})  # a lighter load, for time's sake
+        bench.become(world())  # a lighter load, for time's sake
         with camera:
             camera.configure(CameraSettings(0.02))
             assert camera.snap().image.max() > 100
@@ -177,6 +178,18 @@ def test_missing_system_library_names_the_package(library: str, package: str) ->
     found, remedy = missing_library(said) or ("", "")
     assert library.partition(".")[0] in found
     assert remedy == f"run: apt-get install {package}"
+
+
+def test_blender_that_cannot_start_for_want_of_a_library_says_so_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = tmp_path / "python"
+    said = "ImportError: libSM.so.6: cannot open shared object file: No such file or directory"
+    broken.write_text(f"#!/bin/sh\necho '{said}' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(broken))
+    with pytest.raises(DeviceError, match=r"library libSM, which is missing; run: apt-get install libsm6$"):
+        Blender("bench").start()
 
 
 def test_only_a_missing_library_is_taken_for_one() -> None:

@@ -53,7 +53,7 @@ def test_another_sensor_is_refused() -> None:
 def test_another_projector_is_refused() -> None:
     CALIBRATION.check_projector((912, 1140), "s")
     with pytest.raises(
-        CalibrationError, match="s: projector patterns are 1140 x 912 but .* 912 x 1140"
+        CalibrationError, match=r"s: projector patterns are 1140 x 912 but .* 912 x 1140"
     ) as caught:
         CALIBRATION.check_projector((1140, 912), "s")
     assert caught.value.exit_code == 5

@@ -136,7 +136,7 @@ def test_words_that_look_like_something_else_stay_words(word: str) -> None:
 
 
 def test_every_kind_of_error_has_its_exit_code() -> None:
-    codes = {
+    codes: dict[type[errors.FppError], int] = {
         errors.ConfigError: 2,
         errors.DeviceError: 3,
         errors.SyncError: 3,

@@ -69,7 +69,7 @@ def test_mirrors_of_a_square_lattice_lie_on_their_indices() -> None:
 
 def test_odd_rows_of_a_diamond_lattice_are_shifted_by_half_a_column() -> None:
     u, v = mirror_centres((3, 3), Lattice.DIAMOND)
-    np.testing.assert_array_equal(u, [[0, 1, 2], [0.5, 1.5, 2.5], [0, 1, 2]])
+    np.testing.assert_array_equal(u, [[0.0, 1.0, 2.0], [0.5, 1.5, 2.5], [0.0, 1.0, 2.0]])
     np.testing.assert_array_equal(v, [[0, 0, 0], [1, 1, 1], [2, 2, 2]])
 
 

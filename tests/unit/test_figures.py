@@ -38,7 +38,7 @@ def cloud(with_pixels: bool = True) -> Any:
 def tilted(slope_x: float, slope_y: float) -> NDArray[np.float32]:
     """A plane (h, w, 3) that goes away from the camera by these slopes."""
     v, u = np.mgrid[0.0:40.0, 0.0:50.0]
-    return np.stack([u, v, 400 + slope_x * u + slope_y * v], axis=-1).astype(np.float32)
+    return np.asarray(np.stack([u, v, 400 + slope_x * u + slope_y * v], axis=-1), np.float32)
 
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.5, 0.0), (0.0, -0.7), (-0.4, 0.9)])
@@ -100,7 +100,7 @@ def test_errors_that_cannot_be_drawn_are_refused(distances: NDArray[np.float64])
 
 @pytest.mark.parametrize(("bits", "full"), [(8, 255), (10, 1023), (12, 4095)])
 def test_saturated_pixels_are_marked_at_any_depth(bits: int, full: int) -> None:
-    image = np.full((48, 64), full - 1, np.uint16 if bits > 8 else np.uint8)
+    image: Any = np.full((48, 64), full - 1, np.uint16 if bits > 8 else np.uint8)
     alarm = np.array([int(figures.ALARM[i : i + 2], 16) for i in (1, 3, 5)])
 
     def marked() -> int:
@@ -200,5 +200,21 @@ def test_block_means_of_a_constant_are_that_constant(level: float, holes: int, c
 
 
 def test_block_means_need_half_a_block() -> None:
-    values = np.array([[1, 3, 5, np.nan], [1, 3, np.nan, np.nan]], np.float32)
-    assert np.array_equal(block_mean(values, 2), np.array([[2.0, np.nan]], np.float32), equal_nan=True)
+    nan = np.nan
+    values = np.array([[1, 3, 5, nan, 4, nan], [1, 3, nan, nan, 6, nan]], np.float32)
+    assert np.array_equal(block_mean(values, 3), np.array([[2.0, nan, 5.0]], np.float32), equal_nan=True)
+
+
+@pytest.mark.parametrize("points", [1, 2, 1500])
+def test_a_line_of_points_is_drawn(points: int) -> None:
+    pixels = np.stack([np.arange(points), np.full(points, 7)], axis=1).astype(np.int32)
+    line = SimpleNamespace(points=np.full((points, 3), 400, np.float32), pixels=pixels)
+    for png in (figures.relief(line), figures.depth(line), figures.error_map(line, np.full(points, 0.01))):
+        assert rgb(png).std() > 5
+
+
+def test_scattered_pixels_need_no_contours() -> None:
+    values = np.full((800, 1200), np.nan, np.float32)
+    values[::40, ::40] = 5.0
+    values[0, 0] = 300.0
+    assert rgb(figures.coordinate(values, "x")).std() > 5

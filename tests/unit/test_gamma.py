@@ -50,8 +50,8 @@ def test_residual_is_the_rms_misfit() -> None:
 
 def test_uncertain_levels_count_less() -> None:
     levels, sigma = seen(), np.full(18, 0.001)
-    levels[5] += 0.05
-    sigma[5] = 0.5
+    levels[14] += 0.05
+    sigma[14] = 0.5
     assert fit_response(SHOWN, levels, sigma).g == pytest.approx(2.2, abs=1e-3)
     assert abs(fit_response(SHOWN, levels).g - 2.2) > 0.02
 

@@ -94,8 +94,8 @@ def test_repeats_and_stripes_lower_the_uncertainty():
     ("change", "kept"),
     [
         ({}, True),
-        ({"modulation": 3.9}, False),
-        ({"modulation": 4.0}, True),
+        ({"modulation": 3.9, "offset": 30.0, "misfit": 0.5}, False),
+        ({"modulation": 4.0, "offset": 30.0, "misfit": 0.5}, True),
         ({"offset": 401.0}, False),
         ({"misfit": 10.1}, False),
         ({"misfit": 10.0}, True),

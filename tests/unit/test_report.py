@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pixels
 
+from fpplab import figures
 from fpplab.calibration import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.clouds import Cloud
@@ -219,6 +220,21 @@ def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
     assert "SMCD in µm" not in page.cells
 
 
+def test_only_points_that_count_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def drawn(*given: Any) -> bytes:
+        seen.append(given)
+        return b""
+
+    monkeypatch.setattr(figures, "error_map", drawn)
+    one = scan()
+    assert one.comparison is not None
+    one.comparison.counted[:5] = False
+    write_report(tmp_path / "scan.html", "Scan", scans=[one])
+    assert [given[2].sum() for given in seen] == [len(one.cloud) - 5]
+
+
 def test_a_characterisation_alone(tmp_path: Path) -> None:
     path = tmp_path / "characterisation.html"
     write_report(path, "Characterisation", characterisation=characterisation())
@@ -231,9 +247,9 @@ def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_report(tmp_path / "file" / "report.html", "Scan")
     old = tmp_path / "report.html"
     old.write_text("old")
+    broken = scan(truth=False)
+    broken.decoded.modulation[:] = np.nan
     with pytest.raises(DataError, match="no measured pixel"):
-        broken = scan(truth=False)
-        broken.decoded.modulation[:] = np.nan
         write_report(old, "Scan", scans=[broken])
     assert old.read_text() == "old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "report.html"]

@@ -52,7 +52,7 @@ def test_heterodyne_rungs_are_the_beats_and_the_sets():
         (
             [8, 64],
             "hierarchical",
-            r"f\.yaml: 'fringes' along x .* 8, 64 .*at most 1 stripe, .* is 8; add one",
+            r"f\.yaml: 'fringes' along x .* 8, 64 .*at most 1 stripe, .* is 8; add",
         ),
         ([10, 20, 30], "heterodyne", r"f\.yaml: .* 10, 20, 30 stripes: heterodyne .* they stop at 10; for"),
         ([60, 64], "heterodyne", r"beats of neighbours that reach at most 1 stripe, and they stop at 4"),

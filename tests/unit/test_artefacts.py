@@ -1,0 +1,84 @@
+"""The artefacts are closed bodies of known volume, placed as the twin expects them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpplab import artefacts
+from fpplab.artefacts import Pillars, Pyramid, Steps
+from fpplab.clouds import load_mesh
+from fpplab.errors import ConfigError
+
+POLYGON = artefacts.ROUND / 2 * np.sin(2 * np.pi / artefacts.ROUND)
+"""Area of the pillars' outline for a radius of one."""
+
+
+def expected_volume(name: str) -> float:
+    if name == "steps":
+        return 90.0 * 70.0 / 5 * (5 + 10 + 15 + 20 + 25)
+    if name == "pyramid":  # a plate and a prismatoid whose sides go in by the same share
+        foot, top = 80.0 * 60.0, 8.0 * 6.0
+        return 90 * 70 * 5 + 20.0 / 3 * (foot + top + np.sqrt(foot * top))
+    standing = [(d / 2) ** 2 * (h + i - 5) for i, d in enumerate((6, 9, 12, 15)) for h in (9, 15, 21)]
+    return 90 * 70 * 5 + POLYGON * sum(standing)
+
+
+@pytest.mark.parametrize("name", artefacts.NAMES)
+def test_artefact_is_one_closed_body_facing_outwards(name: str) -> None:
+    mesh = artefacts.make(name)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.body_count == 1
+    assert mesh.area_faces.min() > 0.0
+    assert mesh.volume == pytest.approx(expected_volume(name), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", artefacts.NAMES)
+def test_artefact_stands_on_its_base_in_the_middle(name: str) -> None:
+    low, high = artefacts.make(name).bounds
+    assert low == pytest.approx([-45.0, -35.0, 0.0])
+    assert high[:2] == pytest.approx([45.0, 35.0])
+    assert 20.0 <= high[2] <= 25.0
+
+
+def test_steps_rise_along_x() -> None:
+    mesh = artefacts.make("steps")
+    up = mesh.face_normals[:, 2] > 0.5
+    treads = mesh.triangles_center[up]
+    order = np.argsort(treads[:, 0])
+    assert (np.diff(treads[order, 2]) >= 0.0).all()
+    assert sorted(set(np.round(treads[:, 2], 6))) == [5, 10, 15, 20, 25]
+
+
+def test_stl_is_read_back_as_the_same_body(tmp_path: Path) -> None:
+    mesh = artefacts.make("pillars")
+    artefacts.save_stl(mesh, tmp_path / "pillars.stl")
+    read = load_mesh(tmp_path / "pillars.stl")
+    assert read.is_watertight
+    assert read.volume == pytest.approx(mesh.volume, rel=1e-6)
+
+
+def test_unknown_artefact_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="pyramid, pillars, steps"):
+        artefacts.make("cube")
+
+
+@pytest.mark.parametrize(
+    ("build", "field"),
+    [
+        (lambda: Pyramid(top=(90.0, 6.0)), "top"),
+        (lambda: Pyramid(thickness=30.0), "thickness"),
+        (lambda: Pyramid(height=float("nan")), "height"),
+        (lambda: Pillars(diameters=(30.0, 9.0, 9.0, 9.0)), "diameters"),
+        (lambda: Pillars(heights=(4.0, 9.0)), "thickness"),
+        (lambda: Steps(heights=(5.0, 5.0)), "heights"),
+        (lambda: Steps(heights=()), "heights"),
+        (lambda: Steps(footprint=(-1.0, 2.0)), "footprint"),
+    ],
+)
+def test_impossible_shapes_are_refused_by_field(build: object, field: str) -> None:
+    with pytest.raises(ConfigError, match=field):
+        build()  # type: ignore[operator]
