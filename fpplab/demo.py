@@ -26,7 +26,7 @@ from fpplab.report import ScanSection, write_report
 from fpplab.rig import Rig
 from fpplab.targets import Target
 
-POSES = 15
+POSES = 12
 TRUTH, RESULT, REPORT = "truth.stl", "demo.json", "report.html"
 
 

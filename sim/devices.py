@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from fpplab.devices import (
@@ -62,12 +63,12 @@ class VirtualBench:
         self.world = World.load(options["world"])
         self.blender = Blender("bench")
         self.light = Light(self.world, self.blender)
-        self.setup = Setup()
+        self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
 
     def open(self) -> None:
-        """Start from an empty bench, dark."""
-        self.setup, self.show = Setup(), None
+        """Start with what the world has mounted, dark."""
+        self.setup, self.show = Setup(self.world.mounted), None
 
     def close(self) -> None:
         """End the Blender process and let go of every picture; legal any number of times."""
@@ -138,6 +139,14 @@ class SimCamera(Camera):
         """Nothing is under way between calls."""
 
 
+def _shown(pattern: Pattern) -> Pattern:
+    return replace(pattern, image=quantise(pattern.image / 255.0, pattern.bit_depth))
+
+
+# What cannot change need not be quantised twice; the same pattern also finds its texture again.
+_shown_again = lru_cache(maxsize=128)(_shown)
+
+
 class SimProjector(Projector):
     """The world's projector. It has no trigger output yet, so it shows patterns one by one."""
 
@@ -161,7 +170,7 @@ class SimProjector(Projector):
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         self._bench.show = None
-        return [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
+        return [_shown(p) if p.image.flags.writeable else _shown_again(p) for p in patterns]
 
     def _show(self, i: int) -> None:
         self._bench.show = Show(self._loaded, i)
@@ -215,10 +224,9 @@ class SimFixture(Fixture):
 
     def _open(self) -> None:
         self._held = {name: item_poses(self._bench.world, name) for name in self._bench.world.items}
-        self._mount("nothing", 0)
 
     def _close(self) -> None:
-        self._mount("nothing", 0)
+        """It goes on holding what it holds."""
 
     def _info(self) -> DeviceInfo:
         boards = sum(isinstance(item, BoardItem) for item in self._bench.world.items.values())

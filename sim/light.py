@@ -55,6 +55,30 @@ class Show:
         return self.patterns[self.index]
 
 
+class Kept:
+    """Pictures from before; when they are more than `KEEP_BYTES` the longest unused go."""
+
+    def __init__(self) -> None:
+        self._pictures: OrderedDict[tuple[object, ...], Picture] = OrderedDict()
+
+    def get(self, key: tuple[object, ...], make: Callable[[], Picture]) -> Picture:
+        """The picture of that key, made if it is not there."""
+        if key not in self._pictures:
+            self._pictures[key] = make()
+        self._pictures.move_to_end(key)
+        while len(self._pictures) > 1 and sum(p.nbytes for p in self._pictures.values()) > KEEP_BYTES:
+            self._pictures.popitem(last=False)
+        return self._pictures[key]
+
+    def take(self, other: Kept, wanted: Callable[[tuple[object, ...]], bool]) -> None:
+        """Share the wanted ones of another."""
+        self._pictures.update({key: p for key, p in other._pictures.items() if wanted(key)})
+
+    def clear(self) -> None:
+        """Let go of all."""
+        self._pictures.clear()
+
+
 @dataclass(frozen=True, eq=False)
 class Basis:
     """Light levels of patterns as sums: `level_n = Σ_c weights[n, c] channels[c]`.
@@ -72,7 +96,8 @@ class Light:
     def __init__(self, world: World, blender: Blender) -> None:
         self._world, self._blender = world, blender
         self._texture = world.projector.texture()
-        self._kept: OrderedDict[tuple[object, ...], Picture] = OrderedDict()
+        self._kept = Kept()
+        self._textures = Kept()
         self._basis: tuple[tuple[Pattern, ...], Basis] | None = None
         self._scene: tuple[Setup, Scene] | None = None
 
@@ -100,24 +125,27 @@ class Light:
 
     def transport(self, setup: Setup) -> Picture:
         """For every sub-pixel (sub-pixels, height, width, 4): texture column and row, shade, reflectance."""
-        return self._keep((setup, None), lambda: self._painted(setup))
+        return self._kept.get((setup, None), lambda: self._painted(setup))
 
     def inherit(self, other: Light) -> None:
         """Take over the samples of another world that differs in nothing that they depend on."""
         if _optical(self._world) == _optical(other._world):
-            self._kept.update({key: kept for key, kept in other._kept.items() if key[1] is None})
+            self._kept.take(other._kept, lambda key: key[1] is None)
 
     def forget(self) -> None:
         """Let go of every picture."""
         self._kept.clear()
+        self._textures.clear()
 
     def _projected(self, setup: Setup, show: Show) -> Picture:
         if self.path == "transport":
-            texture = self._texture.spread(self._levels(show.pattern))
+            texture = self._textures.get(
+                (show.pattern,), lambda: self._texture.spread(self._levels(show.pattern))
+            )
             return look_up(texture, self.transport(setup), self._texture.exact)
         if self.path == "linear":
             basis = self._basis_of(show.patterns)
-            pictures = self._keep((setup, basis), lambda: self._rendered(setup, basis.channels))
+            pictures = self._kept.get((setup, basis), lambda: self._rendered(setup, basis.channels))
             weights = basis.weights[show.index].astype(np.float32)
             return np.asarray(np.einsum("c,cvu->vu", weights, pictures), np.float32)
         picture: Picture = self._rendered(setup, self._levels(show.pattern)[None])[0]
@@ -164,15 +192,6 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(shifts) * effort.samples * (1 + effort.bounces)
         return self._blender.render(self._scene[1], texture, shifts, effort, START_S + paths / PATHS_PER_S)
-
-    def _keep(self, key: tuple[object, ...], make: Callable[[], Picture]) -> Picture:
-        """The picture from before, or a new one; the longest unused go when there are too many."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        self._kept.move_to_end(key)
-        while len(self._kept) > 1 and sum(p.nbytes for p in self._kept.values()) > KEEP_BYTES:
-            self._kept.popitem(last=False)
-        return self._kept[key]
 
 
 def _optical(world: World) -> dict[str, Any]:

@@ -245,13 +245,18 @@ class Render(Document):
 
 
 class World(Document):
-    """The whole bench. items: what the fixture holds, by name. ambient: even light on everything in view."""
+    """The whole bench.
+
+    items: what the fixture can hold, by name. mounted: what it holds at first. ambient: even light on
+    everything in view.
+    """
 
     seed: Annotated[int, Field(ge=0)] = 0
     camera: CameraWorld = CameraWorld()
     projector: ProjectorWorld
     stage: StageWorld = StageWorld()
     items: dict[str, Item]
+    mounted: str = "nothing"
     material: Material = Material()
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     render: Render = Render()
@@ -260,6 +265,8 @@ class World(Document):
     def _names_are_free(self) -> World:
         if "nothing" in self.items:
             raise ValueError("'items' names an item 'nothing', which is the empty fixture's name")
+        if self.mounted not in (*self.items, "nothing"):
+            raise ValueError(f"'mounted' is '{self.mounted}': must be nothing, or one of {', '.join(self.items)}")
         return self
 
     @classmethod

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 
@@ -48,3 +51,19 @@ def in_a_child(work: Callable[[], object]) -> int:
         finally:
             os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+class KillAtLine:
+    """Ends the process by SIGKILL at the n-th line of the code that writes sessions."""
+
+    def __init__(self, n: int) -> None:
+        self.left = n
+
+    def __call__(self, called: FrameType, event: str, argument: Any) -> Any:
+        if not called.f_code.co_filename.endswith(("fpplab/session.py", "fpplab/files.py")):
+            return None
+        if event == "line":
+            self.left -= 1
+            if self.left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return self

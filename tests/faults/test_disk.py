@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import sys
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
 from fpplab.session import FRAMES, JOURNAL, Session
-from tests.faults.recording import PLAN, frame, image_of, in_a_child, record
+from tests.faults.recording import PLAN, KillAtLine, frame, image_of, in_a_child, record
 
 
 class FullAt:
@@ -105,6 +107,23 @@ def test_a_text_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     assert limited(1000, work) == 0
     assert path.read_text() == "old"
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_killed_at_any_line_a_result_is_the_old_or_the_new(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    for n in count():
+        path.write_text("old")
+
+        def work(n: int = n) -> None:
+            sys.settrace(KillAtLine(n))
+            write_text(path, "new, and longer")
+            sys.settrace(None)
+
+        ended = in_a_child(work)
+        assert path.read_text() in ("old", "new, and longer")
+        if ended == 0:
+            break
+    assert n > 8
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import signal
 import sys
 from itertools import count
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ import tifffile
 from fpplab.errors import ConfigError, DataError
 from fpplab.plan import FringeSet, Plan
 from fpplab.session import FRAMES, JOURNAL, Session, recorded_sessions
-from tests.faults.recording import PLAN, frame, image_of, in_a_child, record
+from tests.faults.recording import PLAN, KillAtLine, frame, image_of, in_a_child, record
 
 
 @pytest.fixture(autouse=True)
@@ -50,22 +49,6 @@ def test_a_journal_torn_at_any_byte_of_its_last_line(whole: Path) -> None:
             session = Session.resume(whole, PLAN)
             session.write(frame(3))
             check_whole(session)
-
-
-class KillAtLine:
-    """Ends the process by SIGKILL at the n-th line of the code that writes sessions."""
-
-    def __init__(self, n: int) -> None:
-        self.left = n
-
-    def __call__(self, called: FrameType, event: str, argument: Any) -> Any:
-        if not called.f_code.co_filename.endswith(("fpplab/session.py", "fpplab/files.py")):
-            return None
-        if event == "line":
-            self.left -= 1
-            if self.left < 0:
-                os.kill(os.getpid(), signal.SIGKILL)
-        return self
 
 
 def test_killed_at_any_line_while_a_frame_is_written(tmp_path: Path) -> None:
