@@ -20,7 +20,7 @@ from fpplab.errors import DataError
 from fpplab.geometry import RigidTransform
 
 COARSE_POINTS = 2_000
-FINE_POINTS = 50_000
+FINE_POINTS = 20_000
 COARSE_ROUNDS = 20
 FINE_ROUNDS = 60
 STILL = 1e-7

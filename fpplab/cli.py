@@ -236,7 +236,7 @@ def scan(
     """
     from fpplab import live
     from fpplab.calibration import Calibration
-    from fpplab.measurement import CLOUD, REPORT, finish_scan, take
+    from fpplab.measurement import CLOUD, REPORT, finish_scan, take, write_scan_report
     from fpplab.plan import Plan
     from fpplab.rig import Rig
 
@@ -258,6 +258,7 @@ def scan(
             session = take(bench, wanted, out, force, report, viewer.frame if viewer else lambda frame: None)
         with console.progress("Reconstructing") as report:
             decoded, cloud = finish_scan(session, known, report)
+        write_scan_report(out / REPORT, session, decoded, cloud)
         if viewer:
             viewer.decoded(decoded)
             viewer.cloud(cloud)

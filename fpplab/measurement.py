@@ -7,6 +7,7 @@ of rig it runs on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -88,12 +89,11 @@ def reconstruct(
 def finish_scan(
     session: Session, calibration: Calibration, progress: Progress = nothing
 ) -> tuple[Decoded, Cloud]:
-    """Reconstruct a complete session and leave every result in it, with a report to look at."""
+    """Reconstruct a complete session and leave every result in it."""
     decoded, cloud = reconstruct(session, calibration, progress)
     decoded.save(session.path / DECODED)
     save_cloud(cloud, session.path / CLOUD)
     calibration.save(session.path / CALIBRATION)
-    write_scan_report(session.path / REPORT, session, decoded, cloud)
     return decoded, cloud
 
 
@@ -179,10 +179,11 @@ def measure_response(
     patterns = uniform_patterns(list(greys), rig.projector.caps.size)
     full = (1 << settings.bits) - 1
     levels = []
-    for grey, frame in zip(greys, expose(rig, patterns, settings), strict=True):
-        height, width = frame.image.shape
-        middle = frame.image[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-        levels.append((grey / 255.0, float(middle.mean()) / full))
-        progress(len(levels) / len(greys))
+    with closing(expose(rig, patterns, settings)) as shots:
+        for grey, frame in zip(greys, shots, strict=True):
+            height, width = frame.image.shape
+            middle = frame.image[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
+            levels.append((grey / 255.0, float(middle.mean()) / full))
+            progress(len(levels) / len(greys))
     measured = np.array(levels)
     return fit_response(measured[:, 0], measured[:, 1]), measured
