@@ -24,9 +24,7 @@ def cameras() -> list[DeviceInfo]:
     except ImportError as error:
         raise DeviceError("camera", "devices", f"pylon does not load ({error})", "install pypylon") from error
     found = pylon.TlFactory.GetInstance().EnumerateDevices()
-    return [
-        DeviceInfo("camera", d.GetModelName(), d.GetSerialNumber(), d.GetDeviceClass()) for d in found
-    ]
+    return [DeviceInfo("camera", d.GetModelName(), d.GetSerialNumber(), d.GetDeviceClass()) for d in found]
 
 
 def projectors() -> list[DeviceInfo]:

@@ -319,11 +319,12 @@ def compare(
     SMCD is the paper's point-set distance, given with its floor: what a perfect measurement
     sampled alike would score. The surface figures have no floor.
     """
-    from fpplab import comparison, figures
+    from fpplab import comparison
     from fpplab.calibration import Calibration
     from fpplab.clouds import load_cloud, load_mesh
     from fpplab.files import refuse_existing, write_atomic
     from fpplab.measurement import CALIBRATION
+    from fpplab.report import figures
 
     if out:
         refuse_existing(out, force)

@@ -34,11 +34,11 @@ from fpplab.clouds import Cloud, load_cloud
 from fpplab.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map
 from fpplab.devices import Frame
 from fpplab.errors import DataError, DeviceError
-from fpplab.figures import error_limit
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.patterns import fringe_level, quantise
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.plan import Plan
+from fpplab.report.figures import error_limit
 from fpplab.session import Session
 
 Destination = Literal["window", "browser"] | Path

@@ -1,6 +1,6 @@
 """A fixture that is a person: asks for each item and pose at the terminal.
 
-    fixture: {backend: "fpplab.operator:Operator"}
+fixture: {backend: "fpplab.operator:Operator"}
 """
 
 from __future__ import annotations

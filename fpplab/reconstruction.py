@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from fpplab.calibration import Calibration
 from fpplab.clouds import Cloud
+from fpplab.clouds.pixelgrid import PixelGrid
 from fpplab.conventions import Floats, Map
 from fpplab.errors import DataError
 from fpplab.geometry import Pinhole
-from fpplab.pixelgrid import PixelGrid
 
 PIXEL_TOLERANCE = 1e-9
 """The camera's distortion is inverted until the pixel is met this well, in px."""

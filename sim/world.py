@@ -266,7 +266,9 @@ class World(Document):
         if "nothing" in self.items:
             raise ValueError("'items' names an item 'nothing', which is the empty fixture's name")
         if self.mounted not in (*self.items, "nothing"):
-            raise ValueError(f"'mounted' is '{self.mounted}': must be nothing, or one of {', '.join(self.items)}")
+            raise ValueError(
+                f"'mounted' is '{self.mounted}': must be nothing, or one of {', '.join(self.items)}"
+            )
         return self
 
     @classmethod

@@ -31,7 +31,7 @@ from fpplab.conventions import TWO_PI, Lattice, Map, Mask
 from fpplab.errors import DataError
 from fpplab.patterns import fringe_level
 from fpplab.phase import decode
-from fpplab.phase_kernels import read_all
+from fpplab.phase.kernels import read_all
 from fpplab.plan import FringeSet, Plan
 
 CAMERA = (5472, 3648)

@@ -46,8 +46,7 @@ def test_the_skull_is_reconstructed(
     calibration: tuple[Path, dict],  # type: ignore[type-arg]
     tmp_path: Path,
 ) -> None:
-    from fpplab.clouds import load_cloud
-    from fpplab.reconstruction import local_quadric_distance
+    from fpplab.clouds import load_cloud, local_quadric_distance
 
     skull = tmp_path / "skull"
     done = fpplab(

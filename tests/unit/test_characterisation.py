@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from fpplab import config
-from fpplab.bundle import Problem, Solution, vectors_of
 from fpplab.calibration import Calibration
 from fpplab.characterisation import Observation, characterise, finest_periods, observe
+from fpplab.characterisation.bundle import Problem, Solution, vectors_of
 from fpplab.conventions import Lattice
 from fpplab.errors import CalibrationError
 from fpplab.geometry import Pinhole, RigidTransform

@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fpplab import artefacts
-from fpplab.alignment import align_mesh
 from fpplab.calibration import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import compare, mcd, smcd
+from fpplab.comparison.alignment import align_mesh
+from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.surfaces import distance_to_surface
+from fpplab.comparison.visibility import Shape
 from fpplab.errors import ConfigError, DataError
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.neighbours import nearest
 from fpplab.reconstruction import camera_slopes
-from fpplab.surfaces import distance_to_surface
-from fpplab.visibility import Shape
 
 Array = NDArray[np.float64]
 

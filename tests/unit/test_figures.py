@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
-from fpplab import figures
 from fpplab.errors import DataError
-from fpplab.raster import block_mean, lay, raster
+from fpplab.report import figures
+from fpplab.report.raster import block_mean, lay, raster
 
 SIZE = (64, 48)
 LIGHT = np.array([-0.55, -0.65, -0.8]) / np.linalg.norm([-0.55, -0.65, -0.8])

@@ -12,9 +12,9 @@ from fpplab.conventions import Lattice, axis_length, mirror_centres
 from fpplab.errors import Cancelled, ConfigError, DataError
 from fpplab.patterns import fringe_level
 from fpplab.phase import Decoded, decode, wrapped_phase
-from fpplab.phase_kernels import _turns
+from fpplab.phase.kernels import _turns
+from fpplab.phase.quality import coordinate_uncertainty, measurable, phase_uncertainty
 from fpplab.plan import FringeSet, MaskRules, OrderVote, Plan
-from fpplab.quality import coordinate_uncertainty, measurable, phase_uncertainty
 
 SIZE = (912, 40)
 FULL16 = 65535

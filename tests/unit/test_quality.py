@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fpplab.conventions import phase_steps
-from fpplab.plan import MaskRules
-from fpplab.quality import (
+from fpplab.phase.quality import (
     QUANTISATION,
     coordinate_uncertainty,
     fit_noise,
     measurable,
     phase_uncertainty,
 )
+from fpplab.plan import MaskRules
 
 PIXELS = 20_000
 

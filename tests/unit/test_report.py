@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image as Pixels
 
-from fpplab import figures
 from fpplab.calibration import Calibration
 from fpplab.characterisation import Characterisation
+from fpplab.characterisation.observation import Observation
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.errors import DataError
 from fpplab.gamma import Response
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.observation import Observation
 from fpplab.phase import Decoded, Wrapped
-from fpplab.report import ScanSection, write_report
+from fpplab.report import ScanSection, figures, write_report
 
 SIZE = (64, 48)
 

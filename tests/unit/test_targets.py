@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab import config
-from fpplab.detection import Detection, apply_homography, homography, local_frames
 from fpplab.errors import CalibrationError, ConfigError
 from fpplab.geometry import Pinhole
 from fpplab.targets import Target
+from fpplab.targets.detection import Detection, apply_homography, homography, local_frames
 from tests.unit.boards import plane_homography, pose, render
 
 CIRCLES = {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],

@@ -10,8 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fpplab.errors import ConfigError
+from fpplab.phase.unwrapping import build_ladder, climb, vote_orders
 from fpplab.plan import FringeSet, OrderVote, Plan
-from fpplab.unwrapping import build_ladder, climb, vote_orders
 
 
 def make_plan(stripes, unwrapping="hierarchical", steps=4, axis="x", **more):

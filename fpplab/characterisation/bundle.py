@@ -15,10 +15,10 @@ import numpy as np
 from scipy.linalg import pinvh
 from scipy.optimize import least_squares
 
+from fpplab.characterisation.observation import Observation
 from fpplab.conventions import Floats
 from fpplab.errors import CalibrationError
 from fpplab.geometry import RigidTransform
-from fpplab.observation import Observation
 
 INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 SOFT = 3.0

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.comparison.neighbours import nearest
 from fpplab.conventions import Floats
-from fpplab.neighbours import nearest
 
 Ints = NDArray[np.int64]
 _STEPS = 32

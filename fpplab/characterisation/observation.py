@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.conventions import Floats, Map
-from fpplab.detection import LEAST_POINTS, Detection, homography, local_frames, window
 from fpplab.errors import CalibrationError
 from fpplab.plan import Plan
 from fpplab.targets import Target
+from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded

@@ -12,10 +12,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fpplab import ply
+from fpplab.clouds import ply
+from fpplab.clouds.pixelgrid import PixelGrid
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import write_atomic
-from fpplab.pixelgrid import PixelGrid
 
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
@@ -73,7 +73,7 @@ class Cloud:
     def grid_mesh(self) -> tuple[Points, NDArray[np.int32]]:
         """The surface over the pixel grid, cut at jumps: vertices (N, 3), faces (M, 3) facing the camera.
 
-        The rule that cuts is that of `fpplab.pixelgrid`. Raises `DataError` without pixels.
+        The rule that cuts is that of `fpplab.clouds.pixelgrid`. Raises `DataError` without pixels.
         """
         return self.points, self.grid().faces()
 

@@ -1,7 +1,7 @@
 """Characterisation of a camera and a projector from poses of a board.
 
 Zhang's method for each device, then the pose between them, then everything together
-(`fpplab.bundle`). RMS figures are per point: the root of the mean squared distance in px.
+(`fpplab.characterisation.bundle`). RMS figures are per point: the root of the mean squared distance in px.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fpplab.bundle import INTRINSICS, Solution, adjust, fit_pose, vectors_of
 from fpplab.calibration import Calibration
+from fpplab.characterisation.bundle import INTRINSICS, Solution, adjust, fit_pose, vectors_of
+from fpplab.characterisation.observation import Observation
 from fpplab.conventions import Floats, Lattice
 from fpplab.errors import CalibrationError
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.observation import Observation, finest_periods, observe
 from fpplab.targets import Target
-
-__all__ = ["Characterisation", "Observation", "characterise", "finest_periods", "observe"]
 
 LEAST_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
@@ -71,6 +69,7 @@ class Characterisation:
             "camera": {"rms_px": rms["camera"]},
             "projector": {"rms_px": rms["projector"]},
             "joint_rms_px": rms["joint"],
+            "stereo_rms_px": self.apart_px["stereo"],
             "leave_one_out": None
             if self.leave_one_out_px is None
             else {f"{device}_px": rms for device, rms in self.leave_one_out_px.items()},

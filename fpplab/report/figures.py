@@ -25,7 +25,7 @@ from PIL import Image as Pixels
 
 from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask
 from fpplab.errors import DataError
-from fpplab.raster import CloudLike, block_mean, lay, raster
+from fpplab.report.raster import CloudLike, block_mean, lay, raster
 
 HALF, FULL = 4.8, 9.6
 """Widths in inches of pictures that stand in pairs, and alone."""

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Floats
-from fpplab.detection import Detection, detect
+from fpplab.targets.detection import Detection, detect
 
 Dictionary = Literal[
     "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000",

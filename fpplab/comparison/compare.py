@@ -20,15 +20,15 @@ import igl
 import numpy as np
 import trimesh
 
-from fpplab.alignment import Alignment, align_mesh
 from fpplab.calibration import Calibration
 from fpplab.clouds import Cloud
+from fpplab.clouds.pixelgrid import STEEPEST_DEG
+from fpplab.comparison.alignment import Alignment, align_mesh
+from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.surfaces import distance_to_surface
+from fpplab.comparison.visibility import Shape, in_image
 from fpplab.conventions import Floats, Map, Mask
 from fpplab.errors import ConfigError, DataError
-from fpplab.neighbours import nearest
-from fpplab.pixelgrid import STEEPEST_DEG
-from fpplab.surfaces import distance_to_surface
-from fpplab.visibility import Shape, in_image
 
 DENSITY_PER_MM2 = 200.0
 OUTLIER_MM = 1.0
@@ -101,7 +101,7 @@ def compare(
     """Compare a cloud with the true mesh, both in mm in the camera's frame.
 
     density: of the true mesh's samples per mm², drawn uniformly with `seed`. align: move the mesh
-    onto the cloud first (`fpplab.alignment`). Without a calibration all of the mesh that faces the
+    onto the cloud first (`fpplab.comparison.alignment`). Without a calibration all of the mesh that faces the
     camera counts as visible, and every point of the cloud.
 
     Raises `ConfigError` for a density or length that is not positive, `DataError` when the mesh is

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fpplab.conventions import TWO_PI, Axis, Floats, Map
 from fpplab.errors import ConfigError
-from fpplab.phase_kernels import APART, APART_LEAST, SEAM_SIGMAS
+from fpplab.phase.kernels import APART, APART_LEAST, SEAM_SIGMAS
 from fpplab.plan import Plan
 
 _NEGLIGIBLE = 1e-9

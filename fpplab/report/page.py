@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fpplab import __version__, figures
+from fpplab import __version__
 from fpplab.characterisation import Characterisation
 from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
@@ -25,6 +25,7 @@ from fpplab.conventions import Axis, Floats, Image, Map
 from fpplab.files import write_text
 from fpplab.gamma import Response
 from fpplab.phase import Decoded, Wrapped
+from fpplab.report import figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ def write_report(
 
 
 def _template() -> Any:
-    loader = PackageLoader("fpplab", "templates")
+    loader = PackageLoader("fpplab.report", "templates")
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -21,7 +21,7 @@ from fpplab.conventions import Floats
 from fpplab.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from fpplab.targets import Target
+    from fpplab.targets.target import Target
 
 Shape = Callable[[Floats, Floats, Floats], Floats]
 """A brightness profile of parameters θ at (x, y): its centre is θ[:2], its level and gain are free."""

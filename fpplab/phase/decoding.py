@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, axis_length, phase_steps
 from fpplab.errors import DataError
 from fpplab.files import write_atomic
-from fpplab.phase_kernels import GROUP, Maps, Recipe, decode_pixels
+from fpplab.phase.kernels import GROUP, Maps, Recipe, decode_pixels
+from fpplab.phase.quality import NoiseModel, coordinate_uncertainty, fit_noise, phase_uncertainty
+from fpplab.phase.unwrapping import DOUBTFUL, Ladder, build_ladder, climb, vote_orders
 from fpplab.plan import FringeSet, Plan
-from fpplab.quality import NoiseModel, coordinate_uncertainty, fit_noise, phase_uncertainty
-from fpplab.unwrapping import DOUBTFUL, Ladder, build_ladder, climb, vote_orders
 
 SEAM_PX = 0.05
 """How near the projector's edge, in px and besides its noise, a coordinate may come before

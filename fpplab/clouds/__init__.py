@@ -1,0 +1,5 @@
+"""Measured points: kept, written, read, and seen as a surface over the pixel grid."""
+
+from fpplab.clouds.cloud import Cloud, load_cloud, load_mesh, local_quadric_distance, save_cloud
+
+__all__ = ["Cloud", "load_cloud", "load_mesh", "local_quadric_distance", "save_cloud"]

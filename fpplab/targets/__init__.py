@@ -1,0 +1,6 @@
+"""Boards: what is printed on them, and where their points are in a picture."""
+
+from fpplab.targets.detection import Detection
+from fpplab.targets.target import Target
+
+__all__ = ["Detection", "Target"]
