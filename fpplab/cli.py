@@ -341,6 +341,26 @@ def compare(
 
 
 @app.command()
+def artefact(
+    name: Annotated[str, typer.Argument(help="pyramid, pillars or steps.")],
+    out: Out,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write the true shape of an artefact as STL, in mm: to print it, and to compare with it.
+
+    Example: `fpplab artefact pyramid --out pyramid.stl`
+    """
+    from fpplab import artefacts
+    from fpplab.files import refuse_existing
+
+    refuse_existing(out, force)
+    mesh = artefacts.make(name)
+    artefacts.save_stl(mesh, out)
+    console.answer({"size_mm": mesh.extents.tolist(), "faces": len(mesh.faces), "mesh": str(out)}, json)
+
+
+@app.command()
 def view(
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
     calibration: Annotated[

@@ -8,8 +8,6 @@ from __future__ import annotations
 import ctypes
 import sys
 
-from fpplab.errors import ConfigError
-
 BLENDER = {
     "libX11.so.6": "libx11-6",
     "libSM.so.6": "libsm6",
@@ -31,15 +29,6 @@ def missing(libraries: dict[str, str]) -> list[str]:
     return [package for name, package in libraries.items() if not _loads(name)]
 
 
-def require(libraries: dict[str, str], purpose: str) -> None:
-    """Refuse in one sentence, naming the packages to install: `ConfigError`."""
-    if packages := missing(libraries):
-        raise ConfigError(
-            f"{purpose} needs system libraries that are missing; install them with: "
-            f"sudo apt-get install {' '.join(packages)}"
-        )
-
-
 def _loads(name: str) -> bool:
     try:
         ctypes.CDLL(name)
@@ -49,13 +38,19 @@ def _loads(name: str) -> bool:
 
 
 def main() -> int:
-    """Tell of everything missing; a set-up without USB can still run the virtual bench."""
-    if packages := missing({**BLENDER, **USB}):
+    """Tell of everything missing; without the USB libraries the virtual bench still runs."""
+    blender, usb = missing(BLENDER), missing(USB)
+    if usb:
         sys.stderr.write(
-            "fpplab: system libraries are missing; install them with: "
-            f"sudo apt-get install {' '.join(packages)}\n"
+            "fpplab: a real projector needs a system library that is missing (the virtual bench does not); "
+            f"install it with: sudo apt-get install {' '.join(usb)}\n"
         )
-    return 1 if missing(BLENDER) else 0
+    if blender:
+        sys.stderr.write(
+            "fpplab: Blender needs system libraries that are missing; install them with: "
+            f"sudo apt-get install {' '.join(blender)}\n"
+        )
+    return 1 if blender else 0
 
 
 if __name__ == "__main__":

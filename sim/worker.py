@@ -22,22 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.system import BLENDER
 from sim.scene import CHANNELS, Effort, Scene
 
 START_S = 120.0
 STOP_S = 5.0
-
-PACKAGES = {
-    "libX11": "libx11-6",
-    "libSM": "libsm6",
-    "libICE": "libice6",
-    "libXfixes": "libxfixes3",
-    "libXi": "libxi6",
-    "libXrender": "libxrender1",
-    "libxkbcommon": "libxkbcommon0",
-    "libGL": "libgl1",
-}
-"""Debian's packages of the system libraries that bpy needs."""
 
 
 class Blender:
@@ -193,11 +182,11 @@ class Blender:
 
 def missing_library(said: str) -> tuple[str, str] | None:
     """(found, remedy) when Blender's output tells of a missing system library, else None."""
-    match = re.search(r"(lib\w+)[\w.+-]*\.so[.\d]*: cannot open shared object file", said)
+    match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", said)
     if match is None:
         return None
     library = match.group(1)
-    package = PACKAGES.get(library)
+    package = BLENDER.get(library)
     remedy = f"run: apt-get install {package}" if package else f"install the package that has {library}"
     return f"Blender needs the system library {library}, which is missing", remedy
 

@@ -133,7 +133,7 @@ def test_unknown_benchmark_lists_the_known(fpplab: Command) -> None:
 
 
 def test_help_teaches_every_command(fpplab: Command) -> None:
-    words = "demo devices import gamma characterise decode scan reconstruct compare view bench"
+    words = "demo devices import gamma characterise decode scan reconstruct compare artefact view bench"
     for command in words.split():
         done = fpplab(command, "--help")
         assert done.code == 0
@@ -146,3 +146,14 @@ def test_devices_lists_the_emulated_cameras(fpplab: Command) -> None:
     cameras = [d for d in done.json["devices"] if d["kind"] == "camera"]
     assert {c["serial"] for c in cameras} >= {"0815-0000", "0815-0001"}
     assert all({"kind", "model", "serial", "link"} == d.keys() for d in done.json["devices"])
+
+
+def test_artefacts_are_written_once(fpplab: Command, tmp_path: Path) -> None:
+    out = tmp_path / "pyramid.stl"
+    done = fpplab("artefact", "pyramid", "--out", out, "--json")
+    assert done.code == 0, done.err
+    assert out.stat().st_size == 84 + 50 * done.json["faces"]  # binary STL
+    assert fpplab("artefact", "pyramid", "--out", out, "--json").code == 2
+    wrong = fpplab("artefact", "cone", "--out", tmp_path / "cone.stl", "--json")
+    assert wrong.code == 2
+    assert "pillars" in wrong.json["error"]
