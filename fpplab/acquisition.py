@@ -21,7 +21,11 @@ Observer = Callable[[Frame], None]
 """Sees each frame once it is on disk: a progress bar, a viewer."""
 
 
-def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = lambda frame: None) -> None:
+def unseen(frame: Frame) -> None:
+    """An observer that does not look."""
+
+
+def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = unseen) -> None:
     """Take every image of the plan that the session lacks.
 
     The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`.

@@ -234,9 +234,7 @@ def scan(
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
-    from fpplab import live
     from fpplab.calibration import Calibration
-    from fpplab.measurement import CLOUD, REPORT, finish_scan, take, write_scan_report
     from fpplab.plan import Plan
     from fpplab.rig import Rig
 
@@ -247,18 +245,25 @@ def scan(
         wanted.check_projector(caps.size, plan)
         known.check_camera(bench.camera.caps.size, calibration)
         known.check_projector(caps.size, calibration)
-        viewer = stack.enter_context(live.Viewer.open()) if view else None
+
+        # Only now the heavy modules: wrong input is told at once.
+        from fpplab.acquisition import unseen
+        from fpplab.live import Viewer
+        from fpplab.measurement import CLOUD, REPORT, finish_scan, take
+        from fpplab.report import write_scan_report
+
+        viewer = stack.enter_context(Viewer.open()) if view else None
         if viewer:
             console.say(f"Watch it at {viewer.where}")
             viewer.plan(wanted, caps.size, caps.lattice)
             viewer.calibration(known)
-        if item:
-            bench.need_fixture(f"--item {item}").mount(item, pose)
+        mount = (item, pose) if item else None
+        observe = viewer.frame if viewer else unseen
         with console.progress("Scanning") as report:
-            session = take(bench, wanted, out, force, report, viewer.frame if viewer else lambda frame: None)
+            session = take(bench, wanted, out, mount, force=force, progress=report, observe_frame=observe)
         with console.progress("Reconstructing") as report:
             decoded, cloud = finish_scan(session, known, report)
-        write_scan_report(out / REPORT, session, decoded, cloud)
+            write_scan_report(out / REPORT, session, decoded, cloud)
         if viewer:
             viewer.decoded(decoded)
             viewer.cloud(cloud)
@@ -284,6 +289,7 @@ def reconstruct(
     from fpplab.calibration import Calibration
     from fpplab.clouds import save_cloud
     from fpplab.files import refuse_existing
+    from fpplab.report import write_scan_report
     from fpplab.session import Session
 
     refuse_existing(out, force)
@@ -292,7 +298,7 @@ def reconstruct(
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         decoded, cloud = measurement.reconstruct(recorded, known, report)
         save_cloud(cloud, out)
-    measurement.write_scan_report(page, recorded, decoded, cloud)
+        write_scan_report(page, recorded, decoded, cloud)
     result = {"points": len(cloud.points), "seconds": seconds()}
     console.answer({**result, "cloud": str(out), "report": str(page)}, json)
 

@@ -17,12 +17,11 @@ from fpplab.measurement import (
     characterise_sessions,
     finish_scan,
     measure_response,
-    scan_section,
     take,
     take_poses,
 )
 from fpplab.plan import Plan
-from fpplab.report import ScanSection, write_report
+from fpplab.report import ScanSection, scan_section, write_report
 from fpplab.rig import Rig
 from fpplab.targets import Target
 
@@ -92,12 +91,10 @@ def _mean(figures: list[float | None]) -> float:
 
 
 def _measure(rig: Rig, name: str, plan: Plan, calibration: Any, out: Path) -> Scan:
-    fixture = rig.need_fixture("the demonstration")
-    fixture.mount(name)
     with console.progress(f"Scanning the {name}") as report:
-        session = take(rig, plan, out, True, report)
+        session = take(rig, plan, out, (name, 0), force=True, progress=report)
         decoded, cloud = finish_scan(session, calibration)
-    standing = fixture.pose(name)
+    standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:
         raise ConfigError("the demonstration needs a fixture that knows where it holds an item")
     truth = artefacts.make(name)

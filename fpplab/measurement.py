@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acquisition import acquire, expose
+from fpplab.acquisition import Observer, acquire, expose, unseen
 from fpplab.calibration import Calibration
 from fpplab.characterisation import (
     Characterisation,
@@ -23,17 +23,15 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.clouds import Cloud, save_cloud
-from fpplab.comparison import Comparison
 from fpplab.conventions import Floats
 from fpplab.devices import Frame
 from fpplab.errors import CalibrationError
 from fpplab.gamma import Response, fit_response
 from fpplab.patterns import uniform_patterns
-from fpplab.phase import Decoded, decode, wrapped_phase
+from fpplab.phase import Decoded, decode
 from fpplab.plan import Plan
 from fpplab.reconstruction import triangulate
-from fpplab.report import ScanSection, write_report
-from fpplab.rig import Rig
+from fpplab.rig import Mounted, Rig
 from fpplab.session import Session
 from fpplab.targets import Target
 
@@ -51,12 +49,21 @@ def take(
     rig: Rig,
     plan: Plan,
     out: Path,
+    mount: Mounted | None = None,
+    *,
     force: bool = False,
+    complete_too: bool = False,
     progress: Progress = nothing,
-    observe_frame: Callable[[Frame], None] = lambda frame: None,
+    observe_frame: Observer = unseen,
 ) -> Session:
-    """Acquire the plan on an open rig into `out`, or complete the interrupted session there."""
-    session = Session.resume(out, plan, rig.described(), force)
+    """Acquire the plan on an open rig into `out`, or complete the interrupted session there.
+
+    mount: what the rig's fixture puts up first. complete_too: leave a session that is complete as it is,
+    instead of refusing it.
+    """
+    session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+    if mount is not None and session.missing():
+        rig.need_fixture(f"mounting the {mount[0]}").mount(*mount)
 
     def seen(frame: Frame) -> None:
         progress(1.0 - len(session.missing()) / plan.images)
@@ -97,26 +104,6 @@ def finish_scan(
     return decoded, cloud
 
 
-def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:
-    """The pictures of one scan as a page."""
-    name = session.path.name
-    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
-
-
-def scan_section(
-    name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
-) -> ScanSection:
-    """What the report shows of one scan."""
-    finest = session.plan.sets_along(session.plan.axes[0])[-1]
-    frames = [
-        session.read(i, verify=False) for i, (k, _, _) in enumerate(session.plan.steps()) if k == finest
-    ]
-    wrapped = wrapped_phase(frames, session.plan.fringes[finest])
-    return ScanSection(
-        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
-    )
-
-
 def mean_image(session: Session) -> NDArray[np.uint8]:
     """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
     finest = session.plan.sets_along(session.plan.axes[0])[-1]
@@ -132,14 +119,20 @@ def mean_image(session: Session) -> NDArray[np.uint8]:
 def take_poses(
     rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = nothing
 ) -> list[Session]:
-    """One session per pose of a target that the rig's fixture holds."""
-    fixture = rig.need_fixture("characterisation on the rig")
-    sessions = []
-    for pose in range(poses):
-        out = folder / f"pose_{pose:02d}"
-        fixture.mount(item, pose)
-        sessions.append(take(rig, plan, out, force, lambda s, k=pose: progress((k + s) / poses)))  # type: ignore[misc]
-    return sessions
+    """One session per pose of a target that the rig's fixture holds; poses taken before are kept."""
+
+    def one(pose: int) -> Session:
+        return take(
+            rig,
+            plan,
+            folder / f"pose_{pose:02d}",
+            (item, pose),
+            force=force,
+            complete_too=True,
+            progress=lambda share: progress((pose + share) / poses),
+        )
+
+    return [one(pose) for pose in range(poses)]
 
 
 def characterise_sessions(

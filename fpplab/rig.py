@@ -28,6 +28,9 @@ from fpplab.errors import ConfigError
 
 Dev = TypeVar("Dev", bound=Device)
 
+Mounted = tuple[str, int]
+"""An item and its pose, in a fixture's words."""
+
 
 class Section(Document):
     """One device of a rig file; keys beyond these are the backend's own options."""
@@ -110,8 +113,8 @@ class Rig:
                 if device.state in (State.IDLE, State.ARMED):
                     both.callback(safe)
 
-    def described(self) -> dict[str, Any]:
-        """The rig as resolved, for a session's record: the file, and what the devices said they are."""
+    def described(self, mounted: Mounted | None = None) -> dict[str, Any]:
+        """The rig as resolved, for a session: the file, what the devices are, and what is mounted."""
         caps = self.projector.caps
         resolved: dict[str, Any] = {
             "camera": {"model": self.camera.info().model, "size": list(self.camera.caps.size)},
@@ -121,6 +124,8 @@ class Rig:
                 "lattice": caps.lattice.value,
             },
         }
+        if mounted is not None:
+            resolved["mounted"] = {"item": mounted[0], "pose": mounted[1]}
         return {**self.file.model_dump(mode="json", exclude_none=True), "resolved": resolved}
 
     def need_fixture(self, doing: str) -> Fixture:

@@ -92,10 +92,18 @@ class Session:
         return cls(path, plan, _read_journal(path, plan))
 
     @classmethod
-    def resume(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
+    def resume(
+        cls,
+        path: Path,
+        plan: Plan,
+        rig: RigRecord = None,
+        force: bool = False,
+        complete_too: bool = False,
+    ) -> Session:
         """The interrupted session at `path`, or a new one.
 
-        A session that is complete, or of another plan or rig, is refused; with `force` it is replaced.
+        One that is complete (unless `complete_too`), or of another plan, rig or mounted item, is refused;
+        with `force` it is replaced.
         """
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
@@ -104,7 +112,7 @@ class Session:
             raise DataError(f"{path}: was begun with another plan; name another output, or add --force")
         if rig is not None and session.rig() != rig:
             raise DataError(f"{path}: was begun on another rig; name another output, or add --force")
-        if not session.missing():
+        if not session.missing() and not complete_too:
             refuse_existing(path, force)
         _tidy(path)
         return session

@@ -6,16 +6,18 @@ import warnings
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import write_atomic
+
+if TYPE_CHECKING:
+    import trimesh
 
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
@@ -119,6 +121,8 @@ def load_cloud(path: Path) -> Cloud:
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
     """A true shape in mm from STL, PLY or OBJ. Raises `ConfigError`, `DataError`."""
+    import trimesh  # half a second that measuring does not need
+
     suffix = _known_suffix(path, MESH_SUFFIXES)
     try:
         with path.open("rb") as stream:

@@ -1,5 +1,6 @@
 """What people look at afterwards: pictures, and the page that holds them."""
 
 from fpplab.report.page import ScanSection, write_report
+from fpplab.report.scans import scan_section, write_scan_report
 
-__all__ = ["ScanSection", "write_report"]
+__all__ = ["ScanSection", "scan_section", "write_report", "write_scan_report"]

@@ -188,9 +188,7 @@ def test_blender_that_cannot_start_for_want_of_a_library_says_so_in_one_sentence
     broken.write_text(f"#!/bin/sh\necho '{said}' >&2\nexit 1\n")
     broken.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(broken))
-    with pytest.raises(
-        DeviceError, match=r"library libSM\.so\.6, which .* apt-get install libsm6$"
-    ):
+    with pytest.raises(DeviceError, match=r"library libSM\.so\.6, which .* apt-get install libsm6$"):
         Blender("bench").start()
 
 

@@ -1,0 +1,30 @@
+"""A recorded scan as a part of the report, or as a page of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fpplab.clouds import Cloud
+from fpplab.comparison import Comparison
+from fpplab.phase import Decoded, wrapped_phase
+from fpplab.report.page import ScanSection, write_report
+from fpplab.session import Session
+
+
+def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:
+    """The pictures of one scan as a page. Raises `DataError` when it cannot be written."""
+    name = session.path.name
+    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
+
+
+def scan_section(
+    name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
+) -> ScanSection:
+    """What the report shows of one scan: the finest fringes along the first axis, and the results."""
+    plan = session.plan
+    finest = plan.sets_along(plan.axes[0])[-1]
+    frames = [session.read(i, verify=False) for i, (k, _, _) in enumerate(plan.steps()) if k == finest]
+    wrapped = wrapped_phase(frames, plan.fringes[finest])
+    return ScanSection(
+        name, plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
+    )
