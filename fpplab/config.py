@@ -45,9 +45,15 @@ def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes the words that `_Loader` would read as numbers, such as a serial number 21e7."""
+    """Quotes what would be read back as something else: a serial number 21e7, an odd line break."""
 
 
+def _word(dumper: _Dumper, word: str) -> yaml.ScalarNode:
+    odd = any(mark in word for mark in "\x85\u2028\u2029\ufeff")
+    return dumper.represent_scalar("tag:yaml.org,2002:str", word, style='"' if odd else None)
+
+
+_Dumper.add_representer(str, _word)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
 for _class in (_Loader, _Dumper):
     _class.add_implicit_resolver(
@@ -107,7 +113,9 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
 
 def describe(error: ValidationError) -> str:
     """The faults of a validation in one sentence: field, value, what is allowed."""
-    faults = [_fault(detail) for detail in error.errors()]
+    # A misspelt key is both unknown and missing: what the operator wrote comes first.
+    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    faults = [_fault(detail) for detail in details]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return faults[0] + more
 

@@ -15,6 +15,8 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from fpplab import config
+from fpplab.config import Document
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -36,7 +38,7 @@ from sim.items import item_poses
 from sim.light import Light, Picture, Setup, Show
 from sim.sensor import SensorModel
 from sim.worker import Blender
-from sim.world import BoardItem, World
+from sim.world import Binning, BoardItem, World
 
 DARK = "dark"
 """The pattern id of a frame that was taken with the projector blank."""
@@ -47,20 +49,28 @@ LEAST_EXPOSURE_S = {
 """By bit depth: the DLP LightCrafter 4500's, whose place the projector takes."""
 
 
+class BenchOptions(Document):
+    """The bench's section in a rig file.
+
+    world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
+    of the world's.
+    """
+
+    world: str
+    binning: Binning | None = None
+
+
 class VirtualBench:
     """What the devices share: the world, and how it stands at the moment.
 
-    options: `world`, a world file by path or by the name of one that comes with fpplab.
-    Raises `ConfigError` for a wrong option or world. Blender starts with the first picture that needs it.
+    Raises `ConfigError` for a wrong option (see `BenchOptions`) or world. Blender starts with the first
+    picture that needs it.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
-        unknown = sorted(set(options) - {"world"})
-        if unknown:
-            raise ConfigError(f"bench: has no option '{unknown[0]}'; it has 'world'")
-        if not isinstance(options.get("world"), str):
-            raise ConfigError("bench: 'world' is missing; name a world file")
-        self.world = World.load(options["world"])
+        chosen = config.validate(options, BenchOptions, "bench")
+        world = World.load(chosen.world)
+        self.world = world if chosen.binning is None else world.binned(chosen.binning)
         self.blender = Blender("bench")
         self.light = Light(self.world, self.blender)
         self.setup = Setup(self.world.mounted)

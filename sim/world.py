@@ -23,6 +23,8 @@ from sim.texture import LEAST_BLUR, MirrorTexture
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Size = tuple[Annotated[int, Field(ge=8, le=20000)], Annotated[int, Field(ge=8, le=20000)]]
+Binning = Literal[1, 2, 4, 8]
+"""Pixels of the sensor along each side of a pixel of a frame."""
 Small = Annotated[float, Field(ge=-0.5, le=0.5)]
 Distortion = tuple[Small, Small, Small, Small, Small]
 
@@ -51,7 +53,7 @@ class CameraWorld(Document):
 
     sensor_size: Size = (5472, 3648)
     pixel_um: Positive = 2.4
-    binning: Literal[1, 2, 4, 8] = 4
+    binning: Binning = 4
     focal_mm: Positive = 35.0
     centre_offset_px: tuple[float, float] = (0.0, 0.0)
     distortion: Distortion = (0.0,) * 5
@@ -275,6 +277,12 @@ class World(Document):
     def load(cls, path: Path | str) -> World:
         """Read a world file, by path or by the name of one that comes with fpplab. Raises `ConfigError`."""
         return config.load(config.find(path), cls)
+
+    def binned(self, binning: Binning) -> World:
+        """The same world, seen by its camera at another binning. Raises `ConfigError` when that cannot be."""
+        data = self.model_dump(mode="json")
+        data["camera"]["binning"] = binning
+        return config.validate(data, World, "world")
 
     def camera_model(self) -> Pinhole:
         """The true camera."""

@@ -187,7 +187,7 @@ def test_fixture_lists_items_and_refuses_others(bench: Bench) -> None:
 def test_wrong_options_are_refused(bench: Bench) -> None:
     with pytest.raises(ConfigError, match="'world' is missing"):
         VirtualBench({})
-    with pytest.raises(ConfigError, match="no option 'wrld'"):
+    with pytest.raises(ConfigError, match="unknown key 'wrld'"):
         VirtualBench({"wrld": "x"})
     with pytest.raises(ConfigError, match="no such file"):
         VirtualBench({"world": "nowhere.yaml"})

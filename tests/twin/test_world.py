@@ -11,15 +11,13 @@ from fpplab import config
 from fpplab.errors import ConfigError
 from fpplab.targets import Target
 from sim.items import build_scene, item_poses
-from sim.world import World
+from sim.world import Binning, World
 from tests.twin.conftest import plain, world
 
 
-@pytest.mark.parametrize(
-    ("name", "size"), [("world_demo.yaml", (1368, 912)), ("world_demo_quick.yaml", (684, 456))]
-)
-def test_worlds_of_the_demonstration_are_as_described(name: str, size: tuple[int, int]) -> None:
-    of = World.load(name)
+@pytest.mark.parametrize(("binning", "size"), [(4, (1368, 912)), (8, (684, 456)), (1, (5472, 3648))])
+def test_the_world_of_the_demonstration_is_as_described(binning: Binning, size: tuple[int, int]) -> None:
+    of = World.load("world_demo.yaml").binned(binning)
     assert of.camera_model().size == size
     corners = np.array([[-0.5, -0.5], [size[0] - 0.5, size[1] - 0.5]])
     plain_camera = of.model_copy(update={"camera": of.camera.model_copy(update={"distortion": (0.0,) * 5})})
@@ -30,10 +28,10 @@ def test_worlds_of_the_demonstration_are_as_described(name: str, size: tuple[int
     assert np.linalg.norm(of.T_projector_camera().translation) == pytest.approx(150)
 
 
-def test_both_demonstrations_are_one_bench_at_two_resolutions() -> None:
-    full, quick = World.load("world_demo.yaml").model_dump(), World.load("world_demo_quick.yaml").model_dump()
-    full["camera"].pop("binning")
-    quick["camera"].pop("binning")
+def test_a_binned_world_is_the_same_but_for_its_pixels() -> None:
+    world = World.load("world_demo.yaml")
+    full, quick = world.model_dump(), world.binned(8).model_dump()
+    assert (full["camera"].pop("binning"), quick["camera"].pop("binning")) == (4, 8)
     assert full == quick
 
 
@@ -97,7 +95,7 @@ def test_board_poses_are_reproducible_spread_and_in_view() -> None:
     centres = np.array([pose.translation for pose in poses])
     assert np.ptp(centres[:, 0]) > 70
     assert np.ptp(centres[:, 1]) > 40
-    again = item_poses(World.load("world_demo_quick.yaml"), "board")
+    again = item_poses(of.binned(8), "board")
     other = item_poses(of.model_copy(update={"seed": 2}), "board")
     assert len(again) == len(other) == 15
     for one, two in zip(poses, other, strict=True):
