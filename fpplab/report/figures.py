@@ -251,7 +251,7 @@ def residuals(pixels: Floats, errors: Floats, size: tuple[int, int], device: str
         raise DataError(f"{device}: {len(errors)} residuals were given for {len(pixels)} pixels")
     length = np.linalg.norm(errors, axis=1)
     rms = float(np.sqrt(np.mean(length**2)))
-    figure, (left, right) = _pair(_map_height(size[::-1], 0.6 * FULL), (1.6, 1.0))
+    figure, (left, right) = _pair(min(_map_height(size[::-1], 0.6 * FULL), 0.44 * FULL), (1.6, 1.0))
     _sensor(left, size, device)
     left.set_facecolor("white")
     gain = 0.05 * max(size) / max(2.0 * rms, 1e-12)
