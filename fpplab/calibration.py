@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fpplab import config
 from fpplab.config import Document
@@ -42,9 +43,14 @@ class Calibration:
         """Refuse data of another sensor size: `CalibrationError`."""
         _check("camera frames", size, self.camera.size, source)
 
-    def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
-        """Refuse fringes of another projector size: `CalibrationError`."""
+    def check_projector(self, size: tuple[int, int], lattice: Lattice, source: Path | str) -> None:
+        """Refuse fringes of another projector size or lattice: `CalibrationError`."""
         _check("projector patterns", size, self.projector.size, source)
+        if lattice is not self.projector.lattice:
+            raise CalibrationError(
+                f"{source}: projector patterns are for a {lattice} lattice but the calibration is for a "
+                f"{self.projector.lattice} one; characterise this rig, or name the calibration that fits"
+            )
 
     def save(self, path: Path) -> None:
         """Write as YAML, whole or not at all."""
@@ -64,13 +70,20 @@ def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source:
         )
 
 
+Pixels = Annotated[int, Field(ge=2, le=100_000)]
+Focal = Annotated[float, Field(gt=0, le=1e6)]
+Centre = Annotated[float, Field(ge=-1e5, le=1e5)]
+Coefficient = Annotated[float, Field(ge=-100, le=100)]
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
 class PinholeFile(Document):
     """One device in a calibration file."""
 
-    size: tuple[int, int]
-    focal_px: tuple[float, float]
-    centre_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float]
+    size: tuple[Pixels, Pixels]
+    focal_px: tuple[Focal, Focal]
+    centre_px: tuple[Centre, Centre]
+    distortion: tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
     lattice: Lattice = Lattice.SQUARE
 
 
@@ -78,7 +91,7 @@ class PoseFile(Document):
     """A rigid transform in a file: rotation vector in degrees, translation in mm."""
 
     rotation_deg: tuple[float, float, float]
-    translation_mm: tuple[float, float, float]
+    translation_mm: tuple[Millimetres, Millimetres, Millimetres]
 
     def transform(self) -> RigidTransform:
         return RigidTransform.from_vectors(np.radians(self.rotation_deg), np.array(self.translation_mm))
@@ -96,6 +109,14 @@ class CalibrationFile(Document):
     projector: PinholeFile
     T_projector_camera: PoseFile
     rms_px: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_a_baseline(self) -> CalibrationFile:
+        if not any(self.T_projector_camera.translation_mm):
+            raise ValueError(
+                "'T_projector_camera.translation_mm' is zero: camera and projector must stand apart"
+            )
+        return self
 
 
 def _pinhole_file(device: Pinhole) -> PinholeFile:

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from fpplab import console
-from fpplab.errors import Cancelled, ConfigError
+from fpplab.errors import Cancelled, ConfigError, DataError
 
 
 class Commands(TyperGroup):
@@ -164,6 +164,7 @@ def characterise(
     """
     from fpplab.files import refuse_existing
     from fpplab.measurement import characterise_sessions, take_poses
+    from fpplab.phase import check_unwrapping
     from fpplab.plan import Plan
     from fpplab.report import write_report
     from fpplab.rig import Rig
@@ -172,12 +173,21 @@ def characterise(
 
     if bool(sessions) == bool(rig):
         raise ConfigError("give either sessions or --rig, to say where the poses come from")
+    page = out.with_suffix(".html")
     refuse_existing(out, force)
+    refuse_existing(page, force)
     board = Target.load(target)
     if rig:
-        folder = out.with_name(out.stem + "_poses")
+        folder, chosen = out.with_name(out.stem + "_poses"), Plan.load(plan)
+        check_unwrapping(chosen, plan)
+        if chosen.axes != ("x", "y"):
+            raise ConfigError(
+                f"{plan}: has fringes along {chosen.axes[0]} alone; characterisation needs x and y"
+            )
+        if folder.exists() and not force:
+            console.say(f"{folder}: complete poses there are kept; --force takes all anew")
         with Rig.load(rig) as bench, console.progress("Taking poses") as report:
-            recorded = take_poses(bench, Plan.load(plan), item, poses, folder, force, report)
+            recorded = take_poses(bench, chosen, item, poses, folder, force, report)
     else:
         recorded = recorded_sessions(sessions or [])
     with console.progress("Characterising") as report:
@@ -185,7 +195,6 @@ def characterise(
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")
     result.calibration.save(out)
-    page = out.with_suffix(".html")
     write_report(page, f"Characterisation {out.stem}", characterisation=result)
     console.answer({**result.summary(), "left_out": result.left_out, "report": str(page)}, json)
 
@@ -202,13 +211,19 @@ def decode(
     Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector
     pixels), float32, NaN where not measured.
     """
-    from fpplab.files import refuse_existing
+    from fpplab.files import need_suffix, refuse_existing
     from fpplab.measurement import decode_session
     from fpplab.session import Session
 
+    need_suffix(out, ".npz")
     refuse_existing(out, force)
     with console.stopwatch() as seconds, console.progress("Decoding") as report:
         decoded = decode_session(Session.open(session), report)
+        if not decoded.valid.any():
+            raise DataError(
+                f"{session}: no pixel could be measured; see that the fringes reach the object, "
+                "and that they are neither faint nor saturated"
+            )
         decoded.save(out)
     console.answer({"valid": int(decoded.valid.sum()), "seconds": seconds()}, json)
 
@@ -235,16 +250,22 @@ def scan(
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
     from fpplab.calibration import Calibration
+    from fpplab.phase import check_unwrapping
     from fpplab.plan import Plan
     from fpplab.rig import Rig
+    from fpplab.session import refuse_foreign
 
     wanted, known = Plan.load(plan), Calibration.load(calibration)
+    check_unwrapping(wanted, plan)
+    refuse_foreign(out)
     with ExitStack() as stack, console.stopwatch() as seconds:
         bench = stack.enter_context(Rig.load(rig))
         caps = bench.projector.caps
         wanted.check_projector(caps.size, plan)
         known.check_camera(bench.camera.caps.size, calibration)
-        known.check_projector(caps.size, calibration)
+        known.check_projector(caps.size, caps.lattice, calibration)
+        if item:
+            bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once.
         from fpplab.acquisition import unseen
@@ -252,24 +273,35 @@ def scan(
         from fpplab.measurement import CLOUD, REPORT, finish_scan, take
         from fpplab.report import write_scan_report
 
+        # The report is written last: without it, all that is left may be to finish.
+        finished = (out / REPORT).is_file()
         viewer = stack.enter_context(Viewer.open()) if view else None
-        if viewer:
+        if viewer and viewer.fault is None:
             console.say(f"Watch it at {viewer.where}")
             viewer.plan(wanted, caps.size, caps.lattice)
             viewer.calibration(known)
         mount = (item, pose) if item else None
         observe = viewer.frame if viewer else unseen
         with console.progress("Scanning") as report:
-            session = take(bench, wanted, out, mount, force=force, progress=report, observe_frame=observe)
+            session = take(
+                bench,
+                wanted,
+                out,
+                mount,
+                force=force,
+                complete_too=not finished,
+                progress=report,
+                observe_frame=observe,
+            )
         with console.progress("Reconstructing") as report:
             decoded, cloud = finish_scan(session, known, report)
             write_scan_report(out / REPORT, session, decoded, cloud)
-        if viewer:
+        result = {"points": len(cloud.points), "images": wanted.images, "seconds": seconds()}
+        if viewer and viewer.fault is None:
             viewer.decoded(decoded)
             viewer.cloud(cloud)
             console.say("Close the viewer, or press Ctrl-C, to end.")
             viewer.wait()
-    result = {"points": len(cloud.points), "images": wanted.images, "seconds": seconds()}
     console.answer({**result, "cloud": str(out / CLOUD), "report": str(out / REPORT)}, json)
 
 
@@ -287,14 +319,17 @@ def reconstruct(
     """
     from fpplab import measurement
     from fpplab.calibration import Calibration
-    from fpplab.clouds import save_cloud
-    from fpplab.files import refuse_existing
+    from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
+    from fpplab.files import need_suffix, refuse_existing
     from fpplab.report import write_scan_report
     from fpplab.session import Session
 
+    page = out.with_suffix(".html")
+    need_suffix(out, *CLOUD_SUFFIXES)
     refuse_existing(out, force)
+    refuse_existing(page, force)
     known = Calibration.load(calibration)
-    recorded, page = Session.open(session), out.with_suffix(".html")
+    recorded = Session.open(session)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         decoded, cloud = measurement.reconstruct(recorded, known, report)
         save_cloud(cloud, out)
@@ -328,16 +363,19 @@ def compare(
     from fpplab import comparison
     from fpplab.calibration import Calibration
     from fpplab.clouds import load_cloud, load_mesh
-    from fpplab.files import refuse_existing, write_atomic
+    from fpplab.files import need_suffix, refuse_existing, write_atomic
     from fpplab.measurement import CALIBRATION
     from fpplab.report import figures
 
     if out:
+        need_suffix(out, ".png")
         refuse_existing(out, force)
     beside = cloud.parent / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
     known = Calibration.load(source) if source else None
     measured = load_cloud(cloud)
+    if known and measured.size:
+        known.check_camera(measured.size, source or cloud)
     with console.progress("Comparing"):
         result = comparison.compare(measured, load_mesh(mesh), known, align=align)
     if out:
@@ -358,8 +396,9 @@ def artefact(
     Example: `fpplab artefact pyramid --out pyramid.stl`
     """
     from fpplab import artefacts
-    from fpplab.files import refuse_existing
+    from fpplab.files import need_suffix, refuse_existing
 
+    need_suffix(out, ".stl")
     refuse_existing(out, force)
     mesh = artefacts.make(name)
     artefacts.save_stl(mesh, out)
@@ -382,11 +421,12 @@ def view(
     """
     from fpplab import live
     from fpplab.calibration import Calibration
-    from fpplab.files import refuse_existing
+    from fpplab.files import need_suffix, refuse_existing
     from fpplab.measurement import CALIBRATION
     from fpplab.session import Session
 
     if out:
+        need_suffix(out, ".rrd")
         refuse_existing(out, force)
     beside = session / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)

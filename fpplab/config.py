@@ -74,7 +74,7 @@ def parse(text: str, source: Path | str) -> Any:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark else ""
         raise ConfigError(f"{source}{line}: {error.problem or 'not readable as YAML'}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"{source}: not readable as YAML ({reason})") from error
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from fpplab.errors import FppError
+from fpplab.errors import Cancelled, DataError, FppError
 
 Report = Callable[[float], None]
 """Told how much of a piece of work is done, 0 … 1."""
@@ -26,7 +28,11 @@ stdout = Console(highlight=False, soft_wrap=True)
 
 @contextmanager
 def progress(what: str) -> Iterator[Report]:
-    """A progress bar on stderr while the work lasts; gone when it is done."""
+    """A progress bar on stderr while the work lasts; one line where stderr is no terminal."""
+    if not stderr.is_terminal:
+        say(f"{what} …")
+        yield lambda share: None
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=stderr, transient=True) as bars:
         task = bars.add_task(what, total=1.0)
@@ -92,19 +98,36 @@ def run(command: Callable[[], object], as_json: bool) -> NoReturn:
     try:
         command()
     except FppError as error:
-        _fail(error, as_json)
+        _fail(str(error), error.exit_code, as_json)
     except SystemExit as end:  # wrong usage has been explained on stderr
         if as_json and end.code:
             _answer_fault("wrong usage; see stderr", int(end.code))
         raise
+    except MemoryError as error:
+        _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)
+    except Exception as error:  # noqa: BLE001 - a fault of ours is still one sentence, and one JSON object
+        if os.environ.get(TRACEBACK):
+            traceback.print_exc()
+        sentence = f"a fault of fpplab itself: {type(error).__name__}: {error}"
+        _fail(f"{sentence}; set {TRACEBACK}=1 to see where, and report it", 1, as_json)
     sys.exit(0)
 
 
-def _fail(error: FppError, as_json: bool) -> NoReturn:
-    say(f"fpplab: {error}")
+TRACEBACK = "FPPLAB_TRACEBACK"
+"""The environment variable that has unforeseen faults shown with their traceback."""
+
+
+def _fail(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
+    say(f"fpplab: {sentence}")
     if as_json:
-        _answer_fault(str(error), error.exit_code)
-    sys.exit(error.exit_code)
+        _answer_fault(sentence, exit_code)
+    if exit_code == Cancelled.exit_code:
+        # Everything is closed by now. What an interruption has torn out of native code is not
+        # taken down piece by piece as well: that has crashed.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(exit_code)
+    sys.exit(exit_code)
 
 
 def _answer_fault(sentence: str, exit_code: int) -> None:

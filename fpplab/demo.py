@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from fpplab import artefacts, console
+from fpplab.calibration import Calibration
 from fpplab.comparison import Comparison, compare
 from fpplab.errors import ConfigError
 from fpplab.files import refuse_existing, write_text
 from fpplab.measurement import (
+    CALIBRATION,
+    REPORT,
     characterise_sessions,
     finish_scan,
     measure_response,
@@ -26,7 +29,7 @@ from fpplab.rig import Rig
 from fpplab.targets import Target
 
 POSES = 12
-TRUTH, RESULT, REPORT = "truth.stl", "demo.json", "report.html"
+TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
 
     The session of every measurement stays below `out`. Raises any `FppError`.
     """
-    refuse_existing(out / RESULT, force)
+    for name in (RESULT, REPORT, CALIBRATION, BOARD, *artefacts.NAMES):
+        refuse_existing(out / name, force)
     rig_name = "rig_demo_quick.yaml" if quick else "rig_demo.yaml"
     board_plan, scan_plan = Plan.load("plan_board.yaml"), Plan.load("plan_paper.yaml")
     with console.stopwatch() as seconds, Rig.load(rig_name) as rig:
@@ -61,11 +65,13 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
             fixture.mount("grey_card")
             response, levels = measure_response(rig, scan_plan.exposure_s, progress=report)
         with console.progress(f"Taking {POSES} poses of the board") as report:
-            poses = take_poses(rig, board_plan, "board", POSES, out / "board", True, report)
+            poses = take_poses(rig, board_plan, "board", POSES, out / BOARD, force, report)
         with console.progress("Characterising") as report:
             found = characterise_sessions(poses, Target.load("target_paper.yaml"), report)
-        found.calibration.save(out / "calibration.yaml")
-        scans = [_measure(rig, name, scan_plan, found.calibration, out / name) for name in artefacts.NAMES]
+        found.calibration.save(out / CALIBRATION)
+        scans = [
+            _measure(rig, name, scan_plan, found.calibration, out / name, force) for name in artefacts.NAMES
+        ]
         write_report(
             out / REPORT,
             "Demonstration on the virtual bench",
@@ -90,9 +96,9 @@ def _mean(figures: list[float | None]) -> float:
     return float(np.mean([f for f in figures if f is not None]))
 
 
-def _measure(rig: Rig, name: str, plan: Plan, calibration: Any, out: Path) -> Scan:
+def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Path, force: bool) -> Scan:
     with console.progress(f"Scanning the {name}") as report:
-        session = take(rig, plan, out, (name, 0), force=True, progress=report)
+        session = take(rig, plan, out, (name, 0), force=force, progress=report)
         decoded, cloud = finish_scan(session, calibration)
     standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:

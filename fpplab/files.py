@@ -33,11 +33,21 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(name, path)
+        _flush_folder(path.parent)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise DataError(_cannot_write(path, error)) from error
         raise
+
+
+def _flush_folder(folder: Path) -> None:
+    """Have a new name itself on disk, not only what it names: power may fail between the two."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -84,6 +94,12 @@ def _cannot_write(path: Path, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{path}: no space left on the disk; free some and run the same command again"
     return f"{path}: cannot be written ({error.strerror})"
+
+
+def need_suffix(path: Path, *allowed: str) -> None:
+    """Refuse an output whose name does not say what it will hold: `ConfigError`."""
+    if path.suffix.lower() not in allowed:
+        raise ConfigError(f"{path}: its name must end in {' or '.join(allowed)}")
 
 
 def refuse_existing(path: Path, force: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import string
 from collections.abc import Callable
@@ -53,7 +54,7 @@ def import_images(
 def _name(names: str, index: int) -> str:
     try:
         fields = [field for _, field, _, _ in string.Formatter().parse(names) if field is not None]
-        if fields != ["index"]:
+        if fields != ["index"] or len(names) > 200 or re.search(r"\d{3,}[dx]?}", names):
             raise ValueError
         return names.format(index=index)
     except (ValueError, KeyError, IndexError):
@@ -94,7 +95,7 @@ def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:
         raise DataError(f"{path}: is not a grey image (its mode is {mode}); convert it to one grey channel")
     depth = 8 if mode == "L" else 16
     if (depth == 8) != (bits == 8):
-        raise DataError(f"{path}: is a {depth}-bit image but {bits} bits were promised; see --bits")
+        raise DataError(f"{path}: holds {depth}-bit grey levels but {bits} bits were promised; see --bits")
     if int(image.max(initial=0)) >= 1 << bits:
         raise DataError(f"{path}: has a grey level of {image.max()}, more than {bits} bits hold; see --bits")
     if size is not None and image.shape[::-1] != size:

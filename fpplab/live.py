@@ -174,12 +174,14 @@ class Viewer:
             self._set = {}
         self._set[step] = _thinned(frame.image)
         if len(self._set) == fringe.steps:
-            self.phase(wrapped_phase([self._set[n] for n in range(fringe.steps)], fringe))
+            frames = [self._set[n] for n in range(fringe.steps)]
+            self.phase(wrapped_phase(frames, fringe), frame.settings.bits)
 
     @_harmless
-    def phase(self, wrapped: Wrapped) -> None:
-        """The wrapped phase of the latest fringe set."""
-        phase = np.where(wrapped.modulation >= FAINT, wrapped.phase, np.float32(np.nan))
+    def phase(self, wrapped: Wrapped, bits: int = 8) -> None:
+        """The wrapped phase of the latest fringe set, of frames of `bits` depth."""
+        faint = FAINT * (1 << (bits - 8))
+        phase = np.where(wrapped.modulation >= faint, wrapped.phase, np.float32(np.nan))
         self._map("maps/phase", phase, "twilight", (0.0, TWO_PI))
 
     @_harmless

@@ -88,7 +88,7 @@ def reconstruct(
 ) -> tuple[Decoded, Cloud]:
     """Decode and triangulate. Raises `CalibrationError` when the calibration is of another rig."""
     calibration.check_camera(session.format[:2], session.path)
-    calibration.check_projector(session.projector()[0], session.path)
+    calibration.check_projector(*session.projector(), session.path)
     decoded = decode_session(session, progress)
     return decoded, triangulate(decoded, calibration, mean_image(session))
 
@@ -170,13 +170,12 @@ def measure_response(
     """
     settings = rig.camera_settings(exposure_s)
     patterns = uniform_patterns(list(greys), rig.projector.caps.size)
-    full = (1 << settings.bits) - 1
     levels = []
     with closing(expose(rig, patterns, settings)) as shots:
         for grey, frame in zip(greys, shots, strict=True):
             height, width = frame.image.shape
             middle = frame.image[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-            levels.append((grey / 255.0, float(middle.mean()) / full))
+            levels.append((grey / 255.0, float(middle.mean()) / ((1 << frame.settings.bits) - 1)))
             progress(len(levels) / len(greys))
     measured = np.array(levels)
     return fit_response(measured[:, 0], measured[:, 1]), measured

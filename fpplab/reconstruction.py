@@ -44,8 +44,8 @@ _lock = threading.Lock()
 class DecodedMaps(Protocol):
     """Projector coordinates of a camera's pixels, float32 [v, u], NaN where they are not known.
 
-    u, v: in projector px, all NaN where that axis was not coded. sigma: standard deviation, in
-    px, of each of them.
+    u, v: in projector px, all NaN where that axis was not coded. sigma: standard deviation in px of u,
+    or of v where only that is coded. v_per_u: how many times greater v's is.
     """
 
     @property
@@ -54,6 +54,8 @@ class DecodedMaps(Protocol):
     def v(self) -> Map: ...
     @property
     def sigma(self) -> Map: ...
+    @property
+    def v_per_u(self) -> float: ...
 
 
 def triangulate(
@@ -66,9 +68,10 @@ def triangulate(
 
     texture: uint8 [v, u], for the points' grey. normals: whether to compute them.
 
-    Where two axes are coded a pixel needs both. Points behind a device, outside the projector's
-    image, where its distortion folds, or without a solution are dropped. `sigma_mm` is the decoded
-    sigma propagated along the ray; `epipolar_px` is given for two axes.
+    Where two axes are coded a pixel needs both, and each counts by its inverse variance. Points
+    behind a device, outside the projector's image, where its distortion folds, or without a solution
+    are dropped. `sigma_mm` is the decoded sigma propagated along the ray; `epipolar_px` is given for
+    two axes.
 
     Raises `CalibrationError` when the maps are of another camera, `DataError` when nothing remains.
     """
@@ -90,7 +93,20 @@ def triangulate(
     sigma_mm, epipolar = np.empty(total, np.float32), np.empty(total, np.float32)
     outputs = points, pixels, sigma_mm, epipolar
     device, pose, size = _projector(calibration)
-    _solve(slopes, u, v, sigma, use_u, use_v, device, pose, size, np.cumsum(counts) - counts, *outputs)
+    _solve(
+        slopes,
+        u,
+        v,
+        sigma,
+        use_u,
+        use_v,
+        float(decoded.v_per_u),
+        device,
+        pose,
+        size,
+        np.cumsum(counts) - counts,
+        *outputs,
+    )
     solved = np.isfinite(points[:, 2])
     if not solved.any():
         raise DataError(
@@ -224,6 +240,7 @@ def _solve(
     sigma: Map,
     use_u: bool,
     use_v: bool,
+    v_per_u: float,
     projector: Numbers,
     pose: Numbers,
     size: tuple[int, int],
@@ -241,7 +258,7 @@ def _solve(
     fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
     per_fx, per_fy = 1.0 / fx, 1.0 / fy
     xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
-    wu, wv = (1.0 if use_u else 0.0), (1.0 if use_v else 0.0)
+    wu, wv = (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
     for block in prange((height + BLOCK - 1) // BLOCK):
         # What distortion does to the pixel above is a start that needs one step only.
         shift_x, shift_y = np.zeros(width), np.zeros(width)
@@ -270,7 +287,7 @@ def _solve(
                     x_z, y_z = (dx - x * dz) * near, (dy - y * dz) * near
                     ju, jv = wu * fx * (xx * x_z + xy * y_z), wv * fy * (xy * x_z + yy * y_z)
                     pu, pv = fx * xd + cx, fy * yd + cy
-                    eu, ev = u - pu, v - pv
+                    eu, ev = wu * (u - pu), wv * (v - pv)
                     square = ju * ju + jv * jv
                     if square < LEAST_SENSITIVITY * LEAST_SENSITIVITY:
                         break
@@ -285,5 +302,8 @@ def _solve(
                             pixels[at, 0], pixels[at, 1] = column, row
                             reach = np.sqrt((1.0 + a * a + b * b) * per_square)
                             spread[at] = sigma[row, column] * reach
-                            epipolar[at] = abs(ju * ev - jv * eu) * np.sqrt(per_square)
+                            if use_u and use_v:
+                                iu, iv = ju, jv * v_per_u
+                                across = abs(iu * (v - pv) - iv * (u - pu))
+                                epipolar[at] = across / np.sqrt(iu * iu + iv * iv)
                         break

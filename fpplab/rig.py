@@ -37,7 +37,7 @@ class Section(Document):
 
     model_config = ConfigDict(extra="allow")
 
-    backend: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    backend: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+$")]
 
     @property
     def options(self) -> dict[str, Any]:
@@ -138,6 +138,8 @@ class Rig:
         if self.file.bench is None:
             return None
         backend = load_backend(self.file.bench.backend, self._source, "bench")
+        if not isinstance(backend, type) or issubclass(backend, Device) or not hasattr(backend, "close"):
+            raise ConfigError(f"{self._source}: 'bench.backend' is '{self.file.bench.backend}': not a bench")
         bench = self._made(backend, self._options(self.file.bench))
         bench.open()
         stack.callback(bench.close)

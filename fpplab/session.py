@@ -29,7 +29,7 @@ from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Image, Lattice
 from fpplab.devices import CameraSettings, Frame
-from fpplab.errors import DataError
+from fpplab.errors import ConfigError, DataError
 from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
 from fpplab.plan import Plan
 
@@ -108,10 +108,13 @@ class Session:
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
         session = cls.open(path)
+        if not session.records:  # it stopped before its first frame: nothing is lost
+            return cls.create(path, plan, rig, force=True)
         if session.plan != plan:
             raise DataError(f"{path}: was begun with another plan; name another output, or add --force")
-        if rig is not None and session.rig() != rig:
-            raise DataError(f"{path}: was begun on another rig; name another output, or add --force")
+        if rig is not None and (began := session.rig()) != rig:
+            what = "item or pose" if _but_mounted(began) == _but_mounted(rig) else "rig"
+            raise DataError(f"{path}: was begun with another {what}; name another output, or add --force")
         if not session.missing() and not complete_too:
             refuse_existing(path, force)
         _tidy(path)
@@ -144,7 +147,7 @@ class Session:
         """
         pattern = frame.pattern_id or ""
         _check_place(frame.index, pattern, _pattern_ids(self.plan), self._records, self.path)
-        name = f"{FRAMES}/{frame.index:04d}_{pattern}.tif"
+        name = _file_name(frame.index, pattern)
         image = np.ascontiguousarray(frame.image)
         write_atomic(
             self.path / name,
@@ -223,17 +226,29 @@ class Session:
     def projector(self) -> tuple[tuple[int, int], Lattice]:
         """Size and lattice of the projector that showed the patterns.
 
-        From the plan, which describes foreign fringes on a square lattice, or from the rig as recorded.
+        From the rig as recorded, or for images from elsewhere from the plan, on a square lattice.
         """
-        if self.plan.projector_size:
+        rig = self.rig()
+        if rig is None and self.plan.projector_size:
             return self.plan.projector_size, Lattice.SQUARE
-        found = ((self.rig() or {}).get("resolved") or {}).get("projector") or {}
-        if "size" not in found:
+        try:
+            found = (rig or {})["resolved"]["projector"]
+            return (int(found["size"][0]), int(found["size"][1])), Lattice(found["lattice"])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
             raise DataError(
-                f"{self.path}: does not say how many pixels the projector had; "
+                f"{self.path}: does not say how many pixels the projector had, and in which lattice; "
                 "add 'projector_size' to the plan's fringes and import the images again"
-            )
-        return (int(found["size"][0]), int(found["size"][1])), Lattice(found.get("lattice", "square"))
+            ) from error
+
+
+def _but_mounted(rig: RigRecord) -> dict[str, Any]:
+    """A rig's record without what was mounted on it."""
+    resolved = (rig or {}).get("resolved") or {}
+    return {**(rig or {}), "resolved": {k: v for k, v in resolved.items() if k != "mounted"}}
+
+
+def _file_name(index: int, pattern: str) -> str:
+    return f"{FRAMES}/{index:04d}_{pattern}.tif"
 
 
 def _shown(form: tuple[int, int, int]) -> str:
@@ -276,6 +291,10 @@ def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
         except ValidationError as error:
             raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
         _check_place(record.index, record.pattern, ids, records, where)
+        if record.file != _file_name(record.index, record.pattern):
+            raise DataError(
+                f"{where}: frame {record.index} names the file '{record.file}', which is not its own"
+            )
         records[record.index] = record
     return records
 
@@ -300,16 +319,27 @@ def _remove(path: Path) -> None:
     shutil.rmtree(path)
 
 
+def refuse_foreign(path: Path) -> None:
+    """Refuse, before anything is done, an output for a session that is something else: `ConfigError`."""
+    if path.exists() and not (path / JOURNAL).is_file():
+        raise ConfigError(f"{path}: exists and is not a session; name another output")
+
+
 def recorded_sessions(paths: list[Path]) -> list[Session]:
     """Sessions named one by one, or by the directory that holds them, all of one plan and format.
 
-    Raises `DataError` when a path holds none, or when they do not belong together.
+    Raises `ConfigError` when one is given twice, `DataError` when a path holds none, or when they do not
+    belong together.
     """
     sessions: list[Session] = []
     for path in paths:
         alone = (path / JOURNAL).is_file()
         inside = [] if alone else sorted(p.parent for p in path.glob(f"*/{JOURNAL}"))
         sessions += [Session.open(p) for p in inside or [path]]
+    places = [session.path.resolve() for session in sessions]
+    for place in places:
+        if places.count(place) > 1:
+            raise ConfigError(f"{place}: is given twice; a pose counts once")
     first = sessions[0]
     for session in sessions[1:]:
         if session.plan != first.plan:

@@ -176,7 +176,7 @@ class Blender:
             return DeviceError(self.name, doing, *missing)
         last = said.splitlines()[-1] if said else "it said nothing"
         return DisconnectedError(
-            self.name, doing, f"the Blender process has died ({last})", "open the rig again"
+            self.name, doing, f"the Blender process has died ({last})", "run the same command again"
         )
 
 

@@ -161,7 +161,8 @@ class StageWorld(Document):
 class PoseRules(Document):
     """Seeded random poses of a board, wholly in the camera's image and the projector's light.
 
-    tilt_deg: greatest angle between board and camera. depth_mm: centre's distance, middle and half range.
+    tilt_deg: greatest angle between board and camera. distance_mm, range_mm: the centre's distance, middle
+    and half range.
     """
 
     count: Annotated[int, Field(ge=1, le=500)] = 15

@@ -31,6 +31,7 @@ class _Maps:
     u: Map
     v: Map
     sigma: Map
+    v_per_u: float = 1.0
 
 
 def run() -> list[Result]:

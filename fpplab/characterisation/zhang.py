@@ -70,9 +70,9 @@ class Characterisation:
             "projector": {"rms_px": rms["projector"]},
             "joint_rms_px": rms["joint"],
             "stereo_rms_px": self.apart_px["stereo"],
-            "leave_one_out": None
-            if self.leave_one_out_px is None
-            else {f"{device}_px": rms for device, rms in self.leave_one_out_px.items()},
+            "leave_one_out": {
+                f"{d}_px": (self.leave_one_out_px or {}).get(d) for d in ("camera", "projector")
+            },
             "poses": len(self.observations),
             "points": self.points,
         }

@@ -34,6 +34,8 @@ DENSITY_PER_MM2 = 200.0
 OUTLIER_MM = 1.0
 NEAR_MM = 0.5
 """True surface counts as measured when reconstructed surface lies this near."""
+LARGEST_RATIO = 50.0
+"""Cloud and mesh whose sizes differ by more are not in the same unit."""
 _UM = 1e3
 
 
@@ -113,6 +115,7 @@ def compare(
     if mesh.is_watertight and mesh.volume < 0.0:
         raise DataError("true mesh: its normals point inwards; turn them outwards and export it again")
     points = cloud.points.astype(np.float64)
+    _check_units(points, mesh)
     alignment = align_mesh(points, mesh, seed) if align else None
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
@@ -146,6 +149,16 @@ def compare(
         distances_mm=distances.astype(np.float32),
         counted=counted,
     )
+
+
+def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
+    """Refuse a mesh that cannot be in the cloud's unit: `DataError`."""
+    low, high = np.quantile(points, (0.01, 0.99), axis=0)
+    cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
+    if not 1 / LARGEST_RATIO < cloud_mm / max(mesh_mm, 1e-12) < LARGEST_RATIO:
+        raise DataError(
+            f"true mesh: is {mesh_mm:.3g} mm across, but the cloud {cloud_mm:.3g} mm; both must be in mm"
+        )
 
 
 def _visible_samples(

@@ -15,6 +15,10 @@ from fpplab.errors import CapabilityError, FrameLossError, SettingError, StateEr
 Trigger = Literal["software", "hardware"]
 
 
+ROUNDING, ROUNDING_DB = 0.1, 0.5
+"""How far a device's own grid may take an exposure (as a share) and a gain from what was asked for."""
+
+
 @dataclass(frozen=True)
 class CameraSettings:
     """What a camera can be told. `bits` is the depth of the integers in a frame."""
@@ -91,8 +95,21 @@ class Camera(Device):
                 self.name, "configure", f"bits is {settings.bits}", f"one of {list(caps.bits)}"
             )
         with self._guard("configure"):
-            self._settings = self._configure(settings)
-        return self._settings
+            back = self._configure(settings)
+        self._honoured(settings, back)
+        self._settings = back
+        return back
+
+    def _honoured(self, asked: CameraSettings, back: CameraSettings) -> None:
+        """A device may round to its grid; one that did something else is refused."""
+        near = abs(back.exposure_s - asked.exposure_s) <= ROUNDING * asked.exposure_s
+        if not near or abs(back.gain_db - asked.gain_db) > ROUNDING_DB or back.bits != asked.bits:
+            raise SettingError(
+                self.name,
+                "configure",
+                f"{asked} was asked for, but the device reads {back}",
+                "choose what it has",
+            )
 
     @final
     def arm(self, n: int, trigger: Trigger = "software") -> None:

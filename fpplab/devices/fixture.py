@@ -54,6 +54,13 @@ class Fixture(Device):
         with self._guard("pose"):
             return self._pose(item, pose)
 
+    @final
+    def check(self, item: str, pose: int = 0) -> None:
+        """Refuse an item or pose that it has not: `SettingError`; nothing moves."""
+        self._need(State.IDLE, doing="check")
+        if item != "nothing":
+            self._check_held("check", item, pose)
+
     def _check_held(self, doing: str, item: str, pose: int) -> None:
         items = self.caps.items
         if item not in items:

@@ -1,5 +1,6 @@
 """Frames -> projector coordinates, with mask and uncertainty."""
 
 from fpplab.phase.decoding import Decoded, Wrapped, decode, wrapped_phase
+from fpplab.phase.unwrapping import check_unwrapping
 
-__all__ = ["Decoded", "Wrapped", "decode", "wrapped_phase"]
+__all__ = ["Decoded", "Wrapped", "check_unwrapping", "decode", "wrapped_phase"]

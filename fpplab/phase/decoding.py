@@ -51,13 +51,15 @@ class Decoded:
 
     u, v: projector coordinates in px; all NaN (and then read-only) where the axis is not
     coded. modulation: B of the finest set of the first coded axis (x before y), in 8-bit
-    grey levels. sigma: 1-sigma of that axis' coordinate in projector px.
+    grey levels. sigma: 1-sigma of that axis' coordinate in projector px. v_per_u: how many times
+    greater v's sigma is than u's where both are coded, from the plan: their modulations are alike.
     """
 
     u: Map
     v: Map
     modulation: Map
     sigma: Map
+    v_per_u: float = 1.0
 
     @property
     def valid(self) -> Mask:
@@ -67,7 +69,7 @@ class Decoded:
     def save(self, path: Path | str) -> None:
         """Write an NPZ file with the keys u, v, modulation, sigma, whole or not at all: `DataError`."""
         maps = {name: getattr(self, name) for name in _KEYS}
-        write_atomic(Path(path), lambda stream: np.savez(stream, **maps))
+        write_atomic(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
 
     @classmethod
     def load(cls, path: Path | str) -> Decoded:
@@ -76,6 +78,7 @@ class Decoded:
             # Opened here, because on a damaged file NumPy forgets to close it.
             with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 maps = {name: archive[name] for name in _KEYS}
+                v_per_u = float(archive["v_per_u"])
         except FileNotFoundError:
             raise DataError(f"{path}: there is no such file; decode a session into it first") from None
         except KeyError as error:
@@ -87,7 +90,7 @@ class Decoded:
         kinds = {(m.shape, m.dtype.name, m.ndim) for m in maps.values()}
         if len(kinds) != 1 or next(iter(kinds))[1:] != ("float32", 2):
             raise DataError(f"{path}: its maps must be float32 images of one size; decode the session again")
-        return cls(**maps)
+        return cls(**maps, v_per_u=v_per_u)
 
 
 _KEYS = ("u", "v", "modulation", "sigma")
@@ -158,7 +161,10 @@ def decode(
             f"{source}: holds values up to {highest:g}, above the full scale {_full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
-    decoded = Decoded(*(_shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma)))
+    spread_u, spread_v = recipe.spread
+    v_per_u = float(spread_v / spread_u) if spread_u and spread_v else 1.0
+    u, v, modulation, sigma = (_shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma))
+    decoded = Decoded(u, v, modulation, sigma, v_per_u)
     if plan.order_vote is not None:
         for ladder, doubt in ((k, maps.doubt_u if k.axis == "x" else maps.doubt_v) for k in ladders):
             _repair(decoded, images, plan, ladder, projector_size, doubt)
@@ -352,6 +358,8 @@ def _repair(
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
     phases = _phases_at(images, plan, ladder, pixels)
     sigma, seam = decoded.sigma.reshape(-1)[pixels] / length, SEAM_PX / length
+    if ladder.axis == "y":
+        sigma = sigma * decoded.v_per_u
     found = climb(phases, ladder, sigma, seam)
     other = climb(phases, ladder, sigma, seam, found.doubted)
     alternative = np.where(other.certain, other.position * length - 0.5, np.nan)

@@ -97,6 +97,12 @@ def build_ladder(plan: Plan, axis: Axis, source: str) -> Ladder:
     return Ladder(axis, sets, kept, _trust(kept, [plan.fringes[i].steps for i in sets]))
 
 
+def check_unwrapping(plan: Plan, source: str) -> None:
+    """Refuse a plan that cannot be unwrapped, before anything is projected: `ConfigError`."""
+    for axis in plan.axes:
+        build_ladder(plan, axis, source)
+
+
 def _trust(rungs: tuple[Rung, ...], steps: list[int]) -> tuple[float, ...]:
     def variance(rung: Rung) -> float:
         return sum(c * c * steps[-1] / n for c, n in zip(rung.coefficients, steps, strict=True))

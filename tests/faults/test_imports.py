@@ -91,11 +91,11 @@ def test_an_image_of_another_size(folder: Path) -> None:
 
 def test_more_bits_than_promised(folder: Path) -> None:
     replace(folder, 1, image_of(1).astype(np.uint16) * 257)
-    refuses(folder, "f_01.png: is a 16-bit image but 8 bits were promised; see --bits")
+    refuses(folder, "f_01.png: holds 16-bit grey levels but 8 bits were promised; see --bits")
 
 
 def test_fewer_bits_than_promised(folder: Path) -> None:
-    refuses(folder, "f_00.png: is a 8-bit image but 12 bits were promised; see --bits", bits=12)
+    refuses(folder, "f_00.png: holds 8-bit grey levels but 12 bits were promised; see --bits", bits=12)
 
 
 def test_a_level_that_the_bits_do_not_hold(folder: Path) -> None:

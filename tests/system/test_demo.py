@@ -41,7 +41,7 @@ def test_demo_finds_the_response_that_the_world_has(demo: Demo) -> None:
 
 def test_demo_report_stands_alone(demo: Demo) -> None:
     page = Path(demo.answer["report"]).read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") >= 12
+    assert page.count("data:image/png;base64,") >= 24
     assert "http://" not in page
     assert "https://" not in page
     for name in ARTEFACTS:
@@ -112,13 +112,15 @@ def test_a_session_without_its_board_is_named_and_left_out(
 
 
 def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
-    sessions = [tmp_path / f"none_{k}" for k in range(1)]
+    sessions = [tmp_path / f"none_{k}" for k in range(3)]
     assert _scan_of_nothing(fpplab, demo, sessions[0]).code == 0
+    for copy in sessions[1:]:
+        shutil.copytree(sessions[0], copy)
     done = fpplab(
         "characterise", *sessions, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json"
     )
     assert done.code == 5
-    assert "none_0" in done.json["error"]
+    assert all(f"none_{k}: the board was not found" in done.json["error"] for k in range(3))
     assert not (tmp_path / "c.yaml").exists()
 
 

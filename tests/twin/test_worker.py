@@ -68,7 +68,7 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_i
         pid = bench.blender.pid
         assert pid is not None
         threading.Timer(0.7, os.kill, (pid, signal.SIGKILL)).start()
-        with pytest.raises(DisconnectedError, match=r"Blender process has died.*open the rig again"):
+        with pytest.raises(DisconnectedError, match=r"Blender process has died.*run the same command again"):
             camera.snap()
         assert camera.state is State.FAULT
         assert gone(pid)

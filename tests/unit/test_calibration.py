@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from fpplab.calibration import Calibration
 from fpplab.conventions import Lattice
@@ -51,11 +52,11 @@ def test_another_sensor_is_refused() -> None:
 
 
 def test_another_projector_is_refused() -> None:
-    CALIBRATION.check_projector((912, 1140), "s")
+    CALIBRATION.check_projector((912, 1140), CALIBRATION.projector.lattice, "s")
     with pytest.raises(
         CalibrationError, match=r"s: projector patterns are 1140 x 912 but .* 912 x 1140"
     ) as caught:
-        CALIBRATION.check_projector((1140, 912), "s")
+        CALIBRATION.check_projector((1140, 912), CALIBRATION.projector.lattice, "s")
     assert caught.value.exit_code == 5
 
 
@@ -72,3 +73,35 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
         path.write_text(text.replace(old, new))
         with pytest.raises(ConfigError, match=complaint):
             Calibration.load(path)
+
+
+@pytest.mark.parametrize(
+    ("written", "instead", "complaint"),
+    [
+        ("- 1094.4", "- -1094.4", r"'projector.focal_px\[0\]' is -1094.4"),
+        ("- 912\n", "- 0\n", r"size\[\d\]' is 0"),
+    ],
+)
+def test_figures_that_no_device_has_are_refused(
+    tmp_path: Path, written: str, instead: str, complaint: str
+) -> None:
+    CALIBRATION.save(tmp_path / "c.yaml")
+    text = (tmp_path / "c.yaml").read_text()
+    assert written in text
+    (tmp_path / "c.yaml").write_text(text.replace(written, instead))
+    with pytest.raises(ConfigError, match=complaint):
+        Calibration.load(tmp_path / "c.yaml")
+
+
+def test_a_calibration_without_baseline_is_refused(tmp_path: Path) -> None:
+    CALIBRATION.save(tmp_path / "c.yaml")
+    data = yaml.safe_load((tmp_path / "c.yaml").read_text())
+    data["T_projector_camera"]["translation_mm"] = [0.0, 0.0, 0.0]
+    (tmp_path / "c.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError, match="translation_mm' is zero"):
+        Calibration.load(tmp_path / "c.yaml")
+
+
+def test_another_lattice_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="for a square lattice but the calibration is for a diamond"):
+        CALIBRATION.check_projector((912, 1140), Lattice.SQUARE, "s")

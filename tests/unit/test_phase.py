@@ -341,6 +341,7 @@ def test_what_is_no_decoded_measurement_is_refused(tmp_path):
     with pytest.raises(DataError, match="there is no such file"):
         Decoded.load(path)
     maps = {name: np.zeros((2, 3), np.float32) for name in ("u", "v", "modulation", "sigma")}
+    maps["v_per_u"] = np.float64(1)
     np.savez(path, u=maps["u"])
     with pytest.raises(DataError, match="no decoded measurement"):
         Decoded.load(path)

@@ -31,6 +31,7 @@ class Maps:
     u: NDArray[np.float32]
     v: NDArray[np.float32]
     sigma: NDArray[np.float32]
+    v_per_u: float = 1.0
 
 
 def plane() -> NDArray[np.float64]:
@@ -115,6 +116,24 @@ def test_sigma_is_the_scatter_along_the_ray(axes: str) -> None:
         sigmas.append(cloud.sigma_mm)
     assert np.std(np.concatenate(errors)) == pytest.approx(1.0, rel=0.1)
     assert 0.005 < np.median(np.concatenate(sigmas)) < 0.1
+
+
+def test_the_axis_with_less_noise_counts_more() -> None:
+    """A coarse second axis must not spoil a fine first one, and sigma must say what comes out."""
+    truth, scatter = plane(), {}
+    for axes, ratio in (("x", 1.0), ("xy", 20.0)):
+        random = np.random.default_rng(5)
+        clean = maps_of(truth, axes)
+        noise_u, noise_v = (
+            random.normal(0, 0.05 * k, truth.shape[:2]).astype(np.float32) for k in (1, ratio)
+        )
+        noisy = Maps(clean.u + noise_u, clean.v + noise_v, np.full_like(clean.sigma, 0.05), ratio)
+        cloud = triangulate(noisy, CALIBRATION)
+        u, v = cloud.pixels.T  # type: ignore[union-attr]
+        along = (cloud.points - truth[v, u])[:, 2] * np.linalg.norm(truth[v, u], axis=1) / truth[v, u, 2]
+        assert np.std(along / cloud.sigma_mm) == pytest.approx(1.0, rel=0.1)
+        scatter[axes] = np.std(along)
+    assert scatter["xy"] <= 1.01 * scatter["x"]
 
 
 def test_epipolar_distance_is_the_noise_across_the_epipolar_curve() -> None:
