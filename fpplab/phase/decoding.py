@@ -363,7 +363,8 @@ def _repair(
     found = climb(phases, ladder, sigma, seam)
     other = climb(phases, ladder, sigma, seam, found.doubted)
     alternative = np.where(other.certain, other.position * length - 0.5, np.nan)
-    backed = vote_orders(coordinate, pixels, alternative, plan.order_vote.window)
+    period = length / plan.fringes[ladder.finest].stripes
+    backed = vote_orders(coordinate, pixels, alternative, plan.order_vote.window, period)
     dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
     for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma):
         if values.flags.writeable:

@@ -227,7 +227,7 @@ _PASSES = 5
 
 
 def vote_orders(
-    coordinate: Map, pixels: NDArray[np.int64], alternative: Floats, window: int
+    coordinate: Map, pixels: NDArray[np.int64], alternative: Floats, window: int, period: float
 ) -> NDArray[np.bool_]:
     """Repair fringe orders by local majority, in place.
 
@@ -241,23 +241,29 @@ def vote_orders(
     coordinate: (height, width) float32 px, NaN where invalid; repaired in place.
     pixels: (P,) flat indices of the doubtful pixels. alternative: (P,) px, the coordinate
         that each would have with its second-best order, NaN if that lies outside the projector.
-    window: side of the square of neighbours, odd.
+    window: side of the square of neighbours, odd. period: px of the finest fringes; a quarter of it is
+        near enough where there is no alternative.
 
     Returns
     -------
-    (P,) whether a majority stands behind the coordinate that the pixel has now.
+    (P,) whether more than half of the measured neighbours stand behind the pixel's coordinate.
     """
     other = alternative.astype(np.float32)
     backed = np.zeros(len(pixels), np.bool_)
     for _ in range(_PASSES):
-        if not _vote(coordinate, pixels, other, window // 2, backed):
+        if not _vote(coordinate, pixels, other, window // 2, np.float32(period), backed):
             break
     return backed
 
 
 @njit(nogil=True, cache=True)
 def _vote(
-    coordinate: Map, pixels: NDArray[np.int64], other: Map, reach: int, backed: NDArray[np.bool_]
+    coordinate: Map,
+    pixels: NDArray[np.int64],
+    other: Map,
+    reach: int,
+    period: np.float32,
+    backed: NDArray[np.bool_],
 ) -> int:
     """One pass; returns how many pixels changed. `other` keeps what they changed from."""
     height, width = coordinate.shape
@@ -265,15 +271,16 @@ def _vote(
     for p in range(len(pixels)):
         row, column = pixels[p] // width, pixels[p] % width
         own, rival = coordinate[row, column], other[p]
-        near = abs(own - rival) / 4
-        for_own, for_rival = 0, 0
+        near = (abs(own - rival) if np.isfinite(rival) else period) / 4
+        for_own, for_rival, measured = 0, 0, 0
         for r in range(max(0, row - reach), min(height, row + reach + 1)):
             for c in range(max(0, column - reach), min(width, column + reach + 1)):
                 if r != row or c != column:
+                    measured += np.isfinite(coordinate[r, c])
                     for_own += abs(coordinate[r, c] - own) <= near
                     for_rival += abs(coordinate[r, c] - rival) <= near
         swap[p] = for_rival > for_own
-        backed[p] = for_own + for_rival > 0
+        backed[p] = 2 * max(for_own, for_rival) > measured
     for p in range(len(pixels)):
         if swap[p]:
             row, column = pixels[p] // width, pixels[p] % width

@@ -149,7 +149,7 @@ def test_a_majority_repairs_an_order():
     wrong = generator.permutation(truth.size)[:200]
     coordinate = truth.copy()
     coordinate.reshape(-1)[wrong] += 20
-    backed = vote_orders(coordinate, wrong, truth.ravel()[wrong].astype(float), window=7)
+    backed = vote_orders(coordinate, wrong, truth.ravel()[wrong].astype(float), window=7, period=20.0)
     np.testing.assert_array_equal(coordinate, truth)
     assert backed.all()
 
@@ -157,9 +157,21 @@ def test_a_majority_repairs_an_order():
 def test_a_lonely_pixel_is_neither_changed_nor_backed():
     coordinate = np.full((9, 9), np.nan, np.float32)
     coordinate[4, 4] = 50.0
-    backed = vote_orders(coordinate, np.array([40]), np.array([70.0]), window=5)
+    backed = vote_orders(coordinate, np.array([40]), np.array([70.0]), window=5, period=20.0)
     assert coordinate[4, 4] == 50.0
     assert not backed.any()
+
+
+@pytest.mark.parametrize(("agreeing", "backed"), [(1, False), (12, False), (13, True)])
+def test_only_a_majority_of_the_measured_neighbours_backs_a_pixel_without_alternative(agreeing, backed):
+    coordinate = np.full((5, 5), 100.0, np.float32)
+    coordinate.reshape(-1)[:agreeing] = 50.5
+    coordinate[2, 2] = 50.0
+    if agreeing > 12:  # the pixel itself lies among the first
+        coordinate.reshape(-1)[agreeing] = 50.5
+    found = vote_orders(coordinate, np.array([12]), np.array([np.nan]), window=5, period=20.0)
+    assert found.tolist() == [backed]
+    assert coordinate[2, 2] == 50.0
 
 
 @pytest.mark.parametrize("window", [4, 1, 53])
