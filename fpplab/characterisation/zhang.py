@@ -194,7 +194,8 @@ def _zhang(device: str, boards: Pixels, pixels: Pixels, size: Size) -> tuple[flo
     where a start from the centre may end in a wrong minimum.
     """
     width, height = size
-    guesses = [(0.5 * (width - 1), share * (height - 1)) for share in (0.5, 1.0, 0.0)]
+    places = ((0.5, 0.5), (0.5, 1.0), (0.5, 0.0), (1.0, 0.5), (0.0, 0.5))
+    guesses = [(across * (width - 1), down * (height - 1)) for across, down in places]
     fits = [fit for guess in guesses if (fit := _zhang_from(guess, boards, pixels, size)) is not None]
     if not fits:
         raise CalibrationError(
