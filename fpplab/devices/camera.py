@@ -96,20 +96,16 @@ class Camera(Device):
             )
         with self._guard("configure"):
             back = self._configure(settings)
-        self._honoured(settings, back)
-        self._settings = back
-        return back
-
-    def _honoured(self, asked: CameraSettings, back: CameraSettings) -> None:
-        """A device may round to its grid; one that did something else is refused."""
-        near = abs(back.exposure_s - asked.exposure_s) <= ROUNDING * asked.exposure_s
-        if not near or abs(back.gain_db - asked.gain_db) > ROUNDING_DB or back.bits != asked.bits:
+        if not _honoured(settings, back):
+            self._settings = None  # what it does now is what nobody asked for
             raise SettingError(
                 self.name,
                 "configure",
-                f"{asked} was asked for, but the device reads {back}",
+                f"{settings} was asked for, but the device reads {back}",
                 "choose what it has",
             )
+        self._settings = back
+        return back
 
     @final
     def arm(self, n: int, trigger: Trigger = "software") -> None:
@@ -201,3 +197,9 @@ class Camera(Device):
 
     @abstractmethod
     def _stop(self) -> None: ...
+
+
+def _honoured(asked: CameraSettings, back: CameraSettings) -> bool:
+    """Whether a device did what it was asked, but for rounding to its grid."""
+    near = abs(back.exposure_s - asked.exposure_s) <= ROUNDING * asked.exposure_s
+    return near and abs(back.gain_db - asked.gain_db) <= ROUNDING_DB and back.bits == asked.bits

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import final
 
 from fpplab.devices.device import Device, State
@@ -13,9 +13,12 @@ from fpplab.geometry import RigidTransform
 
 @dataclass(frozen=True)
 class FixtureCaps:
-    """What a fixture can hold: for each item, in how many poses (None: as many as wanted)."""
+    """What a fixture can hold: for each item, in how many poses (None: as many as wanted).
 
-    items: dict[str, int | None] = field(default_factory=dict)
+    Without `items`, as a person, it holds whatever it is asked for.
+    """
+
+    items: dict[str, int | None] | None = None
 
 
 class Fixture(Device):
@@ -63,9 +66,9 @@ class Fixture(Device):
 
     def _check_held(self, doing: str, item: str, pose: int) -> None:
         items = self.caps.items
-        if item not in items:
+        if items is not None and item not in items:
             raise SettingError(self.name, doing, f"has no item '{item}'", f"it has {sorted(items)}")
-        poses = items[item]
+        poses = items[item] if items is not None else None
         if pose < 0 or (poses is not None and pose >= poses):
             raise SettingError(self.name, doing, f"{item} has no pose {pose}", f"it has {poses}")
 

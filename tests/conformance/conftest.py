@@ -71,7 +71,7 @@ def rig(opened: Rig) -> Rig:
         device.close()
         device.open()
     if opened.fixture is not None:
-        opened.fixture.mount(next(iter(opened.fixture.caps.items)))
+        opened.fixture.mount(next(iter(opened.fixture.caps.items or {"board": None})))
     return opened
 
 

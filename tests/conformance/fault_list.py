@@ -95,7 +95,7 @@ CAMERA = [
     Fault(
         "settings are returned as asked for",
         CAMERA_BASE,
-        "        return self._settings\n\n    @final\n    def arm",
+        "        return back\n\n    @final\n    def arm",
         "        return settings\n\n    @final\n    def arm",
     ),
     Fault(
@@ -247,7 +247,7 @@ STAGE_AND_FIXTURE = [
         'doing="halt")\n        self._homed = False\n',
         'doing="halt")\n',
     ),
-    Fault("any item", FIXTURE_BASE, "if item not in items:", "if not item:"),
+    Fault("any item", FIXTURE_BASE, "if items is not None and item not in items:", "if not item:"),
     Fault("one pose too many", FIXTURE_BASE, "and pose >= poses):", "and pose > poses):"),
 ]
 

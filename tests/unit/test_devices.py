@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fpplab.devices import CameraSettings, Device, Frame, State
-from fpplab.errors import ConfigError, DataError, DeviceError, FrameLossError, StateError
+from fpplab.errors import ConfigError, DataError, DeviceError, FrameLossError, SettingError, StateError
 from fpplab.patterns import Pattern, uniform_patterns
 from tests.conformance.reference import (
     PROJECTOR_SIZE,
@@ -133,6 +133,19 @@ def test_a_backend_that_refuses_leaves_the_settings(
             camera.configure(CameraSettings(0.5))
     assert camera.state is State.IDLE
     assert camera.snap().settings == good
+
+
+@pytest.mark.parametrize(
+    "done", [CameraSettings(0.4), CameraSettings(0.5, gain_db=1.0), CameraSettings(0.5, bits=12)]
+)
+def test_a_backend_that_clamps_is_found_out(
+    camera: ReferenceCamera, monkeypatch: pytest.MonkeyPatch, done: CameraSettings
+) -> None:
+    monkeypatch.setattr(camera, "_configure", lambda settings: done)
+    with pytest.raises(SettingError, match="was asked for, but the device reads"):
+        camera.configure(CameraSettings(0.5))
+    with pytest.raises(StateError, match="is not configured"):
+        camera.snap()
 
 
 def test_a_failed_opening_is_cleaned_up(bench: ReferenceBench, monkeypatch: pytest.MonkeyPatch) -> None:
