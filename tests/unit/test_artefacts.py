@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from fpplab import artefacts
 from fpplab.artefacts import Pillars, Pyramid, Steps
+from fpplab.cli import app
 from fpplab.clouds import load_mesh
 from fpplab.errors import ConfigError
 
@@ -82,3 +85,32 @@ def test_unknown_artefact_is_refused_with_the_known_ones() -> None:
 def test_impossible_shapes_are_refused_by_field(build: object, field: str) -> None:
     with pytest.raises(ConfigError, match=field):
         build()  # type: ignore[operator]
+
+
+def test_the_command_writes_the_sliced_shape_and_counts_its_layers(tmp_path: Path) -> None:
+    out = tmp_path / "printed.stl"
+    words = ["artefact", "steps", "--out", str(out), "--layer", "0.2", "--bead", "0.03", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["layers"] == 125
+    assert result["size_mm"] == pytest.approx([90.0, 70.0, 25.0])
+    assert len(load_mesh(out).faces) == result["faces"] > 1000
+
+
+def test_the_command_writes_the_drawn_shape_without_layers(tmp_path: Path) -> None:
+    words = ["artefact", "steps", "--out", str(tmp_path / "drawn.stl"), "--json"]
+    result = json.loads(CliRunner().invoke(app, words).stdout)
+    assert result.keys() == {"size_mm", "faces", "mesh"}
+    assert result["faces"] == len(artefacts.make("steps").faces)
+
+
+@pytest.mark.parametrize(
+    ("options", "field"), [(["--bead", "0.03"], "--layer"), (["--layer", "0"], "layer_mm")]
+)
+def test_the_command_refuses_impossible_layers(tmp_path: Path, options: list[str], field: str) -> None:
+    out = tmp_path / "printed.stl"
+    done = CliRunner().invoke(app, ["artefact", "steps", "--out", str(out), *options])
+    assert isinstance(done.exception, ConfigError)
+    assert field in str(done.exception)
+    assert not out.exists()

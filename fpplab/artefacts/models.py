@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from fpplab.artefacts.standards import BallBar
 from fpplab.conventions import TWO_PI, Floats
 from fpplab.errors import ConfigError
 from fpplab.files import write_atomic
@@ -117,19 +118,25 @@ class Steps:
         return _body([*parts, _strip(_upright(outline, half), _upright(outline, -half))])
 
 
-_BUILDERS: dict[str, Callable[[], Pyramid | Pillars | Steps]] = {
+_BUILDERS: dict[str, Callable[[], Pyramid | Pillars | Steps | BallBar]] = {
     "pyramid": Pyramid,
     "pillars": Pillars,
     "steps": Steps,
 }
 NAMES = tuple(_BUILDERS)
+"""What a measurement is compared with."""
+
+_STANDARDS: dict[str, Callable[[], Pyramid | Pillars | Steps | BallBar]] = {"ball_bar": BallBar}
+STANDARDS = tuple(_STANDARDS)
+"""What an acceptance test measures."""
 
 
 def make(name: str) -> trimesh.Trimesh:
-    """The artefact of that name in its standard size. Raises `ConfigError` that lists them."""
-    if name not in _BUILDERS:
-        raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(NAMES)}")
-    return _BUILDERS[name]().mesh()
+    """The artefact or standard of that name in its usual size. Raises `ConfigError` that lists them."""
+    known = _BUILDERS | _STANDARDS
+    if name not in known:
+        raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(known)}")
+    return known[name]().mesh()
 
 
 def save_stl(mesh: trimesh.Trimesh, path: Path) -> None:

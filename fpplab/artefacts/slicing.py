@@ -1,0 +1,149 @@
+"""A part as a printer makes it: layers of molten filament (FDM), stacked along z.
+
+A slope becomes a staircase, and a wall is marked where one layer's bead meets the next. On a
+printed artefact both are larger than what a good measurement gets wrong, so a cloud of it is
+compared with the sliced shape, not with the drawn one.
+
+Frame of the part: mm, base on z = 0, z up, as it stood in the printer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+
+import numpy as np
+import trimesh
+from manifold3d import CrossSection, Error, JoinType, Manifold, Mesh64, OpType
+
+from fpplab.artefacts.parts import check_solid
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+
+MAX_LAYERS = 2000
+LEVELS = 3
+"""Depths by which a bead's round profile is drawn: a wall is right to a quarter of the marks' depth."""
+
+NEGLIGIBLE_MM = 1e-5
+"""More than a file of 32 bit floats rounds, far less than anything is printed to."""
+
+STANDS_WITHIN_MM = 1e-3
+
+
+def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
+    """The shape that a printer makes of a watertight part that stands on z = 0.
+
+    Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section in its
+    middle. The printed height is the part's, rounded to whole layers (`layer_count`).
+
+    bead_mm: depth of the marks on a wall. A layer's outline is widest in the middle of the layer and
+    `bead_mm` further in at its two edges; between them it follows the arc through these three, in
+    `LEVELS` depths. 0 leaves walls plain within a layer.
+
+    Returns a single watertight body without inner faces, normals outward.
+    Raises `ConfigError` for lengths out of range, a mesh that is no solid or does not stand on z = 0,
+    a feature that is thinner than its marks, and layers that do not hold together.
+    """
+    check_solid(mesh, "the part")
+    low, high = mesh.bounds[:, 2]
+    if abs(low) > STANDS_WITHIN_MM:
+        raise ConfigError(f"the part: stands on z = {low:g} mm; move it so that it stands on 0")
+    layers = layer_count(high, layer_mm)
+    if not 0 <= bead_mm < layer_mm / 2:
+        raise ConfigError(
+            f"bead_mm: {bead_mm:g} mm must be from 0 to less than half a layer, {layer_mm / 2:g} mm"
+        )
+    solid = _solid(mesh)
+    depths, edges = _profile(layer_mm, bead_mm)
+    bottoms = np.arange(layers) * layer_mm
+    middles = bottoms + layer_mm / 2
+    outlines = [outline for z in middles for outline in _bead(solid, z, depths)]
+    heights = np.append(0.0, np.add.outer(bottoms, edges[1:]))
+    return _mesh(_stack(outlines), heights)
+
+
+def layer_count(height_mm: float, layer_mm: float) -> int:
+    """Layers of a part of that height: those whose middle lies in the part, so half a layer rounds down.
+
+    Raises `ConfigError` for a layer that is not above 0 mm, gives no layer or more than `MAX_LAYERS`.
+    """
+    if not (layer_mm > 0 and np.isfinite(layer_mm)):
+        raise ConfigError(f"layer_mm: {layer_mm:g} mm must be above 0 mm")
+    layers = np.ceil((height_mm - NEGLIGIBLE_MM) / layer_mm - 0.5)
+    if layers < 1:
+        raise ConfigError(
+            f"layer_mm: {layer_mm:g} mm must be less than twice the part's height, {height_mm:g} mm"
+        )
+    if layers > MAX_LAYERS:
+        raise ConfigError(
+            f"layer_mm: {layer_mm:g} mm makes more than {MAX_LAYERS} layers of {height_mm:g} mm; "
+            f"give at least {height_mm / MAX_LAYERS:g} mm"
+        )
+    return int(layers)
+
+
+def _solid(mesh: trimesh.Trimesh) -> Manifold:
+    corners = np.array(mesh.vertices, np.float64, order="C")
+    solid = Manifold(Mesh64(corners, np.array(mesh.faces, np.uint64, order="C")))
+    if solid.status() != Error.NoError:
+        raise ConfigError(f"the part: is no solid ({solid.status().name}); repair it in a mesh editor")
+    return solid
+
+
+def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
+    """Depths (L,) from the middle of a layer outwards, and heights (2L,) in the layer where the next begins.
+
+    The arc through depth 0 in the middle and `bead_mm` at the edges, rounded to the nearest depth.
+    """
+    if bead_mm == 0:
+        return np.zeros(1), np.array([0.0, layer_mm])
+    half = layer_mm / 2
+    radius = (half**2 + bead_mm**2) / (2 * bead_mm)
+    depths = np.linspace(0.0, bead_mm, LEVELS)
+    between = (depths[:-1] + depths[1:]) / 2
+    away = np.sqrt(between * (2 * radius - between))
+    return depths, np.concatenate([[0.0], half - away[::-1], half + away, [layer_mm]])
+
+
+def _bead(solid: Manifold, z: float, depths: Floats) -> list[CrossSection]:
+    """Outlines (2L - 1) of one layer from its lower edge to its upper one."""
+    # A face exactly in the middle of a layer ends below it, as it does in `layer_count`.
+    widest = solid.slice(z + NEGLIGIBLE_MM).simplify(NEGLIGIBLE_MM)
+    inner = [widest.offset(-depth, JoinType.Miter) for depth in depths[1:]]
+    if any(outline.num_contour() != widest.num_contour() for outline in inner):
+        raise ConfigError(
+            f"bead_mm: {depths[-1]:g} mm is half of a feature's width or more at z = {z:g} mm; give less"
+        )
+    return [*inner[::-1], widest, *inner]
+
+
+def _stack(outlines: list[CrossSection]) -> Manifold:
+    """The outlines as slabs of unit height, united. Whole heights make neighbours touch exactly."""
+    body = Manifold.batch_boolean(list(_slabs(outlines)), OpType.Add)
+    shells = [shell.volume() for shell in body.decompose()]
+    bodies = sum(volume > 0 for volume in shells)  # the shell of a hollow has a negative volume
+    if bodies != 1:
+        raise ConfigError(
+            f"the part: its layers make {bodies} separate bodies; give one body, or thinner layers"
+        )
+    return body
+
+
+def _slabs(outlines: list[CrossSection]) -> Iterator[Manifold]:
+    start = 0
+    for _, run in groupby(outlines, key=_contours):  # equal neighbours as one: plain walls stay plain
+        same = list(run)
+        yield same[0].extrude(len(same)).translate((0.0, 0.0, start))
+        start += len(same)
+
+
+def _contours(outline: CrossSection) -> list[bytes]:
+    return [contour.tobytes() for contour in outline.to_polygons()]
+
+
+def _mesh(body: Manifold, heights: Floats) -> trimesh.Trimesh:
+    """The body with its slab boundaries, whole numbers until now, at their heights in mm."""
+    parts = body.to_mesh64()
+    corners = np.array(parts.vert_properties[:, :3])
+    corners[:, 2] = heights[np.rint(corners[:, 2]).astype(int)]
+    return trimesh.Trimesh(corners, parts.tri_verts, process=False)

@@ -1,0 +1,74 @@
+"""A standard for acceptance tests as a watertight mesh: the ball bar.
+
+Its centre distance and diameters are exact; the facets stay within a micrometre of the spheres.
+Frame: as of the artefacts; the spheres' centres lie at x = ± spacing / 2, y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from manifold3d import Manifold, Mesh64
+
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+
+SUBDIVISIONS = 6
+"""Of an icosahedron: the facets' sagitta is 0.005 % of the radius, 0.5 µm on a sphere of 20 mm."""
+POST_CORNERS = 64
+
+
+@dataclass(frozen=True)
+class BallBar:
+    """Two equal spheres on posts that stand on a bar; lengths in mm.
+
+    diameter: of the spheres. spacing: between their centres. bar: length, width and thickness of the bar.
+    clearance: between the bar's upper face and the spheres. post: diameter of the posts.
+    """
+
+    diameter: float = 20.0
+    spacing: float = 70.0
+    bar: tuple[float, float, float] = (100.0, 24.0, 5.0)
+    clearance: float = 4.0
+    post: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in ("diameter", "spacing", "bar", "clearance", "post"):
+            values = np.atleast_1d(getattr(self, name))
+            if values.shape != ((3,) if name == "bar" else (1,)) or not (
+                np.isfinite(values).all() and (values > 0).all()
+            ):
+                raise ConfigError(f"BallBar.{name}: {values.tolist()} must be lengths above 0 mm")
+        for name, value, limit, of in (
+            ("diameter", self.diameter, self.spacing, "the spacing"),
+            ("post", self.post, self.diameter, "the spheres' diameter"),
+            ("post", self.post, self.bar[1], "the bar's width"),
+            ("spacing", self.spacing + self.post, self.bar[0], "the bar's length, with a post"),
+        ):
+            if not value < limit:
+                raise ConfigError(f"BallBar.{name}: {value:g} mm must be less than {limit:g} mm, {of}")
+
+    @property
+    def centres(self) -> Floats:
+        """Centres of the two spheres, (2, 3) in mm."""
+        height = self.bar[2] + self.clearance + self.diameter / 2
+        return np.array([[-self.spacing / 2, 0.0, height], [self.spacing / 2, 0.0, height]])
+
+    def mesh(self) -> trimesh.Trimesh:
+        """A single watertight body, normals outward."""
+        bar = Manifold.cube(self.bar, center=True).translate((0.0, 0.0, self.bar[2] / 2))
+        radius, height = self.post / 2, float(self.centres[0, 2])
+        post = Manifold.cylinder(height - self.bar[2] / 2, radius, radius, POST_CORNERS)
+        body = bar
+        for centre in self.centres:
+            body += post.translate((centre[0], centre[1], self.bar[2] / 2))
+            body += self._sphere().translate(tuple(centre))
+        parts = body.to_mesh64()
+        return trimesh.Trimesh(np.array(parts.vert_properties[:, :3]), parts.tri_verts, process=False)
+
+    def _sphere(self) -> Manifold:
+        ball = trimesh.creation.icosphere(SUBDIVISIONS, self.diameter / 2)
+        corners = np.array(ball.vertices, np.float64, order="C")
+        return Manifold(Mesh64(corners, np.array(ball.faces, np.uint64, order="C")))
