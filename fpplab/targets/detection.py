@@ -29,6 +29,8 @@ Shape = Callable[[Floats, Floats, Floats], Floats]
 LEAST_POINTS = 6
 """Fewer points of a board fix its pose too badly to be of use."""
 
+CHECKERBOARD_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+
 
 @dataclass(frozen=True, eq=False)
 class Detection:
@@ -47,12 +49,12 @@ def detect(target: Target, image: NDArray[Any]) -> Detection | None:
     if image.ndim != 2 or min(image.shape) < 16:
         raise CalibrationError(f"a board is looked for in a grey picture, not in an array {image.shape}")
     level = np.nan_to_num(np.asarray(image, np.float64))
-    coarse = _FINDERS[target.kind](target, _stretched(level))
+    coarse = _FINDERS[target.kind](target, stretched(level))
     if coarse is None:
         return None
     if target.kind != "charuco":
         coarse = _in_order(target, coarse.pixels.reshape(target.counts[1], target.counts[0], 2), level)
-    return _refined(target, coarse, level) if coarse is not None else None
+    return refined(target, coarse, level) if coarse is not None else None
 
 
 def homography(target: Target, detection: Detection) -> Floats:
@@ -78,7 +80,7 @@ def local_frames(matrix: Floats, points: Floats) -> Floats:
     return np.asarray(slopes / mapped[:, 2:, None])
 
 
-def _stretched(level: Floats) -> NDArray[np.uint8]:
+def stretched(level: Floats) -> NDArray[np.uint8]:
     """The picture on the full 8-bit scale: finders are tuned for well exposed pictures."""
     low, high = np.percentile(level, [0.5, 99.5])
     share = (level - low) / max(high - low, 1e-12)
@@ -86,26 +88,35 @@ def _stretched(level: Floats) -> NDArray[np.uint8]:
 
 
 def _find_checkerboard(target: Target, grey: NDArray[np.uint8]) -> Detection | None:
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, pixels = cv2.findChessboardCornersSB(grey, target.counts, flags=flags)
+    found, pixels = cv2.findChessboardCornersSB(grey, target.counts, flags=CHECKERBOARD_FLAGS)
     return _whole(pixels) if found else None
 
 
 def _find_circles(target: Target, grey: NDArray[np.uint8]) -> Detection | None:
-    parameters = cv2.SimpleBlobDetector.Params()
-    parameters.blobColor = 0 if target.foreground < target.background else 255
-    parameters.minArea, parameters.maxArea = 20.0, 0.02 * grey.size
-    parameters.minDistBetweenBlobs = 3.0
-    blobs = cv2.SimpleBlobDetector.create(parameters)
+    detector = _blob_detector(target, grey)
     columns, rows = target.counts
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.staggered else cv2.CALIB_CB_SYMMETRIC_GRID
     for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
         # OpenCV staggers every other row, a board of ours every other column.
-        found, pixels = cv2.findCirclesGrid(grey, (rows, columns), flags=flags, blobDetector=blobs)
+        found, pixels = cv2.findCirclesGrid(grey, (rows, columns), flags=flags, blobDetector=detector)
         if found:
             grid = np.asarray(pixels, np.float64).reshape(columns, rows, 2)
             return _whole(grid.transpose(1, 0, 2))
     return None
+
+
+def blobs(target: Target, grey: NDArray[np.uint8]) -> Floats:
+    """Middles (n, 2) in px of all that could be circles of the board."""
+    found = _blob_detector(target, grey).detect(grey)
+    return np.array([blob.pt for blob in found], np.float64).reshape(-1, 2)
+
+
+def _blob_detector(target: Target, grey: NDArray[np.uint8]) -> cv2.SimpleBlobDetector:
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.blobColor = 0 if target.foreground < target.background else 255
+    parameters.minArea, parameters.maxArea = 20.0, 0.02 * grey.size
+    parameters.minDistBetweenBlobs = 3.0
+    return cv2.SimpleBlobDetector.create(parameters)
 
 
 def _find_charuco(target: Target, grey: NDArray[np.uint8]) -> Detection | None:
@@ -173,12 +184,12 @@ def _colours_agree(target: Target, grid: Floats, level: Floats) -> bool:
     return bool(contrast * (target.background - target.foreground) > 0)
 
 
-def _refined(target: Target, coarse: Detection, level: Floats) -> Detection | None:
+def refined(target: Target, coarse: Detection, level: Floats) -> Detection | None:
     """Every point by its own model fit; points whose fit fails are left out."""
     board = target.points()[coarse.ids, :2]
     matrix = homography(target, coarse)
     frames = local_frames(matrix, board)
-    shape, start, half_mm = _model(target)
+    shape, start, half_mm = model(target)
     kept = []
     for index, (pixel, frame) in enumerate(zip(coarse.pixels, frames, strict=True)):
         centre = _fit_centre(level, pixel, frame, half_mm, shape, start)
@@ -189,10 +200,18 @@ def _refined(target: Target, coarse: Detection, level: Floats) -> Detection | No
     found = Detection(coarse.ids[[i for i, _ in kept]], np.array([c for _, c in kept]))
     if target.diameter_mm is None:
         return found
-    return Detection(found.ids, found.pixels - _eccentricity(target, found))
+    return _centred(target, found)
 
 
-def _model(target: Target) -> tuple[Shape, Callable[[Floats], Floats], float]:
+def _centred(target: Target, ellipses: Detection) -> Detection:
+    """The pictures of the circles' centres, from the centres of their ellipses."""
+    found = ellipses
+    for _ in range(2):  # the view is first taken from the ellipses, then from what it makes of them
+        found = Detection(ellipses.ids, ellipses.pixels - eccentricity(target, found))
+    return found
+
+
+def model(target: Target) -> tuple[Shape, Callable[[Floats], Floats], float]:
     """The profile of a point, its first parameters in a local frame, and half the window's side in mm."""
     if target.diameter_mm is not None:
         radius = target.diameter_mm / 2
@@ -281,10 +300,17 @@ def _disc(theta: Floats, x: Floats, y: Floats) -> Floats:
     return np.asarray(erf(distance / theta[5]))
 
 
-def _eccentricity(target: Target, found: Detection) -> Floats:
+def eccentricity(target: Target, found: Detection) -> Floats:
     """By how much the centres of the ellipses miss the pictures of the circles' centres, (K, 2) in px.
 
-    The centre of a conic is the pole of the line at infinity, so it is read off the dual conic.
+    The centre of a conic is the pole of the line at infinity, so it is read off the dual conic of
+    each circle, C* -> H C* H^T (Heikkilä, "Geometric camera calibration using circular control points",
+    2000). The lens bends the ellipse as well, which is left alone: a displacement d shifts the centre
+    of a disc of radius r px by r^2/8 times the Laplacian of d, for d = k1 f x (x^2 + y^2) that is
+    k1 x r^2/f: 0.001 px for k1 = 0.1, r = 15 px at x = 0.15, f = 3600 px.
+
+    Only the camera sees ellipses. The projector's coordinates of a point are those of the decoded
+    maps at the corrected centre.
     """
     matrix = homography(target, found)
     circles = target.points()[found.ids, :2]

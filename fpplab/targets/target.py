@@ -19,6 +19,7 @@ from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Floats
 from fpplab.targets.detection import Detection, detect
+from fpplab.targets.partial import detect_part
 
 Dictionary = Literal[
     "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000",
@@ -107,7 +108,7 @@ class Target(Document):
 
     @model_validator(mode="after")
     def _points_lie_inside(self) -> Target:
-        extent = np.abs(self.points()[:, :2]).max(axis=0) + self._reach()
+        extent = np.abs(self.points()[:, :2]).max(axis=0) + self.reach()
         for name, needed, size in zip(("wide", "high"), 2 * extent, self.size_mm, strict=True):
             if needed > size + 1e-9:
                 raise ValueError(f"'size_mm': its points need a board {needed:g} mm {name}, not {size:g} mm")
@@ -118,7 +119,7 @@ class Target(Document):
             )
         return self
 
-    def _reach(self) -> Floats:
+    def reach(self) -> Floats:
         """How far the drawing reaches beyond its outermost points, along x and y in mm."""
         if self.diameter_mm is not None:
             return np.full(2, (0.5 + RIM) * self.diameter_mm)
@@ -156,7 +157,7 @@ class Target(Document):
         share = np.zeros((height, width))
         if self.diameter_mm is not None:
             _paint_circles(share, self.points(), self.diameter_mm / 2, scale)
-        for box in self._boxes():
+        for box in self.boxes():
             _paint_box(share, box, scale)
         level = self.background + (self.foreground - self.background) * share
         return np.asarray(np.rint(255.0 * level), np.uint8)
@@ -164,9 +165,18 @@ class Target(Document):
     def detect(self, image: NDArray[Any]) -> Detection | None:
         """Find the board in a grey picture [v, u] of any real type; None when it is not there.
 
+        A ChArUco board is found in part as well, any other only as a whole: see `detect_part`.
         Raises `CalibrationError` when the picture is not two-dimensional.
         """
         return detect(self, image)
+
+    def detect_part(self, image: NDArray[Any]) -> Detection | None:
+        """Find as much of the board as a grey picture [v, u] has; None when there is nothing of it.
+
+        Raises `UnclearPart` (a `CalibrationError`) with the reason when there are points of a board and
+        it is not certain which, `CalibrationError` when the picture is not two-dimensional.
+        """
+        return self.detect(image) or detect_part(self, np.nan_to_num(np.asarray(image, np.float64)))
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's model of a ChArUco board; its origin is the first square's corner, in mm."""
@@ -175,8 +185,8 @@ class Target(Document):
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
         return cv2.aruco.CharucoBoard(squares, self.spacing_mm[0], self.marker_mm or 0.0, dictionary)
 
-    def _boxes(self) -> Iterator[Box]:
-        """Rectangles in the foreground's colour."""
+    def boxes(self) -> Iterator[Box]:
+        """Rectangles in the foreground's colour, none of which overlap; none on a board of circles."""
         if self.kind == "circles":
             return
         side = self.spacing_mm[0]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from fpplab import config
 from fpplab.errors import CalibrationError, ConfigError
-from fpplab.geometry import Pinhole
+from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
-from fpplab.targets.detection import Detection, apply_homography, homography, local_frames
+from fpplab.targets.detection import Detection, apply_homography, eccentricity, homography, local_frames
 from tests.unit.boards import plane_homography, pose, render
 
 CIRCLES = {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],
@@ -233,6 +233,46 @@ def test_a_board_cut_by_the_pictures_edge_is_not_found_in_part() -> None:
 def test_a_colour_picture_is_refused() -> None:
     with pytest.raises(CalibrationError, match="grey picture"):
         board(CORNERS).detect(np.zeros((480, 640, 3), np.uint8))
+
+
+# Circles in perspective
+
+BIG = {"kind": "circles", "size_mm": [80, 62], "counts": [7, 5], "spacing_mm": [11, 11], "diameter_mm": 8}
+
+
+def discs(target: Target, matrix: np.ndarray, fine: int = 6) -> np.ndarray:
+    """A board of circles as it is: each of `fine` x `fine` parts of a pixel inside or outside, then blur."""
+    u, v = np.meshgrid(*((np.arange(side * fine) + 0.5) / fine - 0.5 for side in SIZE))
+    x = apply_homography(np.linalg.inv(matrix), np.stack([u, v], axis=-1))
+    points = target.points()[:, :2]
+    nearest = np.rint((x - points[0]) / target.spacing_mm).clip(0, np.array(target.counts) - 1)
+    ink = np.linalg.norm(x - points[0] - nearest * target.spacing_mm, axis=-1) < 0.5 * (
+        target.diameter_mm or 0
+    )
+    board = (np.abs(x) < 0.5 * np.array(target.size_mm)).all(axis=-1)
+    level = np.where(ink, 30.0, np.where(board, 220.0, 80.0)).astype(np.float32)
+    picture = cv2.resize(level, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64)
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7))
+
+
+@pytest.mark.parametrize(
+    "view", [pose((0, 50, 0), (0, 0, 110)), pose((45, -20, 10), (2, 1, 110)), pose((-55, 0, 0), (0, 0, 100))]
+)
+def test_ellipses_are_not_taken_for_the_pictures_of_their_circles_centres(view: RigidTransform) -> None:
+    target = board(BIG)
+    matrix = plane_homography(Pinhole.from_focal(SIZE, (600.0, 600.0), (322.0, 236.0)), view)
+    found = target.detect(discs(target, matrix))
+    assert found is not None
+    assert len(found.ids) == 35
+    expected = truth(target, matrix)
+    if np.linalg.norm(found.pixels[0] - expected[0]) > 100:  # the board is as good turned by half a turn
+        expected = expected[::-1]
+    after = np.linalg.norm(found.pixels - expected, axis=1)
+    before = np.linalg.norm(found.pixels + eccentricity(target, found) - expected, axis=1)
+    assert before.max() > 0.5
+    assert np.sqrt(np.mean(after**2)) < 0.005
+    assert after.max() < 0.01
+    assert np.sqrt(np.mean(before**2)) > 50 * np.sqrt(np.mean(after**2))
 
 
 # Homographies

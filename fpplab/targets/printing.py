@@ -1,0 +1,219 @@
+"""Boards on paper: one page of vectors at true scale, with a ruler that proves it.
+
+The page is drawn in mm, its origin at the lower left corner and y up; the board's centre is the
+page's. What reflects less is printed black and the rest is left as the paper is. Beside the board
+stand marks to cut it out by, a ruler, and what it is.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.transforms import Affine2D
+
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+from fpplab.files import need_suffix, write_atomic
+from fpplab.targets.target import Target
+
+PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
+"""Sizes of paper (width, height) in mm, upright."""
+_KNOWN = {name.lower(): size for name, size in PAPERS.items()}
+
+MM_PER_INCH = 25.4
+POINTS_PER_MM = 72.0 / MM_PER_INCH
+
+MARGIN = 6.0
+"""Rim of the paper in mm that printers leave white."""
+
+LEGEND = 17.0
+"""Height in mm of ruler and text together, above the margin."""
+
+RULER = 100.0
+MARK = 3.0
+"""Length in mm of a cutting mark; as far as that it stays away from the board."""
+
+LETTER = 2.0
+"""Height in mm of a capital."""
+ADVANCE = 0.9
+"""Width of a letter on the average, and a little over, in heights."""
+LONGEST_NAME = 40
+"""Letters of a board's name that have room."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A page as written. paper_mm: (width, height). scale: mm on paper for each mm of the board."""
+
+    file: Path
+    paper_mm: tuple[float, float]
+    scale: float = 1.0
+
+
+def paper_size(name: str) -> tuple[float, float]:
+    """(width, height) in mm of `A4`, `A3`, `letter`, or of a size like `300x200`.
+
+    Raises `ConfigError` for anything else.
+    """
+    if name.lower() in _KNOWN:
+        return _KNOWN[name.lower()]
+    try:
+        width, height = (float(part) for part in name.lower().removesuffix("mm").split("x"))
+    except ValueError:
+        raise ConfigError(
+            f"--paper is '{name}'; give {', '.join(PAPERS)}, or width x height in mm like 300x200"
+        ) from None
+    if not (0 < width <= 5000 and 0 < height <= 5000):
+        raise ConfigError(f"--paper is '{name}'; width and height must be over 0 and at most 5000 mm")
+    return width, height
+
+
+def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> Sheet:
+    """Write a board as a page of vectors, PDF or SVG by the path's suffix, at true scale.
+
+    paper: see `paper_size`; paper with a name is turned when the board fits only so.
+    name: what the page calls the board.
+    Raises `ConfigError` when the paper is unknown or too small, or the suffix another one,
+    `DataError` when the file cannot be written.
+    """
+    need_suffix(path, ".pdf", ".svg")
+    size = _fitting(target, paper)
+    page = _Page(size)
+    page.board(target)
+    page.ruler()
+    page.words(_legend(target, name))
+    kind = path.suffix.lower().removeprefix(".")
+    unstamped = {"CreationDate": None} if kind == "pdf" else {"Date": None}
+    with rc_context({"svg.hashsalt": "fpplab", "pdf.fonttype": 42}):
+        write_atomic(path, lambda out: page.figure.savefig(out, format=kind, metadata=unstamped))
+    return Sheet(path, size)
+
+
+def ink(target: Target) -> Outline:
+    """Outline of all that is of the foreground, in mm in the board's frame (x right, y down).
+
+    It is one outline, so that no hairline shows where two squares of a marker meet.
+    """
+    if target.diameter_mm is not None:
+        disc = Outline.circle(radius=target.diameter_mm / 2)
+        return Outline.make_compound_path(
+            *(disc.transformed(Affine2D().translate(x, y)) for x, y in target.points()[:, :2])
+        )
+    return Outline.make_compound_path(*(_box(*box) for box in target.boxes()))
+
+
+def _box(left: float, top: float, right: float, bottom: float) -> Outline:
+    corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
+    return Outline(corners, closed=True)
+
+
+def _fitting(target: Target, paper: str) -> tuple[float, float]:
+    """The paper, turned if it must be, on which the board has room with its legend."""
+    width, height = paper_size(paper)
+    needed = _needed(target)
+    ways = [(width, height)]
+    if paper.lower() in _KNOWN:
+        ways.append((height, width))
+    for way in ways:
+        if way[0] >= needed[0] and way[1] >= needed[1]:
+            return way
+    raise ConfigError(
+        f"--paper {paper} is {width:g} x {height:g} mm but a board of {target.size_mm[0]:g} x "
+        f"{target.size_mm[1]:g} mm with its ruler and text needs {needed[0]:g} x {needed[1]:g} mm; "
+        f"take larger paper"
+    )
+
+
+def _needed(target: Target) -> tuple[float, float]:
+    """Least paper: the legend stands below a board that is at the page's centre."""
+    width, height = target.size_mm
+    across = max(width + 2 * (MARGIN + 2 * MARK), RULER + 2 * MARGIN + 8)
+    return across, height + 2 * (MARGIN + LEGEND + 2 * MARK)
+
+
+def _legend(target: Target, name: str) -> str:
+    pitch, (columns, rows) = target.spacing_mm, target.counts
+    what = {
+        "circles": f"{columns} x {rows} circles of {target.diameter_mm or 0:g} mm, "
+        f"{'staggered, ' if target.staggered else ''}pitch {pitch[0]:g} x {pitch[1]:g} mm",
+        "checkerboard": f"checkerboard of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm",
+        "charuco": f"ChArUco board of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm, "
+        f"markers of {target.marker_mm or 0:g} mm, dictionary {target.dictionary}",
+    }[target.kind]
+    width, height = target.size_mm
+    return (
+        f"{name[:LONGEST_NAME]}: {what}, board {width:g} x {height:g} mm. "
+        f"Print at 100 %, then measure the ruler: it must be {RULER:g} mm long."
+    )
+
+
+class _Page:
+    """A page in mm, y up."""
+
+    def __init__(self, size: tuple[float, float]) -> None:
+        self.size = size
+        self.figure = Figure(figsize=(size[0] / MM_PER_INCH, size[1] / MM_PER_INCH), frameon=False)
+        self._mm = Affine2D().scale(1 / MM_PER_INCH) + self.figure.dpi_scale_trans
+
+    def fill(self, outline: Outline, colour: str) -> None:
+        patch = PathPatch(outline, facecolor=colour, edgecolor="none", linewidth=0, transform=self._mm)
+        self.figure.add_artist(patch)
+
+    def board(self, target: Target) -> None:
+        """The board at the page's centre, its y down."""
+        middle = Affine2D().scale(1, -1).translate(self.size[0] / 2, self.size[1] / 2)
+        width, height = target.size_mm
+        sheet = _box(-width / 2, -height / 2, width / 2, height / 2)
+        bright = target.foreground > target.background
+        if bright:
+            self.fill(middle.transform_path(sheet), "black")
+        self.fill(middle.transform_path(ink(target)), "white" if bright else "black")
+        for x in (-width / 2, width / 2):
+            for y in (-height / 2, height / 2):
+                corner = middle.transform((x, y))
+                self.cutting_mark(corner, np.sign([x, -y]))
+
+    def cutting_mark(self, corner: Floats, outwards: Floats) -> None:
+        """Two hairlines that point at a corner of the board, from outside."""
+        for axis in np.eye(2):
+            step = axis * outwards
+            self.line(corner + MARK * step, corner + 2 * MARK * step, 0.15)
+
+    def line(self, start: Floats, end: Floats, width_mm: float) -> None:
+        """A straight line, drawn as the rectangle it is: its ends are where they are said to be."""
+        along = (end - start) / np.linalg.norm(end - start)
+        side = 0.5 * width_mm * np.array([-along[1], along[0]])
+        corners = [start + side, end + side, end - side, start - side, start + side]
+        self.fill(Outline(corners, closed=True), "black")
+
+    def ruler(self) -> None:
+        """A ruler at the page's foot, as long from the middle of its first mark to that of its last."""
+        left, foot = 0.5 * (self.size[0] - RULER), MARGIN + LEGEND - 6
+        start = np.array([left, foot], np.float64)
+        self.line(start, start + (RULER, 0), 0.2)
+        for mm in range(int(RULER) + 1):
+            height = 3.0 if mm % 10 == 0 else 2.2 if mm % 5 == 0 else 1.5
+            self.line(start + (mm, 0), start + (mm, height), 0.15)
+            if mm % 50 == 0:
+                unit = " mm" if mm == RULER else ""
+                self.text(left + mm, foot + 3.4, f"{mm}{unit}")
+
+    def words(self, legend: str) -> None:
+        """The legend below the ruler, in as many lines as it takes."""
+        most = int((self.size[0] - 2 * MARGIN) / (ADVANCE * LETTER))
+        for row, line in enumerate(textwrap.wrap(legend, most)):
+            self.text(self.size[0] / 2, MARGIN + LEGEND - 10 - 1.3 * LETTER * row, line)
+
+    def text(self, x: float, y: float, words: str) -> None:
+        """Words centred on x, standing on y."""
+        size = LETTER * POINTS_PER_MM / 0.75  # of the font, whose capitals are 3/4 as high
+        self.figure.text(
+            x, y, words, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False
+        )
