@@ -16,18 +16,76 @@ from fpplab.errors import CalibrationError
 from fpplab.files import write_text
 from fpplab.geometry import Pinhole, RigidTransform
 
+INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+"""The parameters of a device, in the order of every vector that holds them."""
+
+POSE = ("rx", "ry", "rz", "x", "y", "z")
+"""The parameters of a rigid transform: rotation vector and translation."""
+
+PARAMETERS = (
+    *(f"{device}.{term}" for device in ("camera", "projector") for term in INTRINSICS),
+    *(f"T_projector_camera.{term}" for term in POSE),
+)
+"""Every parameter of a calibration by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well a calibration's parameters are known, together.
+
+    names: n of `PARAMETERS`; those that are absent were held and count as exact.
+    covariance: (n, n) in the order of `names`, in px for fx, fy, cx, cy, rad for rx, ry, rz
+    (which add to the rotation vector), mm for x, y, z.
+    Raises `CalibrationError` when it is no covariance of such parameters.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        if complaint := _no_covariance(self.names, self.covariance):
+            raise CalibrationError(complaint)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard uncertainty of each parameter by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
+    """Why this cannot be the covariance of these parameters, or None."""
+    for name in names:
+        if name not in PARAMETERS:
+            return f"'names' has {name!r}, which is no parameter of a calibration, such as 'camera.fx'"
+    if len(set(names)) < len(names):
+        return "'names' has a parameter twice"
+    n = len(names)
+    if covariance.shape != (n, n):
+        return f"'covariance' must be square, {n} x {n} as there are names, not {covariance.shape}"
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not np.all(np.isfinite(covariance)) or np.any(scale == 0):
+        return "'covariance' must be finite, and above zero on its diagonal"
+    correlation = covariance / np.outer(scale, scale)
+    if not np.allclose(correlation, correlation.T, rtol=0, atol=1e-9):
+        return "'covariance' must be symmetric"
+    if n and np.linalg.eigvalsh(correlation)[0] < -1e-9 * n:
+        return "'covariance' must be positive semidefinite: some correlations contradict one another"
+    return None
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Camera, projector, and `T_projector_camera`. The world frame is the camera's.
 
     rms_px: reprojection errors by name (`camera`, `projector`, `joint`), for the record.
+    uncertainty: of the parameters, where it is known.
     """
 
     camera: Pinhole
     projector: Pinhole
     T_projector_camera: RigidTransform
     rms_px: dict[str, float]
+    uncertainty: Uncertainty | None = None
 
     @property
     def baseline_mm(self) -> float:
@@ -102,6 +160,35 @@ class PoseFile(Document):
         return cls(rotation_deg=tuple(rotation), translation_mm=tuple(translation))
 
 
+class UncertaintyFile(Document):
+    """Covariance in a calibration file, as `Uncertainty`, but in degrees for rx, ry, rz."""
+
+    names: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> UncertaintyFile:
+        if any(len(row) != len(self.covariance) for row in self.covariance):
+            raise ValueError("'covariance' must be square: every row as long as there are rows")
+        if complaint := _no_covariance(self.names, np.array(self.covariance, ndmin=2)):
+            raise ValueError(complaint)
+        return self
+
+    def uncertainty(self) -> Uncertainty:
+        return Uncertainty(self.names, np.array(self.covariance) / self._units(self.names))
+
+    @classmethod
+    def of(cls, uncertainty: Uncertainty) -> UncertaintyFile:
+        rows = (uncertainty.covariance * cls._units(uncertainty.names)).tolist()
+        return cls(names=uncertainty.names, covariance=tuple(tuple(row) for row in rows))
+
+    @staticmethod
+    def _units(names: tuple[str, ...]) -> Floats:
+        """What turns a covariance in rad into one in degrees, (n, n)."""
+        unit = np.array([np.degrees(1.0) if name.rpartition(".")[2] in POSE[:3] else 1.0 for name in names])
+        return np.outer(unit, unit)
+
+
 class CalibrationFile(Document):
     """Schema of a calibration file."""
 
@@ -109,6 +196,7 @@ class CalibrationFile(Document):
     projector: PinholeFile
     T_projector_camera: PoseFile
     rms_px: dict[str, float] = Field(default_factory=dict)
+    uncertainty: UncertaintyFile | None = None
 
     @model_validator(mode="after")
     def _has_a_baseline(self) -> CalibrationFile:
@@ -136,6 +224,7 @@ def _to_file(calibration: Calibration) -> CalibrationFile:
         projector=_pinhole_file(calibration.projector),
         T_projector_camera=PoseFile.of(calibration.T_projector_camera),
         rms_px=calibration.rms_px,
+        uncertainty=UncertaintyFile.of(calibration.uncertainty) if calibration.uncertainty else None,
     )
 
 
@@ -144,4 +233,5 @@ def _from_file(file: CalibrationFile) -> Calibration:
         Pinhole.from_focal(d.size, d.focal_px, d.centre_px, d.distortion, d.lattice)
         for d in (file.camera, file.projector)
     )
-    return Calibration(camera, projector, file.T_projector_camera.transform(), dict(file.rms_px))
+    known = file.uncertainty.uncertainty() if file.uncertainty else None
+    return Calibration(camera, projector, file.T_projector_camera.transform(), dict(file.rms_px), known)

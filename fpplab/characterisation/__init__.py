@@ -1,6 +1,19 @@
 """Poses of a board -> camera, projector, and the pose between them."""
 
+from fpplab.characterisation.bundle import Level
+from fpplab.characterisation.fitting import characterise
+from fpplab.characterisation.mistakes import out_of_step
 from fpplab.characterisation.observation import Observation, finest_periods, observe
-from fpplab.characterisation.zhang import Characterisation, characterise
+from fpplab.characterisation.result import Characterisation, Rejected, Trial
 
-__all__ = ["Characterisation", "Observation", "characterise", "finest_periods", "observe"]
+__all__ = [
+    "Characterisation",
+    "Level",
+    "Observation",
+    "Rejected",
+    "Trial",
+    "characterise",
+    "finest_periods",
+    "observe",
+    "out_of_step",
+]

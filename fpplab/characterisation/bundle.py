@@ -2,25 +2,28 @@
 
 Both devices see the same points of the same board, so one least-squares problem holds all that is
 known; it uses the points' error in pixels, of both devices alike (bundle adjustment, Triggs et al.,
-"Bundle adjustment: a modern synthesis", 2000).
+"Bundle adjustment: a modern synthesis", 2000). The normal equations are built block by block: a pose
+bears on the devices, on itself, and on its own points, and on nothing else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import cv2
 import numpy as np
-from scipy.linalg import pinvh
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, pinvh
 from scipy.optimize import least_squares
 
+from fpplab.calibration import INTRINSICS, POSE, Uncertainty
 from fpplab.characterisation.observation import Observation
 from fpplab.conventions import Floats
 from fpplab.errors import CalibrationError
 from fpplab.geometry import RigidTransform
 
-INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 SOFT = 3.0
 """Residuals beyond this many robust standard deviations count linearly, not squared (Huber)."""
 
@@ -28,6 +31,20 @@ UNDETERMINED = "the poses do not determine all parameters; add some that are til
 
 ROUNDS = 3
 """How often the noise is judged anew; it settles at the second."""
+
+
+class Level(StrEnum):
+    """How much of the distortion is free, in both devices alike; the rest is held at zero."""
+
+    K1 = "k1"
+    K2 = "k2"
+    TANGENTIAL = "tangential"
+    K3 = "k3"
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The intrinsic parameters that are free; the first of `INTRINSICS`."""
+        return INTRINSICS[: {"k1": 5, "k2": 6, "tangential": 8, "k3": 9}[self]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,42 +70,65 @@ class Solution:
         return seen, _view(points, chained, self.projector)[0] - observation.projector_px
 
 
-def adjust(
-    observations: Sequence[Observation], start: Solution, k3: bool, board_sigma_mm: float | None = None
-) -> tuple[Solution, Floats]:
-    """The best solution near `start`, and the standard uncertainties in the order of `Problem.pack`.
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What is fitted to observations: the distortion's level, and the board as it was drawn.
 
-    k3: whether the third radial term is free (it is held at its start otherwise).
-    board_sigma_mm: how far the board's points may lie from where `start` has them, one standard
-    deviation; None holds the board as it is.
+    drawn: (P, 3) in mm. board_sigma_mm: how far the board's points may lie from there, one standard
+    deviation; None takes the board as exact.
+    """
+
+    level: Level
+    drawn: Floats
+    board_sigma_mm: float | None = None
+
+
+def fit(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
+    """The best solution near `start`. Raises `CalibrationError` when there is none."""
+    problem, vector = _fitted(observations, start, model)
+    return problem.unpack(vector)
+
+
+def adjust(
+    observations: Sequence[Observation], start: Solution, model: Model
+) -> tuple[Solution, Uncertainty]:
+    """The best solution near `start`, and the uncertainty of the devices and of the pose between them.
+
+    The covariance is marginal: that the poses and the board are only known so well is in it.
     Raises `CalibrationError` when the poses do not determine the parameters.
     """
-    problem = Problem(tuple(observations), start, k3, board_sigma_mm, 1.0)
+    problem, vector = _fitted(observations, start, model)
+    return problem.unpack(vector), problem.uncertainty(vector)
+
+
+def _fitted(observations: Sequence[Observation], start: Solution, model: Model) -> tuple[Problem, Floats]:
+    problem = Problem(tuple(observations), model, 1.0)
     vector = problem.pack(start)
     for _ in range(ROUNDS):
-        problem = replace(problem, noise_px=problem.spread(vector))
+        noise = problem.spread(vector)
+        settled = abs(noise - problem.noise_px) < 1e-3 * noise
+        problem = replace(problem, noise_px=noise)
+        if settled:
+            break
         vector = _descend(problem, vector)
-    return problem.unpack(vector), problem.uncertainty(vector)
+    return problem, vector
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
     """Levenberg-Marquardt's method on Huber's loss, by reweighting."""
     limit, damping = SOFT * problem.noise_px, 1e-4
-    residuals = problem.misfit(vector)
-    cost = _huber(residuals, limit)
+    cost = _huber(problem.misfit(vector), limit)
     for _ in range(200):
-        slopes = problem.slopes(vector)
-        weighted = (slopes * np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))[:, None]).T
-        normal, gradient = weighted @ slopes, weighted @ residuals
+        normal, gradient = problem.normal_equations(vector, limit)
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         try:
-            trial = vector - np.linalg.solve(normal, gradient)
-        except np.linalg.LinAlgError as error:
+            # NumPy's factor, not SciPy's, which spends 100 ms on waking threads for such small matrices.
+            trial = vector - cho_solve((np.linalg.cholesky(normal), True), gradient)
+        except (np.linalg.LinAlgError, ValueError) as error:
             raise CalibrationError(UNDETERMINED) from error
-        trial_residuals = problem.misfit(trial)
-        gain = cost - _huber(trial_residuals, limit)
+        gain = cost - _huber(problem.misfit(trial), limit)
         if gain > 0:
-            vector, residuals, cost, damping = trial, trial_residuals, cost - gain, 0.1 * damping
+            vector, cost, damping = trial, cost - gain, 0.1 * damping
         else:
             damping *= 10.0
         if abs(gain) <= 1e-9 * cost or damping > 1e8:
@@ -118,28 +158,31 @@ def vectors_of(transform: RigidTransform) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The least-squares problem: parameters packed in one vector, misfit and its slopes.
+    """The least-squares problem: parameters packed in one vector, misfit and normal equations.
 
-    The vector holds the camera's intrinsics, the projector's, T_projector_camera, the poses and,
+    The vector holds the camera's free intrinsics, the projector's, T_projector_camera, the poses and,
     where the board is free, its points. noise_px: standard deviation of a pixel coordinate, which
     weighs the points' errors against the board's.
     """
 
     observations: tuple[Observation, ...]
-    start: Solution
-    k3: bool
-    board_sigma_mm: float | None
+    model: Model
     noise_px: float
 
     @property
     def _free(self) -> int:
-        return len(INTRINSICS) if self.k3 else len(INTRINSICS) - 1
+        return len(self.model.level.terms)
 
     @property
     def _heads(self) -> tuple[int, int, int, int]:
         """Where the projector, T_projector_camera, the poses and the board begin."""
         n = self._free
         return n, 2 * n, 2 * n + 6, 2 * n + 6 + 6 * len(self.observations)
+
+    @property
+    def _stiffness(self) -> float:
+        """Residual in px of a board point 1 mm from where it was drawn."""
+        return self.noise_px / (self.model.board_sigma_mm or np.inf)
 
     def pack(self, solution: Solution) -> Floats:
         n = self._free
@@ -149,19 +192,19 @@ class Problem:
             solution.T_projector_camera,
             solution.poses.ravel(),
         ]
-        if self.board_sigma_mm is not None:
+        if self.model.board_sigma_mm is not None:
             parts.append(solution.board.ravel())
         return np.concatenate(parts)
 
     def unpack(self, vector: Floats) -> Solution:
         projector, pair, poses, board = self._heads
-        held = slice(self._free, None)
+        held = np.zeros(len(INTRINSICS) - self._free)
         return Solution(
-            np.append(vector[:projector], self.start.camera[held]),
-            np.append(vector[projector:pair], self.start.projector[held]),
+            np.append(vector[:projector], held),
+            np.append(vector[projector:pair], held),
             vector[pair:poses],
             vector[poses:board].reshape(-1, 6),
-            self.start.board if self.board_sigma_mm is None else vector[board:].reshape(-1, 3),
+            self.model.drawn if self.model.board_sigma_mm is None else vector[board:].reshape(-1, 3),
         )
 
     def spread(self, vector: Floats) -> float:
@@ -173,60 +216,103 @@ class Problem:
         """Residuals in px; the board's deviations count as errors of `noise_px` for one deviation."""
         solution = self.unpack(vector)
         errors = self._errors(solution)
-        if self.board_sigma_mm is None:
+        if self.model.board_sigma_mm is None:
             return errors
-        deviation = (solution.board - self.start.board).ravel()
-        return np.concatenate([errors, deviation * (self.noise_px / self.board_sigma_mm)])
+        return np.concatenate([errors, (solution.board - self.model.drawn).ravel() * self._stiffness])
 
     def _errors(self, solution: Solution) -> Floats:
         pairs = [solution.residuals(i, o) for i, o in enumerate(self.observations)]
         return np.concatenate([np.concatenate(pair).ravel() for pair in pairs])
 
-    def slopes(self, vector: Floats) -> Floats:
-        """Derivative of `misfit`, (residuals, parameters)."""
+    def normal_equations(self, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
+        """`JᵀWJ` and `JᵀWr` of `misfit`'s residuals r and slopes J; W is Huber's weight beyond `limit` px."""
         solution = self.unpack(vector)
-        blocks = [self._pose_slopes(i, o, solution, len(vector)) for i, o in enumerate(self.observations)]
-        if self.board_sigma_mm is not None:
-            count = solution.board.size
-            prior = np.zeros((count, len(vector)))
-            prior[:, -count:] = np.eye(count) * (self.noise_px / self.board_sigma_mm)
-            blocks.append(prior)
-        return np.concatenate(blocks)
+        matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
+        for index, observation in enumerate(self.observations):
+            self._add_pose(matrix, gradient, index, observation, solution, limit)
+        if self.model.board_sigma_mm is not None:
+            board = np.arange(self._heads[3], len(vector))
+            pull = (solution.board - self.model.drawn).ravel() * self._stiffness
+            weight = self._stiffness * _weight(pull, limit)
+            matrix[board, board] += weight * self._stiffness
+            gradient[board] += weight * pull
+        return matrix, gradient
 
-    def _pose_slopes(self, index: int, observation: Observation, solution: Solution, width: int) -> Floats:
-        n = self._free
-        projector, pair, poses, board = self._heads
-        rows = 2 * len(observation.ids)
-        block = np.zeros((2 * rows, width))
+    def _add_pose(
+        self,
+        matrix: Floats,
+        gradient: Floats,
+        index: int,
+        observation: Observation,
+        solution: Solution,
+        limit: float,
+    ) -> None:
+        residuals = np.concatenate(solution.residuals(index, observation)).ravel()
+        columns, slopes, by_point = self._pose_slopes(index, observation, solution)
+        weight = _weight(residuals, limit)
+        weighted = slopes * weight[:, None]
+        matrix[np.ix_(columns, columns)] += slopes.T @ weighted
+        gradient[columns] += weighted.T @ residuals
+        if self.model.board_sigma_mm is None:
+            return
+        # Rows lie by device, point and coordinate; every point has its own three columns.
+        shape = (2, len(observation.ids), 2)
+        points = by_point.reshape(*shape, 3)
+        heavy = (by_point * weight[:, None]).reshape(*shape, 3)
+        own = self._heads[3] + 3 * observation.ids[:, None] + np.arange(3)
+        shared = np.einsum("dkui,dkuc->kic", heavy, slopes.reshape(*shape, -1))
+        matrix[own[:, :, None], own[:, None, :]] += np.einsum("dkui,dkuj->kij", heavy, points)
+        matrix[own[:, :, None], columns[None, None, :]] += shared
+        matrix[columns[None, :, None], own[:, None, :]] += shared.transpose(0, 2, 1)
+        gradient[own] += np.einsum("dkui,dku->ki", heavy, residuals.reshape(shape))
+
+    def _pose_slopes(
+        self, index: int, observation: Observation, solution: Solution
+    ) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Of one pose's residuals (R,): which parameters bear on all of them (C,), the slopes by these
+        (R, C), and by the board's points, each residual by its own (R, 3).
+        """
+        n, (_, pair, poses, _) = self._free, self._heads
+        columns = np.append(np.arange(poses), poses + 6 * index + np.arange(6))
         points, pose = solution.board[observation.ids], solution.poses[index]
         chained, (by_pose, by_pair) = _chain(pose, solution.T_projector_camera)
-        own = slice(poses + 6 * index, poses + 6 * index + 6)
-        _, slopes = _view(points, pose, solution.camera)
-        block[:rows, own], block[:rows, :n] = slopes[:, :6], slopes[:, 6 : 6 + n]
-        _, chained_slopes = _view(points, chained, solution.projector)
-        block[rows:, own] = chained_slopes[:, :6] @ by_pose
-        block[rows:, pair : pair + 6] = chained_slopes[:, :6] @ by_pair
-        block[rows:, projector : projector + n] = chained_slopes[:, 6 : 6 + n]
-        if self.board_sigma_mm is not None:
-            for top, part, frame in ((0, slopes, pose), (rows, chained_slopes, chained)):
-                # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-                by_point = part[:, 3:6] @ cv2.Rodrigues(frame[:3])[0]
-                row, column = np.indices(by_point.shape)
-                block[top + row, board + 3 * observation.ids[row // 2] + column] = by_point
-        return block
+        _, seen = _view(points, pose, solution.camera)
+        _, lit = _view(points, chained, solution.projector)
+        rows = len(seen)
+        slopes = np.zeros((2 * rows, len(columns)))
+        slopes[:rows, :n], slopes[:rows, -6:] = seen[:, 6 : 6 + n], seen[:, :6]
+        slopes[rows:, n:pair] = lit[:, 6 : 6 + n]
+        slopes[rows:, pair:poses] = lit[:, :6] @ by_pair
+        slopes[rows:, -6:] = lit[:, :6] @ by_pose
+        # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
+        by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (lit, chained))]
+        return columns, slopes, np.concatenate(by_point)
 
-    def uncertainty(self, vector: Floats) -> Floats:
-        """Standard uncertainty of every parameter, from the spread of the residuals.
+    def uncertainty(self, vector: Floats) -> Uncertainty:
+        """Of the devices and the pose between them, from the spread of the residuals.
 
         Raises `CalibrationError` when a parameter could take any value.
         """
-        residuals, slopes = self.misfit(vector), self.slopes(vector)
-        scale = np.linalg.norm(slopes, axis=0)
-        inverse, rank = pinvh((slopes / scale).T @ (slopes / scale), rtol=1e-13, return_rank=True)
+        residuals, (normal, _) = self.misfit(vector), self.normal_equations(vector)
+        scale = np.sqrt(np.diag(normal))
+        if np.any(scale == 0):
+            raise CalibrationError(UNDETERMINED)
+        inverse, rank = pinvh(normal / np.outer(scale, scale), rtol=1e-13, return_rank=True)
         if rank < len(vector):
             raise CalibrationError(UNDETERMINED)
         spread = np.sum(residuals**2) / max(len(residuals) - len(vector), 1)
-        return np.asarray(np.sqrt(spread * np.diag(inverse)) / scale)
+        shared = slice(self._heads[2])
+        covariance = spread * inverse[shared, shared] / np.outer(scale[shared], scale[shared])
+        terms = [f"{d}.{term}" for d in ("camera", "projector") for term in self.model.level.terms]
+        names = (*terms, *(f"T_projector_camera.{term}" for term in POSE))
+        return Uncertainty(names, 0.5 * (covariance + covariance.T))
+
+
+def _weight(residuals: Floats, limit: float) -> Floats:
+    """Huber's weights: 1 up to `limit`, then falling as 1/r."""
+    if not np.isfinite(limit):
+        return np.ones_like(residuals)
+    return np.asarray(limit / np.maximum(np.abs(residuals), limit))
 
 
 def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:

@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.characterisation.descriptions import why_not_found
 from fpplab.conventions import Floats, Map
 from fpplab.errors import CalibrationError
 from fpplab.plan import Plan
-from fpplab.targets import Target
+from fpplab.targets import Target, UnclearPart
 from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
 
 if TYPE_CHECKING:
@@ -82,9 +83,7 @@ def observe(
         raise CalibrationError(
             f"{name}: the image is {image.shape[::-1]} but the decoded maps {decoded.u.shape[::-1]}"
         )
-    detection = target.detect(image)
-    if detection is None:
-        raise CalibrationError(f"{name}: the board was not found in the picture")
+    detection = target.detect(image) or _part(name, image, target)
     maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
     maps[_steep(decoded.modulation)] = np.nan
     mended = maps
@@ -99,6 +98,20 @@ def observe(
     return Observation(
         name, detection.ids[kept], detection.pixels[kept], found[kept], float(np.mean(changed > 0))
     )
+
+
+def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
+    """As much of the board as is in view, or a `CalibrationError` that says why it is not known."""
+    missing = f"{name}: the board was not found in the picture"
+    if cause := why_not_found(image, target):
+        raise CalibrationError(f"{missing}, {cause}")
+    try:
+        found = target.detect_part(image)
+    except UnclearPart as error:
+        raise CalibrationError(f"{missing}: {error}") from error
+    if found is None:
+        raise CalibrationError(missing)
+    return found
 
 
 def _steep(modulation: Map) -> NDArray[np.bool_]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from fpplab.calibration import Calibration
+from fpplab.calibration import PARAMETERS, Calibration, Uncertainty
 from fpplab.conventions import Lattice
 from fpplab.errors import CalibrationError, ConfigError
 from fpplab.geometry import Pinhole, RigidTransform
@@ -105,3 +107,60 @@ def test_a_calibration_without_baseline_is_refused(tmp_path: Path) -> None:
 def test_another_lattice_is_refused() -> None:
     with pytest.raises(CalibrationError, match="for a square lattice but the calibration is for a diamond"):
         CALIBRATION.check_projector((912, 1140), Lattice.SQUARE, "s")
+
+
+def uncertainty() -> Uncertainty:
+    """Of every parameter, all correlated, in their very different sizes."""
+    random = np.random.default_rng(3)
+    mix = random.normal(size=(len(PARAMETERS), 40)) * 10.0 ** random.uniform(-5, 1, (len(PARAMETERS), 1))
+    return Uncertainty(PARAMETERS, mix @ mix.T)
+
+
+def test_uncertainty_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
+    path, known = tmp_path / "c.yaml", uncertainty()
+    replace(CALIBRATION, uncertainty=known).save(path)
+    back = Calibration.load(path).uncertainty
+    assert back is not None
+    assert back.names == PARAMETERS
+    np.testing.assert_allclose(back.covariance, known.covariance, rtol=1e-12)
+    assert back.sigma["T_projector_camera.x"] == pytest.approx(np.sqrt(known.covariance[-3, -3]))
+    written = yaml.safe_load(path.read_text())["uncertainty"]["covariance"]
+    scale = np.degrees(1.0)
+    assert written[18][18] == pytest.approx(scale**2 * known.covariance[18, 18])
+    assert written[18][0] == pytest.approx(scale * known.covariance[18, 0])
+    assert written[23][23] == pytest.approx(known.covariance[23, 23])
+
+
+def test_a_file_without_uncertainty_is_still_a_calibration(tmp_path: Path) -> None:
+    CALIBRATION.save(tmp_path / "c.yaml")
+    assert "uncertainty" not in (tmp_path / "c.yaml").read_text()
+    assert Calibration.load(tmp_path / "c.yaml").uncertainty is None
+
+
+@pytest.mark.parametrize(
+    ("names", "covariance", "complaint"),
+    [
+        (["camera.fx", "camera.f"], [[1.0, 0.0], [0.0, 1.0]], r"'camera.f', which is no parameter"),
+        (["camera.fx", "camera.fx"], [[1.0, 0.0], [0.0, 1.0]], "a parameter twice"),
+        (["camera.fx"], [[1.0, 0.0], [0.0, 1.0]], "square, 1 x 1 as there are names"),
+        (["camera.fx", "camera.fy"], [[1.0, 0.0], [0.0]], "every row as long"),
+        (["camera.fx", "camera.fy"], [[1.0, 0.5], [0.4, 1.0]], "symmetric"),
+        (["camera.fx", "camera.fy"], [[1.0, 1.5], [1.5, 1.0]], "positive semidefinite"),
+        (["camera.fx", "camera.fy"], [[1.0, 0.0], [0.0, -1.0]], "above zero on its diagonal"),
+    ],
+)
+def test_what_is_no_covariance_is_refused(
+    tmp_path: Path, names: list[str], covariance: Any, complaint: str
+) -> None:
+    path = tmp_path / "c.yaml"
+    CALIBRATION.save(path)
+    data = yaml.safe_load(path.read_text())
+    data["uncertainty"] = {"names": names, "covariance": covariance}
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError, match=f"'uncertainty'.*{complaint}"):
+        Calibration.load(path)
+
+
+def test_no_covariance_is_made_in_code_either() -> None:
+    with pytest.raises(CalibrationError, match="symmetric"):
+        Uncertainty(("camera.fx", "camera.fy"), np.array([[1.0, 0.5], [0.4, 1.0]]))

@@ -1,0 +1,117 @@
+"""Whether the poses of a board say enough about both devices: what to add before leaving the bench."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fpplab.calibration import Calibration
+from fpplab.characterisation.observation import Observation
+from fpplab.conventions import Floats
+from fpplab.geometry import Pinhole, RigidTransform
+
+SMALL_TILT_DEG = 15.0
+"""Where no board is tilted by more, focal length and distance are hard to tell apart."""
+
+ALIKE_DEG = 20.0
+"""Where no two boards differ by more in tilt, they say nearly the same thing."""
+
+PARALLEL_DEG = 4.0
+"""Where no two boards differ by more in tilt, they say the same thing."""
+
+ALIKE_DISTANCE = 0.05
+"""Range of distances, relative to their mean, below which they are alike."""
+
+PARTS = (
+    ("upper left", "top", "upper right"),
+    ("left", "middle", "right"),
+    ("lower left", "bottom", "lower right"),
+)
+"""The ninths of an image."""
+
+
+def warnings(
+    observations: Sequence[Observation],
+    poses: Sequence[RigidTransform],
+    calibration: Calibration,
+    board: Floats,
+) -> tuple[str, ...]:
+    """A sentence on each thing that the poses leave open. poses: T_camera_target; board: (P, 3) in mm."""
+    centres = [T.apply(board[o.ids].mean(axis=0)) for o, T in zip(observations, poses, strict=True)]
+    return (*_about_tilts(poses), *_about_distances(np.array(centres)[:, 2]),
+            *_about_parts(observations, np.array(centres), calibration))  # fmt: skip
+
+
+def spread_of_tilts(poses: Sequence[RigidTransform]) -> float:
+    """The greatest angle in degrees between the planes of any two boards."""
+    normals = np.array([T.rotation[:, 2] for T in poses])
+    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
+
+
+def _about_tilts(poses: Sequence[RigidTransform]) -> Iterator[str]:
+    most = max(float(np.degrees(np.arccos(min(abs(T.rotation[2, 2]), 1.0)))) for T in poses)
+    if most < SMALL_TILT_DEG:
+        yield (
+            f"no board is tilted by more than {most:.0f}°, which leaves focal lengths and principal points "
+            "uncertain; add poses tilted by 20 to 35°"
+        )
+    elif (apart := spread_of_tilts(poses)) < ALIKE_DEG:
+        yield (
+            f"all boards are tilted alike, to within {apart:.0f}°; tilt the board to the other side as well, "
+            "and about its other axis"
+        )
+
+
+def _about_distances(distances: Floats) -> Iterator[str]:
+    nearest, farthest = float(distances.min()), float(distances.max())
+    if farthest - nearest < ALIKE_DISTANCE * float(distances.mean()):
+        yield (
+            f"all boards stand at nearly the same distance, {nearest:.0f} to {farthest:.0f} mm; "
+            "add poses nearer and farther, over the depth that will be measured"
+        )
+
+
+def _about_parts(
+    observations: Sequence[Observation], centres: Floats, calibration: Calibration
+) -> Iterator[str]:
+    pair = calibration.T_projector_camera
+    camera, projector = calibration.camera, calibration.projector
+    sides = (
+        ("camera", camera, projector, pair, [o.camera_px for o in observations], centres),
+        ("projector", projector, camera, pair.inverse(), [o.projector_px for o in observations],
+         pair.apply(centres)),
+    )  # fmt: skip
+    for name, device, other, T_other_device, pixels, places in sides:
+        reachable = _seen_by_both(device, other, T_other_device, float(np.median(places[:, 2])))
+        bare = reachable & ~_held(np.concatenate(pixels), device.size)
+        if bare.any():
+            where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
+            yield (
+                f"no point of a board lay in this part of the {name}'s image: {where}; its distortion is "
+                "not known there, so hold the board there too"
+            )
+
+
+def _held(pixels: Floats, size: tuple[int, int]) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Which ninths (3, 3) of an image hold any of the pixels (K, 2)."""
+    held = np.zeros((3, 3), np.bool_)
+    column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
+    held[row, column] = True
+    return held
+
+
+def _seen_by_both(
+    device: Pinhole, other: Pinhole, T_other_device: RigidTransform, distance: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Which ninths (3, 3) have a middle that the other device sees as well, at the boards' distance.
+
+    The rest cannot be filled, and no point will ever be measured there.
+    """
+    shares = (np.arange(3) + 0.5) / 3
+    u, v = np.meshgrid(shares * device.size[0] - 0.5, shares * device.size[1] - 0.5)
+    slopes = device.normalise(np.stack([u, v], axis=-1))
+    points = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * distance
+    seen = other.project(points, T_other_device)
+    inside = (seen > -0.5) & (seen < np.array(other.size) - 0.5)
+    return np.asarray(inside.all(axis=-1), np.bool_)

@@ -1,0 +1,50 @@
+"""Descriptions of a board that are easily confused, to name the mistake when it is not found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.targets import Target
+
+
+def why_not_found(image: NDArray[Any], target: Target) -> str | None:
+    """What is wrong with a board's description, when it is found in a picture under another."""
+    for words, other in described_otherwise(target):
+        if other.detect(image) is not None:
+            return f"but it is there {words}"
+    if target.kind == "charuco" and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
+        return "but its mirror image is; the print, or the camera's picture, is mirrored"
+    return None
+
+
+def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
+    """Descriptions that are easily confused with this one, and how each differs."""
+    (columns, rows), (x, y) = target.counts, target.spacing_mm
+
+    def other(**changes: Any) -> Target:
+        # A board large enough for any of them; how large matters to nothing here.
+        return target.model_copy(update={"size_mm": (1e4, 1e4), **changes})
+
+    if target.kind == "circles":
+        toggled = not target.staggered
+        words = "lower by half a pitch in its odd columns" if toggled else "without a shift of odd columns"
+        yield f"{words}: 'staggered' should be {str(toggled).lower()}", other(staggered=toggled)
+    if columns != rows:
+        yield (
+            f"with rows and columns exchanged: 'counts' should be [{rows}, {columns}]",
+            other(counts=(rows, columns)),
+        )
+    if x != y:
+        yield (
+            f"with the pitches exchanged: 'spacing_mm' should be [{y:g}, {x:g}]",
+            other(spacing_mm=(y, x)),
+        )
+        yield (
+            f"with rows and columns exchanged: 'counts' should be [{rows}, {columns}] "
+            f"and 'spacing_mm' [{y:g}, {x:g}]",
+            other(counts=(rows, columns), spacing_mm=(y, x)),
+        )

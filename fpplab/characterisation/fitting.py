@@ -1,0 +1,238 @@
+"""Characterisation of a camera and a projector from poses of a board.
+
+Zhang's method for each device, then the pose between them, then everything together
+(`fpplab.characterisation.bundle`), without what does not belong, and judged by poses that were not fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from fpplab.calibration import Calibration
+from fpplab.characterisation import coverage, outliers
+from fpplab.characterisation.bundle import Level, Model, Solution, adjust, fit, fit_pose
+from fpplab.characterisation.mistakes import misdescribed
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.result import Characterisation, Rejected, Trial
+from fpplab.characterisation.zhang import Size, apart, matrix_of, refuse_mirrors, rms, stereo, transform
+from fpplab.conventions import Floats, Lattice
+from fpplab.errors import CalibrationError
+from fpplab.geometry import Pinhole
+from fpplab.targets import Target
+
+LEAST_POSES = 3
+"""Zhang's method needs this many tilted poses when nothing of the device is known."""
+
+WORST_FOCAL = 0.03
+"""Greatest relative uncertainty of a focal length that deserves the name of a result."""
+
+SUSPECT_PX = 1.0
+"""A camera that fits worse than this by itself may be looking at another board than described."""
+
+BOARD_SIGMA_MM = 0.1
+"""How far a printed board's points lie from where they are drawn, where its target file does not say."""
+
+Residuals = tuple[Floats, Floats]
+"""Of one pose, model minus observation in px, for the camera and the projector, (K, 2) each."""
+
+
+def characterise(
+    observations: Sequence[Observation],
+    target: Target,
+    camera_size: Size,
+    projector_size: Size,
+    lattice: Lattice = Lattice.SQUARE,
+    *,
+    left_out: Mapping[str, str] | None = None,
+    level: Level | Literal["auto"] = Level.TANGENTIAL,
+    refine_board: bool | None = None,
+) -> Characterisation:
+    """Both devices and the pose between them, from what `observe` made of each pose.
+
+    camera_size, projector_size: (width, height) in px. left_out: the poses that could not be
+    observed, with a sentence each that names the pose and says why. level: of the distortion; `auto`
+    takes the one with the smallest error in poses left out, or the simplest that is as good as that
+    within the standard error of the difference over the poses.
+    refine_board: whether the board's own shape is fitted too, held by `target.tolerance_mm`, or
+    `BOARD_SIGMA_MM` without it; None does so when the target has a tolerance.
+
+    Raises `CalibrationError` when fewer than `LEAST_POSES` poses can be used, naming why each of
+    the others cannot, when the poses do not determine the devices, and when the board is not the one
+    described or one of the devices sees it mirrored.
+    """
+    missing = dict(left_out or {})
+    most = Level.K3 if level == "auto" else level
+    model = Model(most, target.points(), _board_sigma(target, refine_board))
+    kept, start, apart_px = _settled(observations, target, model, (camera_size, projector_size), missing)
+    kept, start, rejected = _without_outliers(kept, start, model)
+    tried = [
+        _tried(kept, start, replace(model, level=one)) for one in (Level if level == "auto" else (level,))
+    ]
+    chosen = _chosen(tried) if level == "auto" else 0
+    trial, solution, _ = tried[chosen]
+    solution, uncertainty = adjust(kept, solution, replace(model, level=trial.level))
+    _determined(solution, uncertainty.sigma)
+    cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
+    calibration = Calibration(
+        Pinhole(camera_size, matrix_of(solution.camera), solution.camera[4:]),
+        Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
+        transform(solution.T_projector_camera),
+        _rms_px(list(zip(cameras, projectors, strict=True))),
+        uncertainty,
+    )
+    poses = tuple(transform(p) for p in solution.poses)
+    return Characterisation(
+        calibration,
+        tuple(kept),
+        poses,
+        cameras,
+        projectors,
+        apart_px,
+        trial.held_out_px,
+        solution.board,
+        missing,
+        uncertainty.sigma,
+        trial.level,
+        tuple(t for t, _, _ in tried),
+        tuple(rejected),
+        coverage.warnings(kept, poses, calibration, solution.board),
+    )
+
+
+def _board_sigma(target: Target, refine: bool | None) -> float | None:
+    if refine is None:
+        return target.tolerance_mm
+    return (target.tolerance_mm or BOARD_SIGMA_MM) if refine else None
+
+
+def _settled(
+    observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[Size, Size],
+    missing: dict[str, str],
+) -> tuple[list[Observation], Solution, dict[str, float]]:  # fmt: skip
+    """The poses that belong together, their joint fit, and the RMS of the steps before it.
+
+    What does not belong is added to `missing`.
+    """
+    kept = list(observations)
+    while True:
+        _enough(kept, missing)
+        start, apart_px = _started(kept, target, sizes)
+        odd = outliers.odd_pose(kept, start, 5.0)
+        if odd is None:
+            pair, apart_px["stereo"] = stereo(kept, start, sizes[0])
+            start = fit(kept, replace(start, T_projector_camera=pair), model)
+            odd = outliers.odd_pose(kept, start, 1.0)
+        if odd is None:
+            return kept, start, apart_px
+        missing[kept[odd].name] = (
+            f"{kept[odd].name}: fits {outliers.ODD_POSE:g} times worse than the other poses; "
+            "the board or the rig moved during the capture"
+        )
+        del kept[odd]
+
+
+def _started(
+    observations: Sequence[Observation], target: Target, sizes: tuple[Size, Size]
+) -> tuple[Solution, dict[str, float]]:
+    """Both devices apart; a poor fit that another description of the board would mend is refused."""
+    try:
+        start, lit, apart_px = apart(observations, target.points(), *sizes)
+    except CalibrationError as error:
+        raise CalibrationError(misdescribed(observations, target, sizes[0]) or str(error)) from error
+    if apart_px["camera"] > SUSPECT_PX:
+        mistake = misdescribed(observations, target, sizes[0], apart_px["camera"])
+        if mistake:
+            raise CalibrationError(mistake)
+    refuse_mirrors(start.poses, lit)
+    return start, apart_px
+
+
+def _without_outliers(
+    observations: list[Observation], solution: Solution, model: Model
+) -> tuple[list[Observation], Solution, list[Rejected]]:
+    """The same fitted anew without points that lie wrong, until there are none."""
+    left, rejected = outliers.budget(observations), list[Rejected]()
+    while True:
+        observations, found = outliers.reject(observations, solution, left)
+        if not found:
+            return observations, solution, rejected
+        rejected += found
+        solution = fit(observations, solution, model)
+
+
+def _tried(
+    observations: Sequence[Observation], start: Solution, model: Model
+) -> tuple[Trial, Solution, list[Residuals] | None]:
+    """What a model reaches, its fit, and its residuals in each pose when that was left out."""
+    solution = fit(observations, start, model)
+    fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
+    held = _leave_one_out(observations, solution, model)
+    return Trial(model.level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
+
+
+def _leave_one_out(
+    observations: Sequence[Observation], solution: Solution, model: Model
+) -> list[Residuals] | None:
+    """Residuals in each pose when all else is fitted to the others, and only its pose to it."""
+    if len(observations) <= LEAST_POSES:
+        return None
+    held_out = []
+    for held, observation in enumerate(observations):
+        others = [o for i, o in enumerate(observations) if i != held]
+        trained = fit(others, replace(solution, poses=np.delete(solution.poses, held, axis=0)), model)
+        pose = fit_pose(observation, trained, solution.poses[held])
+        held_out.append(replace(trained, poses=pose[None]).residuals(0, observation))
+    return held_out
+
+
+def _chosen(tried: Sequence[tuple[Trial, Solution, list[Residuals] | None]]) -> int:
+    """Which to take, simplest first in `tried`; poses are compared one by one, for some are always worse."""
+    held_out = [held for _, _, held in tried if held]
+    if len(held_out) < len(tried):
+        raise CalibrationError(
+            f"choosing the model needs more than {LEAST_POSES} poses, to leave one out at a time; "
+            "take more, or name the model"
+        )
+    errors = np.array([[_mean_square(pair) for pair in held] for held in held_out])
+    excess = errors - errors[np.argmin(errors.mean(axis=1))]
+    doubt = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
+    return int(np.flatnonzero(excess.mean(axis=1) <= doubt)[0])
+
+
+def _mean_square(pair: Residuals) -> float:
+    return float(np.mean(np.sum(np.concatenate(pair) ** 2, axis=1)))
+
+
+def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:
+    cameras, projectors = zip(*residuals, strict=True)
+    return {"camera": rms(cameras), "projector": rms(projectors), "joint": rms(cameras + projectors)}
+
+
+def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> None:
+    if len(observations) >= LEAST_POSES:
+        return
+    why = f" ({'; '.join(left_out.values())})" if left_out else ""
+    raise CalibrationError(
+        f"only {len(observations)} of {len(observations) + len(left_out)} poses can be used, "
+        f"at least {LEAST_POSES} are needed{why}; capture more poses, each tilted differently"
+    )
+
+
+def _determined(solution: Solution, sigma: dict[str, float]) -> None:
+    """Refuse focal lengths that the poses leave open: `CalibrationError`."""
+    apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
+    why = "the poses do not determine it"
+    if apart_deg < coverage.PARALLEL_DEG:
+        why = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine it"
+    for device in ("camera", "projector"):
+        for index, term in enumerate(("fx", "fy")):
+            focal, doubt = getattr(solution, device)[index], sigma[f"{device}.{term}"]
+            if doubt > WORST_FOCAL * focal:
+                raise CalibrationError(
+                    f"the {device}'s focal length is {focal:.0f} ± {doubt:.0f} px: {why}; "
+                    "add some that are tilted by 20° or more, each time differently"
+                )
