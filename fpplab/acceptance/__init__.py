@@ -1,0 +1,32 @@
+"""The acceptance test of a measuring system on a ball bar and a plane, after VDI/VDE 2634 part 2."""
+
+from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
+from fpplab.acceptance.standard import QUANTITIES, Standard
+from fpplab.acceptance.verification import (
+    Acceptance,
+    BallBarTest,
+    Measured,
+    PlaneTest,
+    SphereTest,
+    verify,
+    verify_ball_bar,
+    verify_plane,
+)
+
+__all__ = [
+    "QUANTITIES",
+    "Acceptance",
+    "BallBarTest",
+    "Measured",
+    "Plane",
+    "PlaneTest",
+    "Sphere",
+    "SphereTest",
+    "Standard",
+    "fit_plane",
+    "fit_sphere",
+    "fit_without_worst",
+    "verify",
+    "verify_ball_bar",
+    "verify_plane",
+]

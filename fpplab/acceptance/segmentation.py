@@ -1,0 +1,291 @@
+"""Where a standard's spheres and its plane lie in a cloud, and which of the points count.
+
+What counts is decided by geometry alone: every point whose camera ray meets the sphere's cap or the
+plane inside its edges, wherever the point itself came to lie. A rule that looked at the distances
+would leave out what the test is about.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from fpplab.acceptance.fitting import Plane, fit_plane
+from fpplab.acceptance.standard import Evaluation
+from fpplab.clouds import Cloud
+from fpplab.conventions import TWO_PI, Floats, Mask
+from fpplab.errors import DataError
+
+VOTERS = 20_000
+"""Points, drawn at random, that look for a sphere's centre."""
+MEETING = 0.1
+"""Of a radius: within this, votes for a sphere's centre agree."""
+NEAR = 0.05
+"""Of a radius: how far a point may lie from the sphere by which it is found."""
+INNER, LEAST_NEAR = 0.7, 0.6
+"""Share of the points that must lie near the sphere, for it to be one, of those whose rays pass the centre
+within this much of the radius. Of a plane that touches the sphere no more than 0.4 do."""
+SHIFTS = 30
+RINGS, SECTORS = 8, 24
+"""Parts of equal solid angle that a cap is divided into, to see how much of it is measured."""
+
+FLAT = 0.01
+"""Of a plane's length: how far a point may lie from the plane by which it is found."""
+TRIES = 400
+PER_CELL = 2.0
+"""Point spacings on a side of a cell of the plane's raster."""
+TOO_LARGE = 1.05
+
+
+@dataclass(frozen=True, eq=False)
+class Cap:
+    """A sphere's points that count: their numbers (K,) in the cloud, and the solid angle they cover."""
+
+    index: NDArray[np.intp]
+    solid_angle_sr: float
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A plane's points that count: their numbers (K,) in the cloud, and the area they cover."""
+
+    index: NDArray[np.intp]
+    area_mm2: float
+
+
+def normals_of(cloud: Cloud) -> Floats:
+    """Unit normals (N, 3), (0, 0, 0) where unknown. Raises `DataError` when nothing tells them."""
+    if cloud.normals is not None:
+        return np.asarray(cloud.normals, np.float64)
+    return np.asarray(cloud.grid().normals(), np.float64)
+
+
+def find_spheres(points: Floats, normals: Floats, radius: float, count: int, source: str) -> list[Floats]:
+    """Centres (3,) of `count` spheres of that radius in mm, those with the most points first.
+
+    Each point votes for the place one radius behind it along its normal; on a sphere all votes meet,
+    anything else scatters them. The centre is then fitted robustly to the points near the sphere.
+    Raises `DataError` when fewer are found.
+    """
+    known = np.any(normals != 0.0, axis=1)
+    votes = points[known] - radius * normals[known]
+    free = np.ones(len(votes), bool)
+    centres: list[Floats] = []
+    while len(centres) < count:
+        centre = _mode(votes[free], MEETING * radius)
+        if centre is None:
+            raise DataError(_not_found(source, radius, len(centres), count))
+        centre = _fit_centre(points, centre, radius)
+        seen = np.abs(_across(points, centre)) <= INNER * radius
+        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= NEAR * radius
+        if not seen.any() or near.mean() < LEAST_NEAR:
+            raise DataError(_not_found(source, radius, len(centres), count))
+        centres.append(centre)
+        free &= np.linalg.norm(votes - centre, axis=1) > radius
+    return centres
+
+
+def sphere_cap(points: Floats, centre: Floats, radius: float, rule: Evaluation, source: str) -> Cap:
+    """The points (N, 3) whose ray meets the sphere's cap inside its edge.
+
+    A ray that passes the centre at the distance d meets the sphere at the angle of incidence
+    asin(d/r), and r - d inside its silhouette. Raises `DataError` for a cap that is too small or
+    has too few points.
+    """
+    reach = min(radius * np.sin(np.radians(rule.cap_deg)), radius - rule.edge_mm)
+    if reach <= 0:
+        raise DataError(
+            f"{source}: an edge of {rule.edge_mm:g} mm leaves nothing of a sphere of {2 * radius:g} mm; "
+            "give less in 'evaluation.edge_mm'"
+        )
+    index = np.flatnonzero(_across(points, centre) <= reach)
+    if len(index) < rule.least_points:
+        raise DataError(
+            f"{source}: a sphere has {len(index)} points that count, fewer than {rule.least_points}; "
+            "measure it closer, or with more of it lit"
+        )
+    covered = _solid_angle(points[index], centre, radius, reach)
+    if covered < rule.least_solid_angle_sr:
+        raise DataError(
+            f"{source}: the measured cap of a sphere spans {covered:.2f} sr, less than "
+            f"{rule.least_solid_angle_sr:g} sr; light more of it, or let 'evaluation.cap_deg' be greater"
+        )
+    return Cap(index, covered)
+
+
+def _across(points: Floats, centre: Floats) -> Floats:
+    """Distance (N,) in mm at which each point's ray passes the centre; infinite for rays that lead away."""
+    length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
+    along = points @ centre / length
+    square = np.maximum(centre @ centre - along**2, 0.0)
+    return np.where(along > 0.0, np.sqrt(square), np.inf)
+
+
+def _mode(votes: Floats, reach: float) -> Floats | None:
+    """Where votes are densest, (3,): the best of a random sample, shifted to the mean around it."""
+    if len(votes) == 0:
+        return None
+    random = np.random.default_rng(0)
+    sample = votes if len(votes) <= VOTERS else votes[random.choice(len(votes), VOTERS, replace=False)]
+    counts = cKDTree(sample).query_ball_point(sample, reach, return_length=True)
+    centre = sample[int(np.argmax(counts))]
+    for _ in range(SHIFTS):
+        around = votes[np.linalg.norm(votes - centre, axis=1) <= reach]
+        moved = around.mean(axis=0) if len(around) else centre
+        if np.linalg.norm(moved - centre) <= 1e-3 * reach:
+            break
+        centre = moved
+    return np.asarray(centre)
+
+
+def _fit_centre(points: Floats, centre: Floats, radius: float) -> Floats:
+    """The centre that fits a sphere of known radius to the points near it, little moved by stray ones."""
+    for _ in range(3):
+        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= NEAR * radius
+        near &= _across(points, centre) <= 0.95 * radius
+        around = points[near]
+        if len(around) < 4:
+            return centre
+        scale = 1e-3 * radius
+        centre = least_squares(
+            lambda c, p: np.linalg.norm(p - c, axis=1) - radius,
+            centre,
+            lambda c, p: (c - p) / np.linalg.norm(p - c, axis=1)[:, None],
+            loss="soft_l1",
+            f_scale=scale,
+            args=(around,),
+        ).x
+    return np.asarray(centre, np.float64)
+
+
+def _solid_angle(points: Floats, centre: Floats, radius: float, reach: float) -> float:
+    """What is covered of the cap that rays passing the centre by up to `reach` meet, in sr."""
+    rays = points / np.linalg.norm(points, axis=1)[:, None]
+    across = np.minimum(_across(points, centre), reach)
+    met = rays * (rays @ centre - np.sqrt(radius**2 - across**2))[:, None] - centre
+    distance = float(np.linalg.norm(centre))
+    axis = -centre / distance
+    # The ray at `reach` meets the sphere at this angle from the line of centres.
+    edge = np.cos(np.arcsin(reach / radius) - np.arcsin(reach / distance))
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    up = met @ axis / np.linalg.norm(met, axis=1)
+    turn = np.arctan2(met @ np.cross(axis, side), met @ side) / TWO_PI % 1.0
+    ring = np.clip(((1.0 - up) / (1.0 - edge) * RINGS).astype(int), 0, RINGS - 1)
+    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
+    covered = len(np.unique(ring * SECTORS + sector)) / (RINGS * SECTORS)
+    return float(covered * TWO_PI * (1.0 - edge))
+
+
+def _not_found(source: str, radius: float, found: int, count: int) -> str:
+    return (
+        f"{source}: {found} of {count} spheres of {2 * radius:g} mm were found; see that both are in view "
+        "and well measured, and that the standard's file has the right diameters"
+    )
+
+
+def find_plane(points: Floats, length: float, source: str) -> Plane:
+    """The plane with the most points (N, 3) near it. length: the standard's, in mm.
+
+    By random samples of three points (RANSAC; Fischler and Bolles, 1981), then fitted to the points near.
+    Raises `DataError` when there is none.
+    """
+    random = np.random.default_rng(0)
+    sample = points if len(points) <= VOTERS else points[random.choice(len(points), VOTERS, replace=False)]
+    near, best, most = FLAT * length, None, 0
+    for _ in range(TRIES):
+        corners = sample[random.choice(len(sample), 3, replace=False)] if len(sample) >= 3 else sample[:0]
+        if len(corners) < 3:
+            break
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        size = np.linalg.norm(normal)
+        if size < 1e-9:
+            continue
+        count = int((np.abs((sample - corners[0]) @ normal) <= near * size).sum())
+        if count > most:
+            best, most = Plane(corners[0], normal / size), count
+    if best is None or most < 0.05 * len(sample):
+        raise DataError(f"{source}: no plane was found; see that the standard is in view and well measured")
+    for _ in range(5):
+        best = fit_plane(points[np.abs(best.distances(points)) <= near])
+    return best
+
+
+def plane_face(
+    points: Floats, plane: Plane, size: tuple[float, float], rule: Evaluation, source: str
+) -> Face:
+    """The points (N, 3) whose ray meets the plane at least `edge_mm` inside the edge of what was measured.
+
+    size: length and width of the standard in mm. Raises `DataError` for a plane that is larger than the
+    standard, too little of it, or too few points.
+    """
+    places, ahead = _on_plane(points, plane)
+    near = ahead & (np.abs(plane.distances(points)) <= FLAT * max(size))
+    cell = PER_CELL * _spacing(places[near])
+    low = places[near].min(axis=0) - 3 * cell
+    shape = np.ceil((places[near].max(axis=0) + 3 * cell - low) / cell).astype(int)
+    filled = _outline(places[near], low, cell, shape)
+    _refuse_larger(filled, cell, size, source)
+    inner = ndimage.distance_transform_edt(filled) * cell > rule.edge_mm + cell
+    area = float(inner.sum() * cell**2)
+    if area < rule.least_area_share * size[0] * size[1]:
+        raise DataError(
+            f"{source}: {area:.0f} mm² of the plane count, less than {rule.least_area_share:g} of its "
+            f"{size[0]:g} x {size[1]:g} mm; have all of it in view and lit"
+        )
+    at = np.floor((places - low) / cell).astype(int)
+    inside = ahead & (at >= 0).all(axis=1) & (at < shape).all(axis=1)
+    inside[inside] = inner[at[inside, 0], at[inside, 1]]
+    index = np.flatnonzero(inside)
+    if len(index) < rule.least_points:
+        raise DataError(
+            f"{source}: the plane has {len(index)} points that count, fewer than {rule.least_points}; "
+            "measure it closer, or with more pixels"
+        )
+    return Face(index, area)
+
+
+def _on_plane(points: Floats, plane: Plane) -> tuple[Floats, Mask]:
+    """Where rays meet the plane, (N, 2) in mm along it, and which do so (N,) in front of the camera."""
+    towards = points @ plane.normal
+    ahead = towards * (plane.point @ plane.normal) > 0.0
+    met = points * ((plane.point @ plane.normal) / np.where(ahead, towards, 1.0))[:, None]
+    first = np.cross(plane.normal, np.eye(3)[int(np.argmin(np.abs(plane.normal)))])
+    first /= np.linalg.norm(first)
+    axes = np.column_stack([first, np.cross(plane.normal, first)])
+    return np.where(ahead[:, None], (met - plane.point) @ axes, 0.0), ahead
+
+
+def _spacing(places: Floats) -> float:
+    """Median distance of a point from its nearest neighbour."""
+    some = places[:: max(1, len(places) // 2000)]
+    distances, _ = cKDTree(places).query(some, k=2)
+    return max(float(np.median(distances[:, 1])), 1e-6)
+
+
+def _outline(places: Floats, low: Floats, cell: float, shape: NDArray[np.intp]) -> Mask:
+    """The largest connected part of the raster's occupied cells, without holes."""
+    occupied = np.zeros(shape, bool)
+    at = np.floor((places - low) / cell).astype(int)
+    occupied[at[:, 0], at[:, 1]] = True
+    closed = ndimage.binary_closing(occupied, np.ones((3, 3), bool))
+    labels, _ = ndimage.label(closed)
+    largest = int(np.argmax(np.bincount(labels.ravel())[1:])) + 1
+    return np.asarray(ndimage.binary_fill_holes(labels == largest), bool)
+
+
+def _refuse_larger(filled: Mask, cell: float, size: tuple[float, float], source: str) -> None:
+    corners = np.argwhere(filled).astype(np.float32)
+    sides = sorted((float((side + 1) * cell) for side in cv2.minAreaRect(corners)[1]), reverse=True)
+    for side, given in zip(sides, sorted(size, reverse=True), strict=True):
+        if side > TOO_LARGE * given + 2 * cell:
+            raise DataError(
+                f"{source}: the plane found measures {sides[0]:.0f} x {sides[1]:.0f} mm, but the standard is "
+                f"{size[0]:g} x {size[1]:g} mm; see that nothing flat lies around it, and the standard's file"
+            )

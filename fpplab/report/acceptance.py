@@ -1,0 +1,146 @@
+"""The acceptance test as a page: its judgement, every value, and where the errors lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Sheet
+from numpy.typing import NDArray
+
+from fpplab.acceptance import QUANTITIES, Acceptance, BallBarTest, Measured, PlaneTest, SphereTest
+from fpplab.report import figures
+from fpplab.report.page import Figure, Section, Table, write_page
+from fpplab.report.raster import lay, raster
+
+WORDS = {True: "passed", False: "not passed", None: "not judged"}
+JUDGED = (
+    "Quantity",
+    "Values",
+    "Error of greatest size in µm",
+    "Standard known to µm",
+    "Permissible in µm",
+    "Judgement",
+)
+RULE = (
+    "Passed: the error in every position, and what the standard itself is uncertain by, stay within the "
+    "maximum permissible error. Of each feature's points the 3 per mille farthest from the fit are left out."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Points that a figure draws."""
+
+    points: NDArray[np.float32]
+    pixels: NDArray[np.int32] | None
+
+    @classmethod
+    def of(cls, found: Measured) -> tuple[_Drawn, NDArray[np.float32]]:
+        """What was kept, and its signed distances in mm."""
+        pixels = None if found.pixels is None else found.pixels[found.kept]
+        return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
+
+
+def write_acceptance_report(path: Path, found: Acceptance) -> None:
+    """Write the acceptance test as one HTML file. Raises `DataError` when it cannot be written."""
+    rule = found.standard.evaluation
+    facts = {
+        "Standard": found.standard.name,
+        "Result": WORDS[found.passed],
+        "Method": "in the manner of VDI/VDE 2634 part 2, from single views",
+        "Points that count": f"incidence up to {rule.cap_deg:g}°, {rule.edge_mm:g} mm inside edges",
+    }
+    sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
+    sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
+    write_page(path, "Acceptance test", _summary(found), sections, facts)
+
+
+def _summary(found: Acceptance) -> list[Table]:
+    judged = tuple(
+        (
+            f"{QUANTITIES[name]} {name}",
+            str(j.positions),
+            _signed(name, j.worst_um),
+            f"{j.known_to_um:g}",
+            "–" if j.mpe_um is None else f"{j.mpe_um:g}",
+            WORDS[j.passed],
+        )
+        for name, j in found.judgements().items()
+    )
+    tables = [Table(JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in found.notices())]))]
+    if found.bars:
+        columns = ("Ball bar", "PF 1 / 2 in µm", "PS 1 / 2 in µm", "SD in µm", "RMS 1 / 2 in µm", "Cap in sr")
+        tables.append(Table(columns, tuple(_bar_row(bar) for bar in found.bars)))
+    if found.planes:
+        rows = tuple(
+            (
+                p.source,
+                f"{p.flatness_um:.1f}",
+                f"{p.measured.rms_um:.1f}",
+                f"{p.area_mm2:.0f}",
+                f"{len(p.measured.points)}",
+            )
+            for p in found.planes
+        )
+        tables.append(Table(("Plane", "F in µm", "RMS in µm", "Area in mm²", "Points"), rows))
+    return tables
+
+
+def _bar_row(bar: BallBarTest) -> tuple[str, ...]:
+    one, two = bar.spheres
+    return (
+        bar.source,
+        f"{one.form_um:.1f} / {two.form_um:.1f}",
+        f"{one.size_um:+.1f} / {two.size_um:+.1f}",
+        f"{bar.spacing_error_um:+.1f}",
+        f"{one.measured.rms_um:.1f} / {two.measured.rms_um:.1f}",
+        f"{one.solid_angle_sr:.2f} / {two.solid_angle_sr:.2f}",
+    )
+
+
+def _bar_section(bar: BallBarTest, number: int) -> Section:
+    text = (
+        f"{bar.source}: the spheres' centres are {bar.spacing_mm:.4f} mm apart, "
+        f"calibrated {bar.calibrated_mm:.4f} mm. Grey: not measured, or not counted."
+    )
+    caption = "Signed radial distance of every point that counts from its fitted sphere; red lies outside."
+    drawn = Figure.of(sphere_errors(bar.spheres), "Maps of both spheres' signed errors", caption, wide=True)
+    return Section(f"Ball bar, position {number}", text, figures=(drawn,))
+
+
+def _plane_section(plane: PlaneTest, number: int) -> Section:
+    text = (
+        f"{plane.source}: {plane.area_mm2:.0f} mm² of the plane count, "
+        f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not counted."
+    )
+    caption = "Signed distance of every point that counts from the fitted plane; red lies towards the camera."
+    found, distances = _Drawn.of(plane.measured)
+    drawn = Figure.of(figures.error_map(found, distances), "Map of the plane's signed errors", caption, True)
+    return Section(f"Plane, position {number}", text, figures=(drawn,))
+
+
+@figures._picture
+def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
+    """Both spheres of a ball bar, coloured alike by their signed errors, without what was discarded.
+
+    The colours span ± the 98th percentile of the absolute error, which is stated.
+    """
+    drawn = [_Drawn.of(test.measured) for test in spheres]
+    limit = figures.error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
+    sheet, panels = figures._pair(0.44 * figures.FULL, (1.0, 1.0))
+    for axes, test, (found, distances) in zip(panels, spheres, drawn, strict=True):
+        grid = raster(found)
+        laid, extent = lay(grid, 1e3 * distances[:, None])
+        mappable = figures._show(axes, laid[..., 0], "RdBu_r", (-limit, limit), extent)
+        axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
+        title = f"Sphere {test.number}: PF {test.form_um:.1f} µm, RMS {test.measured.rms_um:.1f} µm"
+        axes.set_title(title, fontsize=8.5)
+    label = f"signed error in µm (range ±{limit:.3g}, 98 % of points)"
+    figures._colour_bar(sheet, panels[-1], mappable, label)
+    return sheet
+
+
+def _signed(name: str, value: float) -> str:
+    return f"{value:+.1f}" if name in ("PS", "SD") else f"{value:.1f}"
