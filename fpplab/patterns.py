@@ -45,10 +45,24 @@ def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8
     return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
 
+def pattern_image(
+    plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+) -> NDArray[np.uint8]:
+    """The image of one step of the plan's fringe set `index`, uint8 (height, width).
+
+    Corrected for the plan's response before it is quantised, so that each grey is the nearest to the light
+    that is wanted.
+    """
+    level = fringe_level(plan.fringes[index], step, size, lattice)
+    return quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
+
+
 def make_patterns(
     plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
 ) -> tuple[Pattern, ...]:
     """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
+
+    A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`.
 
     The same plan gives the same, read-only, patterns again, so that a backend can tell them by identity.
     Raises `ConfigError` when the projector cannot resolve the stripes.
@@ -61,7 +75,7 @@ def make_patterns(
 def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -> tuple[Pattern, ...]:
     patterns = []
     for i, n, name in plan.steps():
-        image = quantise(fringe_level(plan.fringes[i], n, size, lattice), bit_depth)
+        image = pattern_image(plan, i, n, size, lattice, bit_depth)
         image.flags.writeable = False
         patterns.append(Pattern(name, image, bit_depth))
     return tuple(patterns)

@@ -12,6 +12,7 @@ from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Axis, axis_length
 from fpplab.errors import ConfigError
+from fpplab.gamma import Curve, Response
 
 
 class FringeSet(Document):
@@ -62,8 +63,23 @@ class OrderVote(Document):
         return self
 
 
+class GreyLevels(Document):
+    """How the response is measured: `levels` uniform greys from black to white, `repeats` times."""
+
+    levels: Annotated[int, Field(ge=5, le=256)] = 16
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 3
+
+
 class Plan(Document):
-    """Fringe sets in the order they are shown, how to unwrap them, and the exposure."""
+    """Fringe sets in the order they are shown, how to unwrap them, and the exposure.
+
+    response: patterns are shown through its inverse, so that the LIGHT is sinusoidal. In a plan file the name
+    of a response file, beside the plan or by path, or its `{a, b, g}`. It is a key of the plan and no option
+    of a command, because it is part of what is shown: a scan, its resumption, its replay and the
+    search that wrote the plan then cannot differ in it. `load` puts the values in place of the
+    name, so that a session's plan says by itself how its patterns were made.
+    greys: how the response itself is measured; uniform greys are never corrected.
+    """
 
     fringes: Annotated[tuple[FringeSet, ...], Field(min_length=1)]
     unwrapping: Literal["hierarchical", "heterodyne"] = "hierarchical"
@@ -72,6 +88,8 @@ class Plan(Document):
     trigger: Literal["stepped", "triggered"] = "stepped"
     masks: MaskRules = MaskRules()
     order_vote: OrderVote | None = None
+    response: Curve | None = None
+    greys: GreyLevels = GreyLevels()
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:
@@ -80,10 +98,20 @@ class Plan(Document):
             raise ValueError("every fringe set must name the same projector_size, or none")
         return self
 
+    @model_validator(mode="after")
+    def _response_can_be_inverted(self) -> Plan:
+        if self.response is not None:
+            self.response.check_correctable()
+        return self
+
     @classmethod
     def load(cls, path: Path | str) -> Plan:
         """Read a plan file, by path or by the name of one that comes with fpplab."""
-        return config.load(config.find(path), cls)
+        found = config.find(path)
+        data = config.parse(config.read_text(found), found)
+        if isinstance(data, dict) and isinstance(data.get("response"), str):
+            data = {**data, "response": _named_response(data["response"], found)}
+        return config.validate(data, cls, found)
 
     @property
     def images(self) -> int:
@@ -126,6 +154,19 @@ class Plan(Document):
                 f"{source}: 'projector_size' is {list(self.projector_size or ())} but the projector "
                 f"has {list(size)} pixels"
             )
+
+
+def _named_response(name: str, plan: Path) -> dict[str, float]:
+    """The law in a response file that a plan names. Raises `ConfigError`."""
+    beside = plan.parent / name
+    file = beside if beside.is_file() else Path(name)
+    try:
+        curve = Response.load(file).curve(file)
+    except ConfigError as error:
+        raise ConfigError(
+            f"{plan}: 'response' must name a file written by `fpplab gamma`: {error}"
+        ) from error
+    return curve.model_dump()
 
 
 def pattern_id(index: int, fringe: FringeSet, step: int) -> str:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab.errors import CalibrationError, ConfigError
-from fpplab.gamma import Response, fit_response
+from fpplab.gamma import Curve, Response, fit_response
 
 SHOWN = np.linspace(0, 1, 18)
 
@@ -115,4 +115,94 @@ def test_a_response_file_with_a_wrong_field_is_refused(tmp_path: Path) -> None:
 
 
 def test_summary_has_the_keys_of_the_command_line() -> None:
-    assert set(fit_response(SHOWN, seen()).summary()) == {"a", "b", "g", "residual", "sigma"}
+    summary = fit_response(SHOWN, seen()).summary()
+    assert set(summary) > {"a", "b", "g", "residual", "sigma", "covariance", "residual_sum"}
+    assert [level["shown"] for level in summary["levels"]] == pytest.approx(SHOWN)
+
+
+def test_covariance_is_that_of_the_linearised_fit() -> None:
+    """For independent levels of deviation σ it is σ² (JᵀJ)⁻¹, J the slopes of the law."""
+    sigma = 0.002
+    found = fit_response(SHOWN, seen(), np.full(18, sigma))
+    step = 1e-6
+    slopes = [
+        (seen(0.7 + step) - seen(0.7 - step)) / (2 * step),
+        (seen(b=0.03 + step) - seen(b=0.03 - step)) / (2 * step),
+        (seen(g=2.2 + step) - seen(g=2.2 - step)) / (2 * step),
+    ]
+    expected = sigma**2 * np.linalg.inv(np.array(slopes) @ np.array(slopes).T)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-4)
+    np.testing.assert_allclose(np.square(found.sigma), np.diag(expected), rtol=1e-4)
+    assert found.misfit == 0.0
+
+
+def test_what_the_law_cannot_follow_widens_the_uncertainty() -> None:
+    """Levels known to a millionth that lie off the law by 0.01 at random: as if known to 0.01."""
+    random, off = np.random.default_rng(8), 0.01
+    levels = seen() + random.normal(0, off, 18)
+    found = fit_response(SHOWN, levels, np.full(18, 1e-6))
+    assert found.misfit == pytest.approx(found.residual * np.sqrt(18 / 15), rel=1e-3)
+    alike = fit_response(SHOWN, levels, np.full(18, found.misfit))
+    np.testing.assert_allclose(found.covariance, alike.covariance, rtol=1e-3)
+
+
+def test_residual_sum_is_of_squares() -> None:
+    levels = seen() + 0.01 * np.where(np.arange(18) % 2, 1, -1)
+    found = fit_response(SHOWN, levels)
+    assert found.residual_sum == pytest.approx(18 * found.residual**2)
+    assert [p.residual for p in found.measured] == pytest.approx(levels - found.apply(SHOWN))
+
+
+def test_a_level_with_clipped_pixels_is_left_out_though_its_mean_is_not_saturated() -> None:
+    levels = seen()
+    levels[-1] = 0.7  # what clipping left of 0.73
+    clipped = SHOWN == 1.0
+    found = fit_response(SHOWN, levels, saturated=clipped)
+    assert found.g == pytest.approx(2.2, rel=1e-5)
+    assert found.left_out == ("level 1 is seen as 0.7: saturated, in some of its pixels",)
+    assert abs(fit_response(SHOWN, levels).g - 2.2) > 0.02
+
+
+@given(st.floats(0.5, 5.0), st.floats(0.1, 0.9), st.floats(0.0, 0.1), st.floats(0.0, 1.0))
+def test_corrected_levels_give_light_in_proportion(g: float, a: float, b: float, level: float) -> None:
+    curve = Curve(a=a, b=b, g=g)
+    assert curve.apply(curve.correct(level)) == pytest.approx(a * level + b, abs=1e-12)
+
+
+def test_the_normalised_response_is_free_of_gain_and_black_level() -> None:
+    """The projector's own 0.65 I^1.033 + 0.056 through gains and black levels of cameras."""
+    for gain, black in ((1.0, 0.0), (0.6, 0.04), (1.2, 0.01)):
+        through = gain * seen(0.65, 0.056, 1.033) + black
+        found = fit_response(SHOWN, through).model_copy(update={"dark": (black, 0.0)})
+        assert found.normalised is not None
+        assert found.normalised["a"] == pytest.approx(0.65 / 0.706, rel=1e-6)
+        assert found.normalised["b"] == pytest.approx(0.056 / 0.706, rel=1e-6)
+    assert fit_response(SHOWN, through).normalised is None
+
+
+def test_the_normalised_response_knows_its_uncertainty() -> None:
+    random, sigma, dark, values, told = np.random.default_rng(2), 0.002, 0.02, [], []
+    for _ in range(200):
+        levels = seen() + random.normal(0, sigma, 18)
+        found = fit_response(SHOWN, levels, np.full(18, sigma))
+        found = found.model_copy(update={"dark": (dark + random.normal(0, 0.003), 0.003)})
+        assert found.normalised is not None
+        values.append(found.normalised["b"])
+        told.append(found.normalised["sigma"])
+    # 200 values give a standard deviation to 5 %.
+    assert np.std(values) == pytest.approx(np.mean(told), rel=0.2)
+
+
+@pytest.mark.parametrize("g", [0.3, 7.0])
+def test_an_exponent_that_no_projector_can_invert_is_refused(g: float) -> None:
+    response = Response(a=1.0, b=0.0, g=g, sigma=(0.0, 0.0, 0.0), residual=0.0, levels=9)
+    with pytest.raises(
+        ConfigError, match=f"^r.yaml: 'g' is {g:g}: patterns can be corrected for .* 0.5 to 5"
+    ):
+        response.curve("r.yaml")
+
+
+def test_an_exponent_that_is_hardly_known_is_refused() -> None:
+    response = Response(a=1.0, b=0.0, g=2.0, sigma=(0.0, 0.0, 0.2), residual=0.0, levels=9)
+    with pytest.raises(ConfigError, match=r"uncertainty of 0.2: at most 5 % .* measure it again"):
+        response.curve("r.yaml")

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fpplab import config
+from fpplab.acquisition import acquire
 from fpplab.conventions import Lattice
-from fpplab.errors import ConfigError
-from fpplab.patterns import fringe_level, make_patterns, quantise, uniform_patterns
+from fpplab.devices import CameraSettings, Frame
+from fpplab.errors import CapabilityError, ConfigError, DataError
+from fpplab.gamma import Curve, Response
+from fpplab.patterns import fringe_level, make_patterns, pattern_image, quantise, uniform_patterns
 from fpplab.plan import FringeSet, Plan
+from fpplab.rig import Rig
+from fpplab.session import Session
 
 SIZE = (48, 20)
 
@@ -71,3 +79,127 @@ def test_uniform_images_are_uniform():
     assert [p.id for p in patterns] == ["grey-000", "grey-007", "grey-255"]
     for pattern, grey in zip(patterns, (0, 7, 255), strict=True):
         np.testing.assert_array_equal(pattern.image, np.full((SIZE[1], SIZE[0]), grey))
+
+
+FRINGES = (FringeSet(axis="x", stripes=4, steps=3),)
+CURVE = Curve(a=0.8, b=0.1, g=2.2)
+
+
+def test_corrected_patterns_give_the_nearest_light_to_a_sinusoid():
+    for pattern, (index, step, _) in zip(
+        make_patterns(Plan(fringes=FRINGES, response=CURVE), SIZE, Lattice.DIAMOND),
+        Plan(fringes=FRINGES).steps(),
+        strict=True,
+    ):
+        wanted = fringe_level(FRINGES[index], step, SIZE, Lattice.DIAMOND)
+        light = (CURVE.apply(pattern.image / 255.0) - CURVE.b) / CURVE.a
+        # One grey is at most g/255 of light; rounding is off by half of it.
+        assert np.abs(light - wanted).max() <= 0.5 * CURVE.g / 255 + 1e-12
+        for other in (-1, 1):
+            beside = np.clip(pattern.image.astype(int) + other, 0, 255)
+            # The nearest grey, by the grey that would be exact.
+            exact = 255 * wanted ** (1 / CURVE.g)
+            assert np.all(np.abs(pattern.image - exact) <= np.abs(beside - exact) + 1e-9)
+
+
+def test_black_and_white_stay_what_they_are():
+    assert quantise(CURVE.correct([0.0, 1.0])).tolist() == [0, 255]
+
+
+def test_patterns_of_another_response_are_other_patterns():
+    plain, bent = Plan(fringes=FRINGES), Plan(fringes=FRINGES, response=CURVE)
+    first, second = (make_patterns(plan, SIZE, Lattice.SQUARE) for plan in (plain, bent))
+    assert [p.id for p in first] == [p.id for p in second]
+    assert not np.array_equal(first[0].image, second[0].image)
+    assert make_patterns(plain, SIZE, Lattice.SQUARE)[0] is first[0]
+    again = bent.model_copy(update={"response": Curve(a=0.8, b=0.1, g=1.8)})
+    assert not np.array_equal(make_patterns(again, SIZE, Lattice.SQUARE)[0].image, second[0].image)
+    np.testing.assert_array_equal(pattern_image(bent, 0, 1, SIZE, Lattice.SQUARE), second[1].image)
+
+
+def response_file(folder: Path, **changes: float) -> Path:
+    values = {"a": 0.8, "b": 0.1, "g": 2.2, **changes}
+    Response(**values, sigma=(0.001, 0.001, 0.002), residual=0.001, levels=16).save(folder / "response.yaml")
+    return folder / "response.yaml"
+
+
+def plan_file(folder: Path, response: str) -> Path:
+    path = folder / "plan.yaml"
+    path.write_text("fringes: [{axis: x, stripes: 4, steps: 3}]\nresponse: " + response)
+    return path
+
+
+def test_a_plan_names_a_response_file_beside_it_and_holds_its_values(tmp_path):
+    response_file(tmp_path)
+    plan = Plan.load(plan_file(tmp_path, "response.yaml"))
+    assert plan.response == CURVE
+    assert Plan.load(plan_file(tmp_path, str(tmp_path / "response.yaml"))) == plan
+    assert Plan.load(plan_file(tmp_path, "{a: 0.8, b: 0.1, g: 2.2}")) == plan
+    assert "response.yaml" not in config.dump(plan)
+
+
+@pytest.mark.parametrize(
+    ("named", "words"),
+    [
+        ("elsewhere.yaml", "plan.yaml: 'response' must name a file .* elsewhere.yaml: there is no such file"),
+        ("plan.yaml", "'response' must name a file written by `fpplab gamma`: .*unknown key 'fringes'"),
+        ("{a: 1.0, b: 0.0, g: 9.0}", "'g' is 9: patterns can be corrected for an exponent of 0.5 to 5"),
+        ("{a: 1.0, b: 0.0}", "'response.g' is missing"),
+        ("{a: -1.0, b: 0.0, g: 2.0}", "'response.a' is -1.0: should be greater than 0"),
+        ("3", "'response' is 3"),
+    ],
+)
+def test_a_response_that_is_none_is_refused(tmp_path, named, words):
+    with pytest.raises(ConfigError, match=words):
+        Plan.load(plan_file(tmp_path, named))
+
+
+def test_a_response_file_that_cannot_be_inverted_is_refused(tmp_path):
+    response_file(tmp_path, g=0.2)
+    with pytest.raises(ConfigError, match=r"response.yaml: 'g' is 0.2: patterns can be corrected"):
+        Plan.load(plan_file(tmp_path, "response.yaml"))
+
+
+def test_levels_and_repeats_of_the_response_are_the_plans(tmp_path):
+    greys = Plan.load(plan_file(tmp_path, "{a: 0.8, b: 0.1, g: 2.2}\ngreys: {levels: 24, repeats: 5}")).greys
+    assert (greys.levels, greys.repeats) == (24, 5)
+
+
+@pytest.mark.parametrize("wrong", ["levels: 4", "levels: 257", "repeats: 0"])
+def test_too_few_levels_or_repeats_are_refused(tmp_path, wrong):
+    name, value = wrong.split(": ")
+    with pytest.raises(ConfigError, match=f"'greys.{name}' is {value}: should be"):
+        Plan.load(plan_file(tmp_path, "{a: 0.8, b: 0.1, g: 2.2}\ngreys: {" + wrong + "}"))
+
+
+def recorded(path: Path, plan: Plan) -> Session:
+    session = Session.create(path, plan, None)
+    (path / "rig.yaml").write_text(
+        "resolved: {projector: {model: none, size: [48, 20], lattice: square}}\n", encoding="utf-8"
+    )
+    for _, _, name in plan.steps():
+        frame = Frame(np.full((6, 8), 7, np.uint8), len(session.records), CameraSettings(0.02), 0.0)
+        session.write(frame.showing(name, len(session.records)))
+    return session
+
+
+def test_a_session_keeps_the_correction_and_its_replay_agrees(tmp_path):
+    bent = Plan(fringes=FRINGES, response=CURVE)
+    recorded(tmp_path / "recorded", bent)
+    assert Session.open(tmp_path / "recorded").plan == bent
+    (tmp_path / "rig.yaml").write_text(
+        'name: replay\nbench: {backend: "fpplab.replay:Recording", session: recorded}\n'
+        'camera: {backend: "fpplab.replay:ReplayCamera"}\n'
+        'projector: {backend: "fpplab.replay:ReplayProjector"}\n'
+    )
+    with Rig.load(tmp_path / "rig.yaml") as rig:
+        acquire(rig, bent, Session.create(tmp_path / "again", bent, rig.described()))
+        plain = Plan(fringes=FRINGES)
+        with pytest.raises(CapabilityError, match="was not recorded"):
+            acquire(rig, plain, Session.create(tmp_path / "other", plain, rig.described()))
+
+
+def test_a_scan_is_not_resumed_with_another_correction(tmp_path):
+    recorded(tmp_path / "recorded", Plan(fringes=FRINGES, response=CURVE))
+    with pytest.raises(DataError, match="begun with another plan"):
+        Session.resume(tmp_path / "recorded", Plan(fringes=FRINGES), complete_too=True)
