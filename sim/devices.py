@@ -15,8 +15,11 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from fpplab import config
 from fpplab.config import Document
+from fpplab.conventions import Floats
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -34,10 +37,14 @@ from fpplab.devices import (
 from fpplab.errors import ConfigError
 from fpplab.geometry import RigidTransform
 from fpplab.patterns import Pattern, quantise
+from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
-from sim.light import Light, Picture, Setup, Show
+from sim.light import Light, Picture, Show
+from sim.radiometry import Led, lit_area_m2, photons_per_s
+from sim.scene import Effort, View
 from sim.sensor import SensorModel
-from sim.worker import Blender
+from sim.timing import is_whole, plane_weights
+from sim.worker import START_S, Blender
 from sim.world import Binning, BoardItem, World
 
 DARK = "dark"
@@ -75,10 +82,22 @@ class VirtualBench:
         self.light = Light(self.world, self.blender)
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
+        self._lit: Setup | None = None
 
     def open(self) -> None:
-        """Start with what the world has mounted, dark."""
+        """Start with what the world has mounted, dark.
+
+        Raises `ConfigError` for an item that cannot be seen in the light, and for a device of the computer
+        that is not there: before anything is measured.
+        """
         self.setup, self.show = Setup(self.world.mounted), None
+        self._check_device()
+        self.check(self.world.mounted, 0)
+
+    def check(self, item: str, pose: int) -> None:
+        """Raise `ConfigError` unless the item can be made, and seen in the projector's light."""
+        if item != "nothing":
+            self._check_lit(replace(self.setup, item=item, pose=pose))
 
     def close(self) -> None:
         """End the Blender process and let go of every picture; legal any number of times."""
@@ -94,9 +113,54 @@ class VirtualBench:
         light.inherit(self.light)
         self.world, self.light = world, light
 
-    def irradiance(self) -> Picture:
-        """What reaches the sensor now, (height, width), 1 for white. Raises `DeviceError`."""
-        return self.light.irradiance(self.setup, self.show)
+    def irradiance(self, settings: CameraSettings, frame: int) -> Picture:
+        """What reaches the sensor during a frame, (height, width), 1 for white.
+
+        frame: counts frames; how the item shakes and when the shutter opens follow from it and the seed.
+        Raises `DeviceError`, `ConfigError` when nothing of the item lies in the light.
+        """
+        setup, show = self.setup, self.show
+        if show is not None and setup.item != "nothing":
+            self._check_lit(setup)
+        random = np.random.default_rng([self.world.seed, frame])
+        shake, start = random.standard_normal(3), random.uniform()
+        if self.world.vibration_mm:
+            x, y, z = (self.world.vibration_mm * shake).tolist()
+            setup = replace(setup, shake_mm=(x, y, z))
+        return self.light.irradiance(setup, show, self._row_weights(show, settings, start))
+
+    def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
+        """Light of every binary plane in every row, when the shutter is open for broken periods."""
+        period, shutter = self.world.projector.period_s, self.world.camera.shutter
+        if show is None or period == 0 or is_whole(settings.exposure_s, period):
+            return None
+        rows, bits = self.world.camera.size[1], show.pattern.bit_depth
+        return plane_weights(rows, bits, period, settings.exposure_s, shutter.line_time_s, start * period)
+
+    def _check_device(self) -> None:
+        """Render one pixel, where the computer may lack what the world asks for."""
+        if self.world.render.device == "CPU" or not self.world.items:
+            return
+        scene, _ = build_scene(self.world, Setup(next(iter(self.world.items))))
+        one = replace(scene, window=(0, 0, 1, 1))
+        try:
+            self.blender.render(
+                one, None, [View((0.0, 0.0))], Effort(device=self.world.render.device), START_S
+            )
+        except BaseException:
+            self.blender.close()  # a bench that does not open is not closed
+            raise
+
+    def _check_lit(self, setup: Setup) -> None:
+        if setup == self._lit:
+            return
+        if not is_lit_in_view(self.world, setup):
+            raise ConfigError(
+                f"world: the camera sees nothing of the projector's light on '{setup.item}' "
+                f"(pose {setup.pose}, stage at {setup.stage_mm:g} mm); correct "
+                f"'items.{setup.item}' or 'projector.T_camera_projector'"
+            )
+        self._lit = setup
 
 
 def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
@@ -138,8 +202,10 @@ class SimCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         # On the bench's clock a picture takes no longer than its exposure, however long Blender works.
         settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
-        sensor = SensorModel(world.camera.sensor, world.camera.binning, world.seed)
-        image = sensor.expose(self._bench.irradiance(), settings, self._count)
+        sensor = SensorModel(
+            world.camera.sensor, world.camera.binning, white_photons_per_s(world), world.seed
+        )
+        image = sensor.expose(self._bench.irradiance(settings, self._count), settings, self._count)
         index, self._index, self._count = self._index, self._index + 1, self._count + 1
         self._clock_s += settings.exposure_s
         pattern_id = shown.pattern.id if shown else DARK
@@ -147,6 +213,15 @@ class SimCamera(Camera):
 
     def _stop(self) -> None:
         """Nothing is under way between calls."""
+
+
+def white_photons_per_s(world: World) -> float:
+    """Photons on an unbinned pixel that sees irradiance 1, by the lamp, the distance and the lens."""
+    camera, projector = world.camera, world.projector
+    focal = projector.model().matrix
+    area = lit_area_m2(projector.size, (focal[0, 0], focal[1, 1]), projector.distance_mm)
+    leds = [Led(projector.leds[n].lumens, projector.leds[n].wavelength_nm) for n in projector.lit]
+    return photons_per_s(leds, area, camera.f_number, camera.transmission, camera.pixel_um)
 
 
 def _shown(pattern: Pattern) -> Pattern:
@@ -246,6 +321,9 @@ class SimFixture(Fixture):
 
     def _caps(self) -> FixtureCaps:
         return FixtureCaps({name: len(poses) for name, poses in self._held.items()})
+
+    def _check(self, item: str, pose: int) -> None:
+        self._bench.check(item, pose)
 
     def _mount(self, item: str, pose: int) -> None:
         self._bench.setup = replace(self._bench.setup, item=item, pose=pose)

@@ -24,14 +24,30 @@ class Optics:
 
 
 @dataclass(frozen=True, eq=False)
+class Aperture:
+    """A thin lens in the place of the pinhole: its diameter, 0 for none, and the depth that is sharp, mm."""
+
+    diameter_mm: float = 0.0
+    focus_mm: float = 1.0
+
+    def circle_per_px(self, depth_mm: Floats) -> Floats:
+        """Diameter of the circle of confusion over the focal length: `A |1/z - 1/z_focus|`."""
+        return np.asarray(self.diameter_mm * np.abs(1.0 / depth_mm - 1.0 / self.focus_mm))
+
+
+@dataclass(frozen=True, eq=False)
 class Lamp:
     """The projector as a light.
 
     T_camera_projector: (4, 4). affine: (2, 3), projector pixels (u, v, 1) to texture columns and rows.
     texture_shape: (rows, columns). exact: mirrors with sharp edges, else interpolated linearly.
+    fill: side of an exact mirror, in texels.
     distance_mm: where a white surface that faces the white projector has irradiance 1.
     half_angle: of the cone around the axis that holds the image, rad; beyond it the lens's polynomial may
     fold back into the image.
+    aperture: of its lens. texels_per_slope: of the texture, by which the circle of confusion is scaled.
+    circles: (L,) rising diameters in texels for which textures are given; between two of them their mixture
+    is linear in the diameter's square, as variances are.
     """
 
     optics: Optics
@@ -39,23 +55,65 @@ class Lamp:
     affine: Floats
     texture_shape: tuple[int, int]
     exact: bool
+    fill: float
     distance_mm: float
     half_angle: float
+    aperture: Aperture
+    texels_per_slope: float
+    circles: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Sinusoidal ridges across `axis`, of length 1 in the item's frame; `depth_mm` from crest to valley."""
+
+    axis: tuple[float, float, float]
+    period_mm: float
+    depth_mm: float
+
+
+@dataclass(frozen=True)
+class Grain:
+    """Random facets: RMS slope, and their size."""
+
+    slope: float
+    size_mm: float
+
+
+LEVEL, EVEN = Relief((0.0, 0.0, 1.0), 1.0, 0.0), Grain(0.0, 1.0)
+"""No relief, and no grain."""
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What a surface is made of.
+
+    reflectance: 0 … 1. roughness: Oren-Nayar's, 0 … 1. gloss: share of light that a gloss reflects.
+    scatter_mm: mean free path below the surface, 0 for a surface that light does not enter.
+    """
+
+    reflectance: float
+    roughness: float = 0.0
+    gloss: float = 0.0
+    gloss_roughness: float = 0.3
+    scatter_mm: float = 0.0
+    relief: Relief = LEVEL
+    grain: Grain = EVEN
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A diffuse body of triangles.
+    """A body of triangles.
 
     vertices: (V, 3) in mm in the item's frame. faces: (F, 3) indices. T_camera_item: (4, 4).
-    reflectance: of the paint, 0 … 1. picture: uint8 [v, u] that scales it, or None.
-    uv: (V, 2) places of the vertices in the picture, 0 … 1, v downwards.
+    picture: uint8 [v, u] that scales the reflectance, or None. uv: (V, 2) places of the vertices in the
+    picture, 0 … 1, v downwards.
     """
 
     vertices: Floats
     faces: NDArray[np.int64]
     T_camera_item: Floats
-    reflectance: float
+    paint: Paint
     picture: NDArray[np.uint8] | None = None
     uv: Floats | None = None
 
@@ -69,6 +127,7 @@ class Scene:
     """
 
     camera: Optics
+    aperture: Aperture
     lamp: Lamp
     surfaces: tuple[Surface, ...]
     window: tuple[int, int, int, int]
@@ -76,12 +135,47 @@ class Scene:
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard to render: light paths a sub-pixel, and how often light may bounce between surfaces."""
+    """How hard to render: light paths a sub-pixel, bounces between surfaces, on what device, and what of it.
+
+    survey: also say which points are seen and how they are lit; else it is a picture alone.
+    """
 
     samples: int = 1
     bounces: int = 0
     seed: int = 0
+    device: str = "CPU"
+    survey: bool = False
+
+    @property
+    def channels(self) -> int:
+        """Numbers for each pixel."""
+        return CHANNELS if self.survey else COLOURS
 
 
-CHANNELS = 4
-"""What a render gives for each pixel: radiance in three colours, and the surface's reflectance."""
+@dataclass(frozen=True)
+class View:
+    """One point of every pixel and of the lens that a picture is taken through.
+
+    shift: (u, v) from the pixel's centre in px. lens: on a disc of radius 1; turned about the axis by an
+    angle of each pixel's own, so that few points do not make ghosts.
+    """
+
+    shift: tuple[float, float]
+    lens: tuple[float, float] = (0.0, 0.0)
+
+
+class Refused(Exception):  # noqa: N818 - the world asks for what cannot be had
+    """What the world asks for and cannot be had, and what to change: one sentence."""
+
+
+COLOURS = 3
+"""What a picture gives for each pixel: radiance in three colours."""
+
+DIRECT, ALBEDO, X, Y, Z = range(COLOURS, COLOURS + 5)
+CHANNELS = COLOURS + 5
+"""What a survey gives besides: of the first colour, what came straight from the projector; the surface's
+reflectance; and the point that was seen, in mm, zeros where none was."""
+
+
+POSITION, REFLECTANCE = "position", "reflectance"
+"""The names under which every material says which point was seen, and what of the light it gives back."""

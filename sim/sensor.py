@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fpplab.conventions import Image
 from fpplab.devices import CameraSettings
+from sim.radiometry import gain_factor
 from sim.world import Sensor
 
 MANY = 1000.0
@@ -22,23 +23,26 @@ MANY = 1000.0
 
 @dataclass(frozen=True)
 class SensorModel:
-    """The sensor of a camera that sums the charge of `binning` x `binning` pixels."""
+    """The sensor of a camera that sums the charge of `binning` x `binning` pixels.
+
+    photons_per_s: on an unbinned pixel that sees irradiance 1, see `sim.radiometry`.
+    """
 
     sensor: Sensor
     binning: int
+    photons_per_s: float
     seed: int
 
     def electrons(self, irradiance: float, exposure_s: float) -> float:
         """Mean charge of a binned pixel, without saturation."""
-        s = self.sensor
-        per_pixel = s.white_photons * s.quantum_efficiency * exposure_s / s.nominal_exposure_s
+        per_pixel = self.photons_per_s * self.sensor.quantum_efficiency * exposure_s
         return irradiance * per_pixel * self.binning**2
 
     def gain(self, settings: CameraSettings) -> float:
         """Numbers per electron."""
         full_scale = (1 << settings.bits) - 1
         share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
-        return float(full_scale * share * 10 ** (settings.gain_db / 20))
+        return float(full_scale * share * gain_factor(settings.gain_db))
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
         """One frame [v, u], uint8 up to 8 bits, else uint16; the noise follows from seed and counter."""

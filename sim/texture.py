@@ -5,38 +5,49 @@ u = i + 0.5 (j mod 2), v = j, so with s = u + v/2 and t = u - v/2 every centre i
 diamond is a square lattice turned by 45 degrees. Its cells are squares also in space, where a row of mirrors
 is half a column high.
 
-Optics: a mirror is a unit square of variance 1/12 along each side, and the lens blurs it with a point-spread
-of standard deviation `blur`, in mirrors. Linear interpolation between texels is a tent of variance 1/6, so
-the texels are blurred by the Gaussian of variance `blur² + 1/12 - 1/6`: the whole has the variance of both.
-`blur = 0` are ideal mirrors with sharp edges, which no lens shows.
+Optics: a mirror fills the share f of its unit square, so it is a square of variance f/12 along each side, and
+the lens blurs it with a point-spread of standard deviation `blur`, in mirrors. Linear interpolation between
+texels is a tent of variance 1/6, so the texels are blurred by the Gaussian of variance `blur² + f/12 - 1/6`:
+the whole has the variance of both. Out of focus the circle of confusion, a disc of
+variance D²/16, comes on top. `blur = 0` are ideal mirrors with sharp edges, which no lens shows.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import ive
 
 from fpplab.conventions import Floats, Lattice, mirror_centres
 
-LEAST_BLUR = math.sqrt(1 / 12)
-"""The least point-spread that linear interpolation can stand for, in mirrors."""
+
+def least_blur(fill_factor: float) -> float:
+    """The least point-spread that linear interpolation can stand for, in mirrors."""
+    return math.sqrt(1 / 6 - fill_factor / 12)
+
 
 Texels = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class MirrorTexture:
-    """The texture of a projector. size: (columns, rows) of mirrors. blur: in mirrors, 0 or >= LEAST_BLUR."""
+    """The texture of a projector.
+
+    size: (columns, rows) of mirrors. blur: in mirrors, 0 or >= `least_blur`. fill_factor: of the mirrors.
+    widest: greatest circle of confusion that is asked for, in texels.
+    """
 
     size: tuple[int, int]
     lattice: Lattice
     blur: float
+    fill_factor: float = 1.0
+    widest: float = 0.0
 
     @property
     def exact(self) -> bool:
@@ -44,12 +55,23 @@ class MirrorTexture:
         return self.blur == 0
 
     @property
-    def _sigma(self) -> float:
-        return math.sqrt(max(self.blur**2 - 1 / 12, 0.0)) if not self.exact else 0.0
+    def fill(self) -> float:
+        """Side of a mirror, in texels."""
+        return math.sqrt(self.fill_factor)
+
+    @property
+    def texels_per_column(self) -> float:
+        """Texels over a length of one column of mirrors; a diamond's neighbours stand at 45 degrees."""
+        return math.sqrt(2.0) if self.lattice is Lattice.DIAMOND else 1.0
+
+    @property
+    def _variance(self) -> float:
+        """Of the Gaussian that is left beside mirror and interpolation, in texels squared."""
+        return 0.0 if self.exact else max(self.blur**2 + self.fill_factor / 12 - 1 / 6, 0.0)
 
     @property
     def _margin(self) -> int:
-        return 1 + _reach(self._sigma)
+        return 2 + _reach(math.sqrt(self._variance)) + math.ceil(self.widest / 2)
 
     @cached_property
     def affine(self) -> Floats:
@@ -67,19 +89,61 @@ class MirrorTexture:
         return np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)
 
     @cached_property
+    def _places(self) -> NDArray[np.intp]:
+        """(rows, columns) of the flat place of every mirror's texel."""
+        return np.asarray(np.ravel_multi_index(self._texels, self.shape))
+
+    @cached_property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the texture, dark margin included."""
         rows, columns = self._texels
         return int(rows.max()) + self._margin + 1, int(columns.max()) + self._margin + 1
 
-    def spread(self, light: NDArray[np.float32]) -> Texels:
-        """The texture of mirrors that give `light` (rows, columns of mirrors), float32; dark outside."""
+    def spread(self, light: NDArray[np.float32], circle: float = 0.0) -> Texels:
+        """The texture of mirrors that give `light` (rows, columns of mirrors), float32; dark outside.
+
+        circle: diameter of the circle of confusion in texels, at most `widest`.
+        """
         texture = np.zeros(self.shape, np.float32)
-        texture[self._texels] = light
-        if self._sigma > 0:
-            kernel = _gaussian(self._sigma)
+        np.put(texture, self._places, light)
+        variance, disc = self._variance, None
+        if circle > 0:
+            if circle > _SMALL_DISC:
+                disc = _disc_of(circle)
+            else:
+                variance += circle**2 / 16
+        if variance > 0:
+            kernel = _gaussian(math.sqrt(variance))
             cv2.sepFilter2D(texture, -1, kernel, kernel, dst=texture, borderType=cv2.BORDER_CONSTANT)
+        if disc is not None:
+            cv2.filter2D(texture, -1, disc, dst=texture, borderType=cv2.BORDER_CONSTANT)
         return texture
+
+
+_SMALL_DISC = 2.0
+"""Diameter in texels up to which a disc is not told from a Gaussian of its variance."""
+
+
+@lru_cache(maxsize=64)
+def _disc_of(circle: float) -> Floats:
+    """A disc of the variance that a circle of confusion has; drawn on whole texels it would have more."""
+
+    def excess(diameter: float) -> float:
+        disc = _disc(diameter)
+        place = np.arange(len(disc)) - len(disc) // 2
+        return float(disc.sum(axis=0) @ place**2) - circle**2 / 16
+
+    return _disc(float(brentq(excess, 0.5, circle + 1, xtol=1e-4)))
+
+
+def _disc(diameter: float) -> Floats:
+    """Shares of the texels that a disc covers, by 15 x 15 points in each, normalised."""
+    reach = math.ceil(diameter / 2 - 0.5)
+    fine = (np.arange((2 * reach + 1) * 15) + 0.5) / 15 - reach - 0.5
+    covered = (fine[:, None] ** 2 + fine**2 <= diameter**2 / 4).astype(np.float64)
+    side = 2 * reach + 1
+    shares = covered.reshape(side, 15, side, 15).mean(axis=(1, 3))
+    return np.asarray(shares / shares.sum())
 
 
 def _reach(sigma: float) -> int:

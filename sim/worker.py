@@ -21,9 +21,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.errors import ConfigError, DeviceError, DisconnectedError, TimeoutError
 from fpplab.system import BLENDER
-from sim.scene import CHANNELS, Effort, Scene
+from sim.scene import Effort, Scene, View
 
 START_S = 120.0
 STOP_S = 5.0
@@ -40,7 +40,7 @@ class Blender:
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._memory = -1
-        self._capacity = 0
+        self._pixels = np.empty(0, np.float32)
         self._log: IO[bytes] | None = None
         self._scene: Scene | None = None
 
@@ -56,7 +56,7 @@ class Blender:
         self.close()
         ours, theirs = socket.socketpair()
         try:
-            self._memory, self._capacity = _anonymous_memory(), 0
+            self._memory = _anonymous_memory()
             self._log = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "sim.blender.server", str(theirs.fileno()), str(self._memory)],
@@ -76,31 +76,31 @@ class Blender:
     def render(
         self,
         scene: Scene,
-        texture: NDArray[np.float32] | None,
-        shifts: list[tuple[float, float]],
+        textures: NDArray[np.float32] | None,
+        views: list[View],
         effort: Effort,
         timeout_s: float,
     ) -> NDArray[np.float32]:
-        """Render `scene` under `texture` (rows, columns, 3), once for every shift of the pixels' centres.
+        """Render `scene` once for every view, under `textures` (circles, rows, columns, 3) or even white.
 
-        Without a texture the projector paints its own coordinates (column, row, 1). Returns (shifts, height,
-        width, CHANNELS) float32: radiance relative to white in three colours, and reflectance.
-        Raises `DisconnectedError` when the process dies, `TimeoutError`, `DeviceError` when Blender fails.
+        Returns (views, height, width, effort.channels) float32, see `sim.scene`, in memory that the next
+        call uses again.
+        Raises `DisconnectedError` when the process dies, `TimeoutError`, `DeviceError` when Blender fails,
+        `ConfigError` when the scene asks for what it cannot do.
         """
         self.start()
         width, height = scene.camera.size
-        shape = (len(shifts), height, width, CHANNELS)
+        shape = (len(views), height, width, effort.channels)
         count = int(np.prod(shape))
-        self._reserve(4 * (count + (texture.size if texture is not None else 0)))
-        pixels = np.frombuffer(mmap.mmap(self._memory, self._capacity), np.float32)
-        if texture is not None:
-            pixels[count : count + texture.size] = texture.ravel()
+        pixels = self._reserve(4 * (count + (textures.size if textures is not None else 0)))
+        if textures is not None:
+            pixels[count : count + textures.size] = textures.ravel()
         if scene is not self._scene:
             self._send("scene", scene)
             self._scene = scene
-        self._send("render", {"textured": texture is not None, "shifts": shifts, "effort": effort})
+        self._send("render", {"textured": textures is not None, "views": views, "effort": effort})
         self._answer("render", timeout_s)
-        return pixels[:count].reshape(shape).copy()
+        return pixels[:count].reshape(shape)
 
     def close(self) -> None:
         """End the process and let go of everything; legal at any time, any number of times."""
@@ -117,11 +117,12 @@ class Blender:
         if self._log is not None:
             self._log.close()
         self._process = self._connection = self._log = self._scene = None
-        self._memory = -1
+        self._memory, self._pixels = -1, np.empty(0, np.float32)
 
-    def _reserve(self, size: int) -> None:
-        if size <= self._capacity:
-            return
+    def _reserve(self, size: int) -> NDArray[np.float32]:
+        """The shared memory, grown to `size` bytes at least."""
+        if size <= self._pixels.nbytes:
+            return self._pixels
         try:
             os.posix_fallocate(self._memory, 0, size)
         except OSError as error:
@@ -131,7 +132,8 @@ class Blender:
                 f"no {size / 1e6:.0f} MB of memory for the pictures ({error.strerror})",
                 "choose a greater binning or fewer sub-pixels in the world file",
             ) from error
-        self._capacity = size
+        self._pixels = np.frombuffer(mmap.mmap(self._memory, size), np.float32)
+        return self._pixels
 
     def _send(self, verb: str, content: Any) -> None:
         assert self._connection is not None
@@ -154,6 +156,8 @@ class Blender:
         except BaseException:
             self._kill()
             raise
+        if verb == "refused":
+            raise ConfigError(f"world: {content}")
         if verb == "failed":
             raise DeviceError(self.name, doing, f"Blender failed: {content}", "see the world file")
 

@@ -1,4 +1,4 @@
-"""The camera: Brown-Conrady distortion per ray, and every sub-pixel where it is asked for."""
+"""The camera: distortion and aperture per ray, through any point of the pixels and of the lens."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import _cycles
 import bpy
 from mathutils import Matrix
 
-from sim.scene import Optics
+from sim.scene import Aperture, Optics, Refused, View
 
 SOURCE = Path(__file__).with_name("camera.osl")
 
@@ -25,27 +25,63 @@ def compile_shader() -> str:
         return compiled.read_text()
 
 
-def add_camera(scene: Any, optics: Optics, bytecode: str) -> Any:
-    """A camera at the origin that looks along +z with y down, as OpenCV's does."""
+def add_camera(scene: Any, optics: Optics, aperture: Aperture, bytecode: str | None) -> Any:
+    """A camera at the origin that looks along +z with y down, as OpenCV's does.
+
+    Without byte code it is Blender's own, for devices that run no shaders of ours: `Refused` when it would
+    have to distort or blur, which it cannot.
+    """
     data = bpy.data.cameras.new("camera")
-    data.type, data.custom_mode = "CUSTOM", "INTERNAL"
-    data.custom_bytecode = bytecode
-    data.custom_bytecode_hash = hashlib.md5(bytecode.encode()).hexdigest()
     data.clip_start, data.clip_end = 1.0, 1e5
     item = bpy.data.objects.new("camera", data)
     item.matrix_world = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
     scene.collection.objects.link(item)
     scene.camera = item
     scene.render.resolution_x, scene.render.resolution_y = optics.size
-    k = optics.matrix
-    values = (*optics.size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], *optics.distortion, 0.0, 0.0)
-    names = ("width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "shift_u", "shift_v")
-    for name, value in zip(names, values, strict=True):
-        data.cycles_custom[name] = float(value)
+    if bytecode is None:
+        _pinhole(data, optics, aperture)
+    else:
+        _custom(data, optics, aperture, bytecode)
     return data
 
 
-def aim(camera: Any, shift: tuple[float, float]) -> None:
-    """Look through the point of every pixel that lies `shift` (u, v) px from its centre."""
-    camera.cycles_custom["shift_u"], camera.cycles_custom["shift_v"] = map(float, shift)
+def aim(camera: Any, optics: Optics, view: View) -> None:
+    """Look through one point of every pixel and of the lens."""
+    if camera.type == "CUSTOM":
+        values = dict(zip(("shift_u", "shift_v", "lens_x", "lens_y"), (*view.shift, *view.lens), strict=True))
+        for name, value in values.items():
+            camera.cycles_custom[name] = float(value)
+    else:
+        (width, height), k, largest = optics.size, optics.matrix, max(optics.size)
+        # Blender counts from the image's middle, in units of its longer side, y upwards.
+        camera.shift_x = ((width - 1) / 2 - k[0, 2] + view.shift[0]) / largest
+        camera.shift_y = (k[1, 2] - (height - 1) / 2 - view.shift[1]) / largest
     camera.update_tag()
+
+
+def _custom(data: Any, optics: Optics, aperture: Aperture, bytecode: str) -> None:
+    data.type, data.custom_mode = "CUSTOM", "INTERNAL"
+    data.custom_bytecode = bytecode
+    data.custom_bytecode_hash = hashlib.md5(bytecode.encode()).hexdigest()
+    k = optics.matrix
+    lens = (aperture.diameter_mm / 2, aperture.focus_mm)
+    values = (*optics.size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], *optics.distortion, *lens, *[0.0] * 4)
+    for name, value in zip(_PARAMETERS, values, strict=True):
+        data.cycles_custom[name] = float(value)
+
+
+_PARAMETERS = (
+    *("width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+    *("radius", "focus", "shift_u", "shift_v", "lens_x", "lens_y"),
+)
+
+
+def _pinhole(data: Any, optics: Optics, aperture: Aperture) -> None:
+    if optics.distortion.any() or aperture.diameter_mm:
+        raise Refused(
+            "distortion and depth of field need a camera that runs on CPU and OPTIX alone; "
+            "choose one of them as 'render.device', or set distortion to zeros and leave out focus_mm"
+        )
+    data.type, data.sensor_fit = "PERSP", "AUTO"
+    data.sensor_width = data.sensor_height = 32.0
+    data.lens = 32.0 * float(optics.matrix[0, 0]) / max(optics.size)

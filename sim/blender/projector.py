@@ -14,56 +14,13 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from sim.blender.images import float_image
+from sim.blender.nodes import Nodes
 from sim.scene import Lamp
 
 
-class _Nodes:
-    """Writes arithmetic as a node tree."""
-
-    def __init__(self, tree: Any) -> None:
-        self.tree = tree
-
-    def add(self, kind: str) -> Any:
-        return self.tree.nodes.new(kind)
-
-    def join(self, value: Any, socket: Any) -> None:
-        if isinstance(value, float | int):
-            socket.default_value = value
-        else:
-            self.tree.links.new(value, socket)
-
-    def math(self, operation: str, *values: Any) -> Any:
-        node = self.add("ShaderNodeMath")
-        node.operation = operation
-        for value, socket in zip(values, node.inputs, strict=False):
-            self.join(value, socket)
-        return node.outputs[0]
-
-    def combine(self, kind: str, values: tuple[Any, ...]) -> Any:
-        node = self.add(kind)
-        for value, socket in zip(values, node.inputs, strict=False):
-            self.join(value, socket)
-        return node.outputs[0]
-
-    def total(self, *values: Any) -> Any:
-        result = values[0]
-        for value in values[1:]:
-            result = self.math("ADD", result, value)
-        return result
-
-    def times(self, *values: Any) -> Any:
-        result = values[0]
-        for value in values[1:]:
-            result = self.math("MULTIPLY", result, value)
-        return result
-
-
-def add_projector(scene: Any, lamp: Lamp, texture: NDArray[np.float32] | None) -> None:
-    """The light with `texture` (rows, columns, 3), or without one painting its own coordinates.
-
-    The coordinates are (column, row, 1) in texels: a white light tinted by where it comes from, so that a
-    surface it falls on shows where it is lit from and how brightly. Direct light is linear in the tint.
-    """
+def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) -> None:
+    """The light with `textures` (circles, rows, columns, 3), or without one evenly white."""
     light = bpy.data.lights.new("projector", "SPOT")
     light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle
     light.energy = 4 * math.pi**2 * lamp.distance_mm**2
@@ -73,31 +30,33 @@ def add_projector(scene: Any, lamp: Lamp, texture: NDArray[np.float32] | None) -
     scene.collection.objects.link(item)
     light.use_nodes = True
     light.node_tree.nodes.clear()
-    nodes = _Nodes(light.node_tree)
-    x, y = _slopes(nodes)
-    column, row = _texel(nodes, lamp, x, y)
-    if texture is None:
-        colour = nodes.combine("ShaderNodeCombineColor", (column, row, 1.0))
-    else:
-        colour = _look_up(nodes, lamp, column, row, texture)
+    nodes = Nodes(light.node_tree)
+    x, y, cosine = _direction(nodes)
     emission, output = nodes.add("ShaderNodeEmission"), nodes.add("ShaderNodeOutputLight")
-    nodes.join(colour, emission.inputs["Color"])
+    if textures is not None:
+        column, row = _texel(nodes, lamp, x, y)
+        nodes.join(_colour(nodes, lamp, column, row, cosine, textures), emission.inputs["Color"])
     slope2 = nodes.total(1.0, nodes.times(x, x), nodes.times(y, y))
     nodes.join(nodes.math("POWER", slope2, 1.5), emission.inputs["Strength"])
     nodes.join(emission.outputs[0], output.inputs[0])
 
 
-def _slopes(nodes: _Nodes) -> tuple[Any, Any]:
-    """x/z and y/z in the projector's frame of the lit point; `Normal` points to it in the light's frame."""
+def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
+    """x/z and y/z in the projector's frame of the lit point, and the cosine of its angle to the axis.
+
+    `Normal` points to it in the light's frame.
+    """
     split = nodes.add("ShaderNodeSeparateXYZ")
     nodes.join(nodes.add("ShaderNodeTexCoord").outputs["Normal"], split.inputs[0])
     depth = nodes.times(split.outputs[2], -1.0)
-    return nodes.math("DIVIDE", split.outputs[0], depth), nodes.math(
-        "DIVIDE", nodes.times(split.outputs[1], -1.0), depth
+    x, y = (
+        nodes.math("DIVIDE", across, depth)
+        for across in (split.outputs[0], nodes.times(split.outputs[1], -1.0))
     )
+    return x, y, depth
 
 
-def _texel(nodes: _Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
+def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
     """Column and row in the texture: Brown-Conrady, intrinsics and lattice, the last two folded into one."""
     k1, k2, p1, p2, k3 = map(float, lamp.optics.distortion)
     r2 = nodes.total(nodes.times(x, x), nodes.times(y, y))
@@ -118,20 +77,59 @@ def _texel(nodes: _Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
     return column, row
 
 
-def _look_up(nodes: _Nodes, lamp: Lamp, column: Any, row: Any, texture: NDArray[np.float32]) -> Any:
-    rows, columns = lamp.texture_shape
-    image = bpy.data.images.new("pattern", columns, rows, float_buffer=True, is_data=True)
-    pixels = np.ones((rows, columns, 4), np.float32)
-    pixels[..., :3] = texture[::-1]
-    image.pixels.foreach_set(pixels.ravel())
-    image.update()
+def _colour(
+    nodes: Nodes, lamp: Lamp, column: Any, row: Any, cosine: Any, textures: NDArray[np.float32]
+) -> Any:
+    """The textures at one place, mixed for the circle of confusion at the lit point's depth."""
+    colour = _look_up(nodes, lamp, column, row, textures[0])
+    if len(lamp.circles) == 1:
+        return colour
+    squares = [circle**2 for circle in lamp.circles]
+    square = _circle_squared(nodes, lamp, cosine)
+    for texture, low, high in zip(textures[1:], squares[:-1], squares[1:], strict=True):
+        share = nodes.times(nodes.math("SUBTRACT", square, low), 1.0 / (high - low))
+        mix = nodes.add("ShaderNodeMix")
+        mix.data_type, mix.clamp_factor = "RGBA", True
+        nodes.join(share, mix.inputs["Factor"])
+        nodes.join(colour, _colour_socket(mix, "A"))
+        nodes.join(_look_up(nodes, lamp, column, row, texture), _colour_socket(mix, "B"))
+        colour = next(s for s in mix.outputs if s.type == "RGBA")
+    return colour
+
+
+def _colour_socket(mix: Any, name: str) -> Any:
+    return next(s for s in mix.inputs if s.name == name and s.type == "RGBA")
+
+
+def _circle_squared(nodes: Nodes, lamp: Lamp, cosine: Any) -> Any:
+    """Square of the circle of confusion's diameter, in texels."""
+    distance = nodes.add("ShaderNodeLightPath").outputs["Ray Length"]
+    inverse = nodes.math("DIVIDE", 1.0, nodes.times(distance, cosine))
+    scale = lamp.texels_per_slope * lamp.aperture.diameter_mm
+    circle = nodes.times(nodes.math("SUBTRACT", inverse, 1.0 / lamp.aperture.focus_mm), scale)
+    return nodes.times(circle, circle)
+
+
+def _look_up(nodes: Nodes, lamp: Lamp, column: Any, row: Any, texture: NDArray[np.float32]) -> Any:
     node = nodes.add("ShaderNodeTexImage")
-    node.image, node.extension = image, "CLIP"
+    node.image, node.extension = float_image("pattern", texture), "CLIP"
     node.interpolation = "Closest" if lamp.exact else "Linear"
+    rows, columns = lamp.texture_shape
     place = (
         nodes.times(nodes.total(column, 0.5), 1.0 / columns),
         nodes.math("SUBTRACT", 1.0, nodes.times(nodes.total(row, 0.5), 1.0 / rows)),
         0.0,
     )
     nodes.join(nodes.combine("ShaderNodeCombineXYZ", place), node.inputs["Vector"])
-    return node.outputs["Color"]
+    if not lamp.exact or lamp.fill == 1:
+        return node.outputs["Color"]
+    return _within_mirror(nodes, lamp, column, row, node.outputs["Color"])
+
+
+def _within_mirror(nodes: Nodes, lamp: Lamp, column: Any, row: Any, colour: Any) -> Any:
+    """Dark between mirrors that do not fill their squares, as bright as white altogether."""
+    scale = 1.0 / lamp.fill**2
+    for place in (column, row):
+        beside = nodes.math("ABSOLUTE", nodes.math("SUBTRACT", place, nodes.math("ROUND", place)))
+        scale = nodes.times(nodes.math("LESS_THAN", beside, lamp.fill / 2), scale)
+    return nodes.scaled(colour, scale)

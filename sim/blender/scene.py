@@ -11,8 +11,10 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from sim.blender.camera import add_camera, aim, compile_shader
+from sim.blender.materials import add_paint
+from sim.blender.processors import choose_device, runs_osl
 from sim.blender.projector import add_projector
-from sim.scene import Effort, Scene, Surface
+from sim.scene import ALBEDO, COLOURS, DIRECT, POSITION, REFLECTANCE, Effort, Scene, Surface, View, X, Z
 
 Pixels = NDArray[np.float32]
 
@@ -26,14 +28,9 @@ class Studio:
         _keep_passes(self._passes)
 
     def render(
-        self,
-        scene: Scene,
-        texture: Pixels | None,
-        shifts: list[tuple[float, float]],
-        effort: Effort,
-        out: Pixels,
+        self, scene: Scene, textures: Pixels | None, views: list[View], effort: Effort, out: Pixels
     ) -> None:
-        """Render once for every shift of the pixels' centres into `out` (shifts, height, width, CHANNELS)."""
+        """Render once for every view into `out` (views, height, width, effort.channels)."""
         out[...] = 0
         left, top, right, bottom = scene.window
         if left >= right or top >= bottom:
@@ -41,17 +38,32 @@ class Studio:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         stage = bpy.context.scene
         _linear_and_exact(stage, effort)
-        camera = add_camera(stage, scene.camera, self._bytecode)
-        add_projector(stage, scene.lamp, texture)
+        choose_device(stage, effort.device)
+        shaders = self._bytecode if runs_osl(effort.device) else None
+        camera = add_camera(stage, scene.camera, scene.aperture, shaders)
+        add_projector(stage, scene.lamp, textures)
         for surface in scene.surfaces:
             _add_surface(stage, surface)
         _restrict(stage, scene)
-        for shift, picture in zip(shifts, out, strict=True):
-            aim(camera, shift)
-            bpy.ops.render.render()
-            picture[top:bottom, left:right, :3] = self._passes["Combined"][..., :3]
-            picture[top:bottom, left:right, 3:] = self._passes["Diffuse Color"][..., :1]
         self._passes.clear()
+        for view, picture in zip(views, out, strict=True):
+            aim(camera, scene.camera, view)
+            bpy.ops.render.render()
+            self._take(picture[top:bottom, left:right])
+
+    def _take(self, out: Pixels) -> None:
+        """The passes of the last render in the order of `sim.scene`'s channels."""
+        passes = self._passes
+        out[..., :COLOURS] = passes["Combined"][..., :COLOURS]
+        if out.shape[-1] == COLOURS:
+            return
+        if "Diffuse Direct" in passes:
+            out[..., DIRECT] = passes["Diffuse Direct"][..., 0] * passes["Diffuse Color"][..., 0]
+            out[..., DIRECT] += passes["Glossy Direct"][..., 0] * passes["Glossy Color"][..., 0]
+        else:
+            out[..., DIRECT] = out[..., 0]
+        out[..., ALBEDO] = passes[REFLECTANCE][..., 0]
+        out[..., X : Z + 1] = passes[POSITION][..., :3]
 
 
 def _keep_passes(passes: dict[str, Pixels]) -> None:
@@ -76,9 +88,14 @@ def _linear_and_exact(stage: Any, effort: Effort) -> None:
     stage.render.dither_intensity = 0.0
     stage.render.use_persistent_data = False  # it would go on showing the first texture
     stage.view_settings.view_transform = "Raw"
-    stage.view_layers[0].use_pass_diffuse_color = True
+    if effort.survey:
+        layer = stage.view_layers[0]
+        layer.aovs.add().name = POSITION
+        layer.aovs.add().name = REFLECTANCE
+        if effort.bounces:  # else all light is direct
+            layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
+            layer.use_pass_diffuse_direct = layer.use_pass_glossy_direct = True
     settings = stage.cycles
-    settings.device = "CPU"
     settings.use_adaptive_sampling = settings.use_denoising = False
     settings.samples, settings.seed = effort.samples, effort.seed
     settings.pixel_filter_type, settings.filter_width = "BOX", 0.01
@@ -104,34 +121,7 @@ def _restrict(stage: Any, scene: Scene) -> None:
 def _add_surface(stage: Any, surface: Surface) -> None:
     mesh = bpy.data.meshes.new("item")
     mesh.from_pydata(surface.vertices.tolist(), [], surface.faces.tolist())
-    material = bpy.data.materials.new("paint")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    diffuse, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    diffuse.inputs["Roughness"].default_value = 0.0
-    diffuse.inputs["Color"].default_value = (*[surface.reflectance] * 3, 1.0)
-    if surface.picture is not None and surface.uv is not None:
-        _paint(tree, mesh, surface.picture * np.float32(surface.reflectance / 255), surface.uv, diffuse)
-    mesh.materials.append(material)
+    add_paint(mesh, surface.paint, surface.picture, surface.uv)
     item = bpy.data.objects.new("item", mesh)
     item.matrix_world = Matrix(surface.T_camera_item.tolist())
     stage.collection.objects.link(item)
-
-
-def _paint(tree: Any, mesh: Any, reflectance: Pixels, uv: NDArray[np.float64], diffuse: Any) -> None:
-    height, width = reflectance.shape
-    image = bpy.data.images.new("picture", width, height, float_buffer=True, is_data=True)
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = reflectance[::-1, :, None]
-    image.pixels.foreach_set(pixels.ravel())
-    image.update()
-    layer = mesh.uv_layers.new(name="picture")
-    corners = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corners)
-    upward = np.column_stack([uv[corners, 0], 1.0 - uv[corners, 1]])
-    layer.data.foreach_set("uv", upward.ravel().astype(np.float32))
-    node = tree.nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
-    tree.links.new(node.outputs["Color"], diffuse.inputs["Color"])

@@ -16,14 +16,15 @@ from multiprocessing.connection import Connection
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.blender.scene import Studio
-from sim.scene import CHANNELS, Effort, Scene
+from sim.scene import Effort, Refused, Scene, View
 
 
 def serve(connection: Connection, memory: int) -> None:
     """Answer requests until the other end is gone."""
-    studio, scene = Studio(), None
+    studio, scene, pixels = Studio(), None, np.empty(0, np.float32)
     connection.send(("ready", bpy.app.version_string))
     while True:
         verb, content = connection.recv()
@@ -31,8 +32,12 @@ def serve(connection: Connection, memory: int) -> None:
             if verb == "scene":
                 scene = content
                 continue
-            _render(studio, scene, memory, **content)
+            if os.fstat(memory).st_size > pixels.nbytes:
+                pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
+            _render(studio, scene, pixels, **content)
             connection.send(("done", None))
+        except Refused as refused:
+            connection.send(("refused", str(refused)))
         except Exception as error:  # noqa: BLE001 - reported to the process that asked
             connection.send(("failed", f"{type(error).__name__}: {error}"))
 
@@ -40,22 +45,21 @@ def serve(connection: Connection, memory: int) -> None:
 def _render(
     studio: Studio,
     scene: Scene | None,
-    memory: int,
+    pixels: NDArray[np.float32],
     textured: bool,
-    shifts: list[tuple[float, float]],
+    views: list[View],
     effort: Effort,
 ) -> None:
     if scene is None:
         raise RuntimeError("there is no scene yet")
     width, height = scene.camera.size
-    pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
-    shape = (len(shifts), height, width, CHANNELS)
+    shape = (len(views), height, width, effort.channels)
     count = int(np.prod(shape))
-    texture = None
+    textures = None
     if textured:
-        rows, columns = scene.lamp.texture_shape
-        texture = pixels[count : count + rows * columns * 3].reshape(rows, columns, 3)
-    studio.render(scene, texture, shifts, effort, pixels[:count].reshape(shape))
+        form = (len(scene.lamp.circles), *scene.lamp.texture_shape, 3)
+        textures = pixels[count : count + int(np.prod(form))].reshape(form)
+    studio.render(scene, textures, views, effort, pixels[:count].reshape(shape))
 
 
 def _end_with(socket: int) -> None:

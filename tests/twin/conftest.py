@@ -34,6 +34,8 @@ def plain(**changes: Any) -> dict[str, Any]:
             "distortion": [-0.05, 0.08, 0.0004, 0.0006, 0.01],
             "T_camera_projector": {"rotation_deg": [-13.8, -18.1, 2.2], "translation_mm": [150, 0, 0]},
             "response": {"a": 1.0, "b": 0.0, "g": 1.0},
+            # Dim, because such great pixels gather 800 times the light.
+            "leds": {"green": {"lumens": 0.15, "wavelength_nm": 525}},
         },
         "items": {
             "card": {
@@ -56,6 +58,14 @@ def plain(**changes: Any) -> dict[str, Any]:
 def world(**changes: Any) -> World:
     """`plain` as a world."""
     return config.validate(plain(**changes), World, "test world")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Nothing that an earlier run left, and nothing left for a later one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -148,16 +148,16 @@ def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
     bench.projector.show(1)
     before = bench.camera.snap().image.astype(float)
     original, blender = bench.shared.world, bench.shared.blender
-    samples = bench.shared.light.transport(bench.shared.setup)
+    samples = bench.shared.light.table(bench.shared.setup)
     bent = world(projector={**plain()["projector"], "response": {"a": 1.0, "b": 0.0, "g": 2.0}})
     bench.shared.become(bent)
-    assert bench.shared.light.transport(bench.shared.setup) is samples
+    assert bench.shared.light.table(bench.shared.setup) is samples
     black = 0.01 * 4095
     ratio = (bench.camera.snap().image.mean() - black) / (before.mean() - black)
     assert abs(ratio - 128 / 255) < 0.002
     moved = world(projector={**plain()["projector"], "centre_px": [440.0, 1110.0]})
     bench.shared.become(moved)
-    assert bench.shared.light.transport(bench.shared.setup) is not samples
+    assert bench.shared.light.table(bench.shared.setup) is not samples
     bench.shared.become(original)
     assert bench.shared.blender is blender
 

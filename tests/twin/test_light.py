@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fpplab.conventions import Floats, Lattice
 from fpplab.patterns import make_patterns, uniform_patterns
 from fpplab.plan import FringeSet, Plan
-from sim.light import look_up, span
+from sim.light.basis import span
+from sim.light.table import Table
 
 SIZE = (57, 64)
 ROUNDING = 1 / np.sqrt(12) / 255
@@ -58,10 +62,19 @@ def test_unrelated_patterns_come_back_exactly() -> None:
     np.testing.assert_allclose(np.einsum("nc,cvu->nvu", basis.weights, basis.channels), levels, atol=1e-4)
 
 
-def samples(points: Floats, shade: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    out = np.zeros((1, 1, len(points), 4), np.float32)
-    out[0, 0, :, :2], out[0, 0, :, 2] = points, shade
-    return out
+def table(points: Floats, shade: float, circle: float = 0.0, views: int = 1) -> Table:
+    """Pixels (1, n / views) that see the projector at points (n, 2), column and row."""
+    samples = np.full((views, 1, len(points) // views, 4), shade, np.float32)
+    samples[..., :2] = points.reshape(views, 1, -1, 2)
+    samples[..., 2] = circle
+    return Table(samples, np.zeros(samples.shape[1:3], np.float32))
+
+
+def seen(of: Table, *textures: NDArray[Any], fill: float | None = None) -> NDArray[np.float32]:
+    """One row of pixels under one texture for each circle."""
+    stacked = np.stack(textures)[..., None].astype(np.float32)
+    row: NDArray[np.float32] = of.look_up(stacked, fill)[0, 0]
+    return row
 
 
 @settings(max_examples=30, deadline=None)
@@ -71,23 +84,53 @@ def samples(points: Floats, shade: float) -> np.ndarray[tuple[int, ...], np.dtyp
 )
 def test_look_up_interpolates_a_plane_exactly(points: list[tuple[float, float]], shade: float) -> None:
     row, column = np.mgrid[0:8, 0:10]
-    texture = (0.1 + 0.03 * column - 0.02 * row).astype(np.float32)
+    texture = 0.1 + 0.03 * column - 0.02 * row
     x, y = np.array(points).T
-    found = look_up(texture, samples(np.array(points), shade), exact=False)[0]
+    found = seen(table(np.array(points), shade), texture)
     np.testing.assert_allclose(found, shade * (0.1 + 0.03 * x - 0.02 * y), atol=1e-6)
 
 
-def test_look_up_outside_the_texture_or_in_shadow_is_dark() -> None:
-    texture = np.ones((8, 10), np.float32)
+@pytest.mark.parametrize(
+    ("circle", "expected"), [(0.0, 1.0), (0.25, 1.25), (1.0, 2.0), (1.5, 3.5), (2.0, 5.0)]
+)
+def test_look_up_mixes_neighbouring_circles(circle: float, expected: float) -> None:
+    textures = [np.full((8, 10), value) for value in (1.0, 2.0, 5.0)]
+    assert seen(table(np.array([[4.3, 2.2]]), 1.0, circle), *textures)[0] == pytest.approx(expected)
+
+
+def test_many_patterns_are_looked_up_as_one_is() -> None:
+    random = np.random.default_rng(5)
+    textures = random.random((2, 9, 11, 13), np.float32)
+    of = table(random.uniform(0, 7.9, (40, 2)), 0.7, 0.4, views=4)
+    together = of.look_up(textures)
+    alone = [of.look_up(np.ascontiguousarray(textures[..., k : k + 1]))[0] for k in range(13)]
+    np.testing.assert_allclose(together, alone, rtol=1e-6)
+
+
+@pytest.mark.parametrize("fill", [None, 1.0, 0.8])
+def test_look_up_outside_the_texture_or_in_shadow_is_dark(fill: float | None) -> None:
+    texture = np.ones((8, 10))
     outside = np.array([[-1.0, 3.0], [9.5, 3.0], [3.0, -0.51], [3.0, 7.6], [1e9, 3.0], [-1e9, 3.0]])
-    for exact in (False, True):
-        assert look_up(texture, samples(outside, 1.0), exact).max() == 0
-        assert look_up(texture, samples(np.array([[4.0, 4.0]]), 0.0), exact).max() == 0
+    assert seen(table(outside, 1.0), texture, fill=fill).max() == 0
+    assert seen(table(np.array([[4.0, 4.0]]), 0.0), texture, fill=fill).max() == 0
 
 
-def test_exact_look_up_takes_the_nearest_texel_and_the_mean_of_the_samples() -> None:
-    texture = np.arange(80, dtype=np.float32).reshape(8, 10)
-    places = samples(np.array([[3.4, 2.4], [3.6, 2.6]]), 0.5)
-    np.testing.assert_array_equal(look_up(texture, places, exact=True)[0], [0.5 * 23, 0.5 * 34])
-    both = np.concatenate([places[:, :, :1], places[:, :, 1:]])
-    np.testing.assert_array_equal(look_up(texture, both, exact=True)[0], [(11.5 + 17.0) / 2])
+def test_sharp_mirrors_are_looked_up_whole_and_samples_averaged() -> None:
+    texture = np.arange(80).reshape(8, 10)
+    places = np.array([[3.4, 2.4], [3.6, 2.6]])
+    np.testing.assert_array_equal(seen(table(places, 0.5), texture, fill=1.0), [0.5 * 23, 0.5 * 34])
+    both = table(places, 0.5, views=2)
+    np.testing.assert_array_equal(seen(both, texture, fill=1.0), [(11.5 + 17.0) / 2])
+
+
+def test_between_sharp_mirrors_it_is_dark_and_they_are_brighter_for_it() -> None:
+    places = np.array([[3.0, 2.0], [3.39, 2.39], [3.41, 2.0], [3.0, 2.41]])
+    found = seen(table(places, 0.5), np.ones((8, 10)), fill=0.8)
+    np.testing.assert_allclose(found, [0.5 / 0.64, 0.5 / 0.64, 0, 0], rtol=1e-6)
+
+
+def test_the_light_of_a_white_pattern_is_divided_out_of_a_table() -> None:
+    _, column = np.mgrid[0:8, 0:10]
+    white = (0.5 + 0.02 * column)[None, ..., None].astype(np.float32)
+    found = table(np.array([[4.0, 3.0], [20.0, 3.0]]), 0.58).divided_by(white).samples[0, 0, :, 3]
+    np.testing.assert_allclose(found, [1.0, 0.0], rtol=1e-6)

@@ -10,9 +10,9 @@ import pytest
 from fpplab.conventions import Floats, Lattice, mirror_centres
 from fpplab.patterns import Pattern, make_patterns, uniform_patterns
 from fpplab.plan import FringeSet, Plan
-from sim.items import build_scene
+from sim.build import build_scene
 from sim.light import Light, Setup, Show
-from sim.scene import Effort
+from sim.scene import Effort, View
 from sim.worker import Blender
 from tests.twin.conftest import card_points, grid, levels, seen, world
 
@@ -23,13 +23,13 @@ def test_camera_and_projector_agree_with_opencv(blender: Blender) -> None:
     """The projector coordinate painted on a plane is that of the analytic point, both lenses distorted."""
     for lattice in Lattice:
         of = world(projector={**_projector(), "lattice": lattice.value})
-        samples = Light(of, blender).transport(CARD)[0]
+        samples = Light(of, blender).table(CARD).samples[0]
         points = card_points(of, grid(of))
         uv = of.projector_model().project(points, of.T_projector_camera())
         ones = np.ones((*uv.shape[:-1], 1))
         expected = np.concatenate([uv, ones], axis=-1) @ of.projector.texture().affine.T
-        assert samples[..., 2].min() > 0.5
-        # A camera pixel spans 2 texels here and its ray is good to 0.0005 px; single precision does the rest.
+        assert samples[..., 3].min() > 0.5
+        # A camera pixel spans 9 texels here and its ray is good to 0.0005 px.
         assert np.abs(samples[..., :2] - expected).max() < 0.01
         assert np.abs(samples[..., :2] - expected).mean() < 0.002
 
@@ -37,7 +37,7 @@ def test_camera_and_projector_agree_with_opencv(blender: Blender) -> None:
 def test_irradiance_follows_distance_and_angle(blender: Blender) -> None:
     """Every mirror gives the same flux, so irradiance is (D / r)² cos(incidence) / cos(axis)³."""
     of = world()
-    shade = Light(of, blender).transport(CARD)[0][..., 2]
+    shade = Light(of, blender).table(CARD).samples[0, ..., 3]
     points = of.T_projector_camera().apply(card_points(of, grid(of)))
     normal = of.T_projector_camera().rotation @ of.items["card"].pose.transform().rotation[:, 2]  # type: ignore[union-attr]
     distance = np.linalg.norm(points, axis=-1)
@@ -186,12 +186,11 @@ def test_bounced_light_is_linear_too(blender: Blender) -> None:
 def test_picture_does_not_depend_on_the_window(blender: Blender) -> None:
     """Only the part of the image that holds the item is rendered; the whole image is the same."""
     of = world()
-    scene = build_scene(of, "pillars", 0, 0.0)
+    scene, _ = build_scene(of, PILLARS)
     assert scene.window != (0, 0, *of.camera.size)
-    part = blender.render(scene, None, of.render.shifts, Effort(), 60)
-    whole = blender.render(
-        replace(scene, window=(0, 0, *of.camera.size)), None, of.render.shifts, Effort(), 60
-    )
+    views = [View((0.0, 0.0))]
+    part = blender.render(scene, None, views, Effort(), 60).copy()
+    whole = blender.render(replace(scene, window=(0, 0, *of.camera.size)), None, views, Effort(), 60)
     np.testing.assert_array_equal(part, whole)
 
 

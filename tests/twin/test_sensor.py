@@ -10,6 +10,8 @@ from sim.sensor import MANY, SensorModel
 from sim.world import Sensor
 
 SHAPE = (400, 500)
+PHOTONS_PER_S = 1.1e6
+"""So that white fills nine tenths of the well in 20 ms."""
 
 
 def flat(level: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
@@ -20,7 +22,7 @@ def flat(level: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
 @pytest.mark.parametrize(("binning", "gain_db"), [(1, 0.0), (1, 12.0), (4, 0.0)])
 def test_variance_is_that_of_photon_transfer(level: float, binning: int, gain_db: float) -> None:
     """K² (N + read²) + 1/12 within four standard errors, where shot noise is drawn either way."""
-    model = SensorModel(Sensor(black_level=0.1, read_noise_e=16.0), binning, 1)
+    model = SensorModel(Sensor(black_level=0.1, read_noise_e=16.0), binning, PHOTONS_PER_S, 1)
     settings = CameraSettings(0.02, gain_db, 12)
     level /= 10 ** (gain_db / 20)
     image = model.expose(flat(level), settings, 0).astype(np.float64)
@@ -32,20 +34,20 @@ def test_variance_is_that_of_photon_transfer(level: float, binning: int, gain_db
 
 
 def test_both_kinds_of_shot_noise_are_exercised() -> None:
-    model = SensorModel(Sensor(), 1, 1)
+    model = SensorModel(Sensor(), 1, PHOTONS_PER_S, 1)
     assert model.electrons(0.05, 0.02) < MANY < model.electrons(0.1, 0.02)
 
 
 @pytest.mark.parametrize(("bits", "dtype", "top"), [(8, np.uint8, 255), (12, np.uint16, 4095)])
 def test_too_much_light_saturates_at_full_scale(bits: int, dtype: type, top: int) -> None:
-    image = SensorModel(Sensor(), 2, 1).expose(flat(3.0), CameraSettings(0.02, 0.0, bits), 0)
+    image = SensorModel(Sensor(), 2, PHOTONS_PER_S, 1).expose(flat(3.0), CameraSettings(0.02, 0.0, bits), 0)
     assert image.dtype == dtype
     assert image.min() == image.max() == top
 
 
 def test_black_level_keeps_read_noise_from_clipping() -> None:
     sensor = Sensor(black_level=0.01, read_noise_e=2.5)
-    image = SensorModel(sensor, 1, 1).expose(flat(0.0), CameraSettings(0.02, 0.0, 12), 0)
+    image = SensorModel(sensor, 1, PHOTONS_PER_S, 1).expose(flat(0.0), CameraSettings(0.02, 0.0, 12), 0)
     assert image.min() > 0
     assert image.mean() == pytest.approx(0.01 * 4095, abs=0.02)
 
@@ -53,14 +55,16 @@ def test_black_level_keeps_read_noise_from_clipping() -> None:
 def test_binning_sums_charge_so_relative_noise_falls_with_its_side() -> None:
     noise = {}
     for binning in (1, 4):
-        image = SensorModel(Sensor(), binning, 1).expose(flat(0.5), CameraSettings(0.02, 0.0, 12), 0)
+        image = SensorModel(Sensor(), binning, PHOTONS_PER_S, 1).expose(
+            flat(0.5), CameraSettings(0.02, 0.0, 12), 0
+        )
         noise[binning] = image.std() / image.mean()
     assert noise[1] / noise[4] == pytest.approx(4, rel=0.05)
 
 
 def test_noise_follows_from_seed_and_counter() -> None:
     def frame(seed: int, counter: int) -> bytes:
-        model = SensorModel(Sensor(), 1, seed)
+        model = SensorModel(Sensor(), 1, PHOTONS_PER_S, seed)
         return model.expose(flat(0.03), CameraSettings(0.02), counter).tobytes()
 
     assert frame(1, 0) == frame(1, 0)

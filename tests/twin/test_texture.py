@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
 from fpplab.conventions import Lattice, mirror_centres
-from sim.texture import LEAST_BLUR, MirrorTexture
+from sim.texture import MirrorTexture, least_blur
 
 
 @pytest.mark.parametrize("lattice", list(Lattice))
@@ -44,8 +45,38 @@ def test_a_mirror_s_light_has_the_stated_width_and_keeps_its_flux(lattice: Latti
         assert math.sqrt(variance) == pytest.approx(math.sqrt(blur**2 + 1 / 12), rel=1e-3)
 
 
-def test_least_blur_is_linear_interpolation_alone() -> None:
-    texture = MirrorTexture((9, 9), Lattice.SQUARE, LEAST_BLUR)
+@pytest.mark.parametrize("fill", [0.6, 1.0])
+def test_least_blur_is_linear_interpolation_alone(fill: float) -> None:
+    texture = MirrorTexture((9, 9), Lattice.SQUARE, least_blur(fill), fill)
     light = np.zeros((9, 9), np.float32)
     light[4, 4] = 1
-    assert np.count_nonzero(texture.spread(light)) == 1
+    assert np.count_nonzero(texture.spread(light) > 1e-6) == 1
+
+
+@pytest.mark.parametrize("lattice", list(Lattice))
+@pytest.mark.parametrize("circle", [0.4, 1.0, 1.89, 1.9, 2.5, 4.0, 7.3, 15.0])
+def test_out_of_focus_a_disc_s_variance_comes_on_top(lattice: Lattice, circle: float) -> None:
+    """D²/16 along each side, for every diameter, also where a Gaussian stands for the disc."""
+    texture = MirrorTexture((61, 91), lattice, 0.6, 0.9, widest=15.0)
+    light = np.zeros((91, 61), np.float32)
+    light[45, 30] = 1
+    texels = texture.spread(light, circle).astype(np.float64)
+    assert texels.sum() == pytest.approx(1, abs=1e-6)
+    for axis in (0, 1):
+        profile = texels.sum(axis=axis)
+        place = np.arange(len(profile))
+        variance = profile @ (place - profile @ place) ** 2 + 1 / 6
+        assert variance == pytest.approx(0.6**2 + 0.9 / 12 + circle**2 / 16, rel=0.01)
+
+
+def test_a_wide_circle_is_a_disc_and_no_bell() -> None:
+    """Even light as far as the radius, none beyond."""
+    texture = MirrorTexture((81, 81), Lattice.SQUARE, least_blur(1.0), widest=30.0)
+    light = np.zeros((81, 81), np.float32)
+    light[40, 40] = 1
+    texels = texture.spread(light, 30.0)
+    row, column = np.mgrid[: texels.shape[0], : texels.shape[1]]
+    middle = np.array(np.unravel_index(np.argmax(cv2.GaussianBlur(texels, None, 5)), texels.shape))
+    radius = np.hypot(row - middle[0], column - middle[1])
+    np.testing.assert_allclose(texels[radius < 13.5], 1 / (np.pi * 15**2), rtol=0.02)
+    assert np.abs(texels[radius > 16.5]).max() < 1e-9

@@ -17,14 +17,18 @@ import pytest
 from fpplab.devices import CameraSettings, State
 from fpplab.errors import DeviceError, DisconnectedError, StateError, TimeoutError
 from fpplab.patterns import uniform_patterns
+from sim.build import Setup, build_scene
 from sim.devices import SimCamera, SimFixture, SimProjector, VirtualBench
-from sim.items import build_scene
-from sim.scene import Effort
+from sim.scene import Effort, View
 from sim.worker import Blender, missing_library
 from tests.twin.conftest import plain, world
 from tests.twin.test_devices import write_world
 
 ROOT = Path(__file__).parents[2]
+
+
+MIDDLE = [View((0.0, 0.0))]
+"""One ray through the middle of every pixel."""
 
 
 def soon(condition: Callable[[], bool]) -> bool:
@@ -87,7 +91,7 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
     before, memory = descriptors(), shared_memory()
     blender = Blender("bench")
     of = world()
-    blender.render(build_scene(of, "card", 0, 0.0), None, of.render.shifts, Effort(), 60)
+    blender.render(build_scene(of, Setup("card"))[0], None, MIDDLE, Effort(), 60)
     pid = blender.pid
     assert pid is not None
     blender.close()
@@ -101,11 +105,11 @@ def test_closing_leaves_no_process_memory_or_descriptor(tmp_path: Path) -> None:
 def test_too_slow_a_render_is_ended() -> None:
     blender = Blender("bench")
     of = world(render={"samples": 4096, "bounces": 8, "subpixels": 8})
-    scene = build_scene(of, "pillars", 0, 0.0)
+    scene, _ = build_scene(of, Setup("pillars"))
     blender.start()
     pid = blender.pid
     with pytest.raises(TimeoutError, match="did not answer within"):
-        blender.render(scene, None, of.render.shifts, Effort(4096, 8), 0.3)
+        blender.render(scene, None, MIDDLE, Effort(4096, 8), 0.3)
     assert pid is not None
     assert gone(pid)
     assert blender.pid is None
@@ -116,7 +120,7 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
 ) -> None:
     blender = Blender("bench")
     of = world()
-    scene = build_scene(of, "card", 0, 0.0)
+    scene, _ = build_scene(of, Setup("card"))
     blender.start()
     pid = blender.pid
 
@@ -125,10 +129,10 @@ def test_interruption_ends_the_process_and_the_next_render_starts_another(
 
     monkeypatch.setattr(blender._connection, "poll", interrupted, raising=False)
     with pytest.raises(KeyboardInterrupt):
-        blender.render(scene, None, of.render.shifts, Effort(), 60)
+        blender.render(scene, None, MIDDLE, Effort(), 60)
     assert pid is not None
     assert gone(pid)
-    assert blender.render(scene, None, of.render.shifts, Effort(), 60).max() > 0
+    assert blender.render(scene, None, MIDDLE, Effort(), 60).max() > 0
     blender.close()
 
 
@@ -136,15 +140,15 @@ def test_blender_ends_with_the_process_that_started_it() -> None:
     """Killed outright in the middle of a long render, the parent takes Blender with it."""
     script = """
 import sys
-from sim.items import build_scene
-from sim.scene import Effort
+from sim.build import Setup, build_scene
+from sim.scene import Effort, View
 from sim.worker import Blender
 from tests.twin.conftest import world
 blender, of = Blender("bench"), world(render={"subpixels": 8})
-scene = build_scene(of, "pillars", 0, 0.0)
+scene, _ = build_scene(of, Setup("pillars"))
 blender.start()
 print(blender.pid, flush=True)
-blender.render(scene, None, of.render.shifts, Effort(4096, 8), 600)
+blender.render(scene, None, [View((0.0, 0.0))], Effort(4096, 8), 600)
 """
     before = shared_memory()
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)
@@ -160,11 +164,11 @@ blender.render(scene, None, of.render.shifts, Effort(4096, 8), 600)
 def test_failure_inside_blender_is_reported_and_the_process_lives_on() -> None:
     blender = Blender("bench")
     of = world()
-    scene = build_scene(of, "card", 0, 0.0)
+    scene, _ = build_scene(of, Setup("card"))
     with pytest.raises(DeviceError, match="Blender failed"):
-        blender.render(scene, None, of.render.shifts, "no effort", 60)  # type: ignore[arg-type]
+        blender.render(scene, None, MIDDLE, Effort("few"), 60)  # type: ignore[arg-type]
     pid = blender.pid
-    assert blender.render(scene, None, of.render.shifts, Effort(), 60).max() > 0
+    assert blender.render(scene, None, MIDDLE, Effort(), 60).max() > 0
     assert blender.pid == pid
     blender.close()
 

@@ -10,7 +10,8 @@ import pytest
 from fpplab import config
 from fpplab.errors import ConfigError
 from fpplab.targets import Target
-from sim.items import build_scene, item_poses
+from sim.build import Setup, build_scene
+from sim.items import item_poses
 from sim.world import Binning, World
 from tests.twin.conftest import plain, world
 
@@ -137,4 +138,4 @@ def test_unknown_artefact_and_target_are_refused() -> None:
         item_poses(world(items={"board": {"target": "target_none.yaml"}}), "board")
     of = world(items={"vase": {"artefact": "vase", "pose": pose}})
     with pytest.raises(ConfigError, match="no artefact 'vase'"):
-        build_scene(of, "vase", 0, 0.0)
+        build_scene(of, Setup("vase"))

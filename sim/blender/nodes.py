@@ -1,0 +1,68 @@
+"""Arithmetic written as a node tree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Nodes:
+    """Adds nodes to a tree. A value is a number, a tuple of numbers for a vector or a colour, or a socket."""
+
+    def __init__(self, tree: Any) -> None:
+        self.tree = tree
+
+    def add(self, kind: str) -> Any:
+        return self.tree.nodes.new(kind)
+
+    def join(self, value: Any, socket: Any) -> None:
+        """Give `socket` a value, or draw a link to it."""
+        if isinstance(value, float | int | tuple):
+            socket.default_value = value
+        else:
+            self.tree.links.new(value, socket)
+
+    def math(self, operation: str, *values: Any) -> Any:
+        """The result of a scalar operation."""
+        return self._operate("ShaderNodeMath", operation, values).outputs["Value"]
+
+    def vector(self, operation: str, *values: Any) -> Any:
+        """The result of an operation on vectors that gives a vector."""
+        return self._operate("ShaderNodeVectorMath", operation, values).outputs["Vector"]
+
+    def dot(self, one: Any, other: Any) -> Any:
+        """The scalar product of two vectors."""
+        return self._operate("ShaderNodeVectorMath", "DOT_PRODUCT", (one, other)).outputs["Value"]
+
+    def scaled(self, vector: Any, factor: Any) -> Any:
+        """A vector times a number."""
+        node = self._operate("ShaderNodeVectorMath", "SCALE", (vector,))
+        self.join(factor, node.inputs["Scale"])
+        return node.outputs["Vector"]
+
+    def combine(self, kind: str, values: tuple[Any, ...]) -> Any:
+        """A vector or colour from its components."""
+        node = self.add(kind)
+        for value, socket in zip(values, node.inputs, strict=False):
+            self.join(value, socket)
+        return node.outputs[0]
+
+    def total(self, *values: Any) -> Any:
+        """The sum of scalars."""
+        result = values[0]
+        for value in values[1:]:
+            result = self.math("ADD", result, value)
+        return result
+
+    def times(self, *values: Any) -> Any:
+        """The product of scalars."""
+        result = values[0]
+        for value in values[1:]:
+            result = self.math("MULTIPLY", result, value)
+        return result
+
+    def _operate(self, kind: str, operation: str, values: tuple[Any, ...]) -> Any:
+        node = self.add(kind)
+        node.operation = operation
+        for value, socket in zip(values, node.inputs, strict=False):
+            self.join(value, socket)
+        return node

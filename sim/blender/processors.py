@@ -1,0 +1,49 @@
+"""What Cycles computes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from sim.scene import Refused
+
+CPU, OPTIX = "CPU", "OPTIX"
+
+
+def runs_osl(device: str) -> bool:
+    """Whether a kind of device runs Open Shading Language, in which the camera is written."""
+    return device in (CPU, OPTIX)
+
+
+def choose_device(stage: Any, device: str) -> None:
+    """Render on every device of a kind. Raises `Refused` when there is none."""
+    if device == CPU:
+        stage.cycles.device = CPU
+        return
+    preferences = _preferences()
+    found = _devices(preferences, device)
+    if not found:
+        raise Refused(
+            f"'render.device' is {device}, but there is no {device} device that Cycles can use; "
+            "set it to CPU, or install the device's driver"
+        )
+    preferences.compute_device_type = device
+    preferences.refresh_devices()
+    for entry in preferences.devices:
+        entry.use = entry.type == device
+    stage.cycles.device = "GPU"
+
+
+def _preferences() -> Any:
+    addons = bpy.context.preferences.addons
+    if "cycles" not in addons:
+        bpy.ops.preferences.addon_enable(module="cycles")
+    return addons["cycles"].preferences
+
+
+def _devices(preferences: Any, device: str) -> list[Any]:
+    try:
+        return [entry for entry in preferences.get_devices_for_type(device) if entry.type == device]
+    except (ValueError, TypeError):  # a kind that this build of Blender does not know
+        return []

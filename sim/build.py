@@ -1,0 +1,144 @@
+"""World and set-up -> the scene that Blender is sent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.geometry import Pinhole, RigidTransform
+from sim.items import item_poses, item_surface
+from sim.scene import Aperture, Lamp, Optics, Scene, Surface
+from sim.texture import MirrorTexture
+from sim.world import World
+
+FEWEST_TEXELS, NEXT = 0.75, 1.3
+"""How far apart the drawn circles of confusion are: by so many texels, or by this factor."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that moves on the bench: the item and its pose, the stage, and how far the item shakes, in mm."""
+
+    item: str = "nothing"
+    pose: int = 0
+    stage_mm: float = 0.0
+    shake_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
+    """The scene with the item of `setup` in its pose, and the texture of its lamp. Raises `ConfigError`."""
+    held = item_poses(world, setup.item)[setup.pose]
+    pose = RigidTransform(held.rotation, held.translation + np.array(setup.shake_mm))
+    surface = item_surface(world, setup.item, pose)
+    box, camera = _bounding_box(surface), world.camera_model()
+    aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
+    lamp, texture = _lamp(world, setup.stage_mm, box)
+    window = _window(camera, aperture, box)
+    return Scene(_optics(camera), aperture, lamp, (surface,), window), texture
+
+
+def is_lit_in_view(world: World, setup: Setup) -> bool:
+    """Whether some point of the item lies in the camera's image and in the projector's; shadows aside."""
+    surface = item_surface(world, setup.item, item_poses(world, setup.item)[setup.pose])
+    points = _spread_points(surface)
+    seen = _in_image(world.camera_model(), points)
+    lit = _in_image(world.projector_model(), world.T_projector_camera(setup.stage_mm).apply(points))
+    return bool(np.any(seen & lit))
+
+
+def _optics(model: Pinhole) -> Optics:
+    return Optics(model.size, model.matrix, model.distortion)
+
+
+def _lamp(world: World, stage_mm: float, box: Floats) -> tuple[Lamp, MirrorTexture]:
+    section, projector = world.projector, world.projector_model()
+    T_projector_camera = world.T_projector_camera(stage_mm)
+    texture = section.texture()
+    scale = texture.texels_per_column * float(projector.matrix[0, 0])
+    aperture = Aperture()
+    circles: tuple[float, ...] = (0.0,)
+    if section.focus_mm is not None:
+        aperture = Aperture(section.aperture_mm, section.focus_mm)
+        circles = _circles(aperture, scale, T_projector_camera.apply(box)[:, 2])
+        texture = replace(texture, widest=circles[-1])
+    lamp = Lamp(
+        optics=_optics(projector),
+        T_camera_projector=T_projector_camera.inverse().matrix,
+        affine=texture.affine,
+        texture_shape=texture.shape,
+        exact=texture.exact,
+        fill=texture.fill,
+        distance_mm=section.distance_mm,
+        half_angle=_half_angle(projector),
+        aperture=aperture,
+        texels_per_slope=scale,
+        circles=circles,
+    )
+    return lamp, texture
+
+
+def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, ...]:
+    """Diameters in texels that suffice for these depths, rising."""
+    near, far = max(float(depths.min()), 1.0), max(float(depths.max()), 1.0)
+    ends = scale * aperture.circle_per_px(np.array([near, far]))
+    least, most = float(ends.min()), float(ends.max())
+    if near < aperture.focus_mm < far:
+        least = 0.0
+    drawn = [least]
+    while drawn[-1] < most:
+        drawn.append(max(drawn[-1] + FEWEST_TEXELS, drawn[-1] * NEXT))
+    return tuple(drawn)
+
+
+def _half_angle(projector: Pinhole) -> float:
+    """Of the cone around the axis that holds the whole image and a margin, rad."""
+    width, height = projector.size
+    corners = np.array([[-8.0, -8.0], [width + 8, -8], [width + 8, height + 8], [-8, height + 8]])
+    return float(np.arctan(np.linalg.norm(projector.normalise(corners), axis=-1)).max()) + 0.01
+
+
+def _bounding_box(surface: Surface) -> Floats:
+    """Points (729, 3) in and on the box that holds a surface, in the camera's frame."""
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    share = np.linspace(0, 1, 9)
+    grid = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3)
+    return _placed(surface, low + grid * (high - low))
+
+
+def _placed(surface: Surface, points: Floats) -> Floats:
+    matrix = surface.T_camera_item
+    return RigidTransform(matrix[:3, :3], matrix[:3, 3]).apply(points)
+
+
+def _window(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int, int, int]:
+    """Pixels (left, top, right, bottom) that hold a box, with a margin."""
+    width, height = camera.size
+    if box[:, 2].min() <= 0:
+        return 0, 0, width, height
+    pixels = camera.project(box)
+    blur = float(camera.matrix[0, 0]) * aperture.circle_per_px(box[:, 2]).max()
+    margin = 4 + 0.02 * max(camera.size) + math.ceil(blur)
+    left, top = np.floor(pixels.min(axis=0) - margin)
+    right, bottom = np.ceil(pixels.max(axis=0) + margin)
+    across, down = np.clip([left, right], 0, width), np.clip([top, bottom], 0, height)
+    return int(across[0]), int(down[0]), int(across[1]), int(down[1])
+
+
+def _spread_points(surface: Surface) -> Floats:
+    """Points on a surface, in the camera's frame: a lattice over every triangle, coarse on small ones."""
+    corners = _placed(surface, surface.vertices)[surface.faces]
+    steps = 12 if len(surface.faces) < 500 else 1
+    i, j = (k.ravel() for k in np.mgrid[0 : steps + 1, 0 : steps + 1])
+    inside = i + j <= steps
+    a, b = i[inside] / steps, j[inside] / steps
+    shares = np.stack([1 - a - b, a, b], axis=-1)
+    return np.asarray(np.einsum("kc,fcx->fkx", shares, corners).reshape(-1, 3))
+
+
+def _in_image(device: Pinhole, points: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    pixels = device.project(points)
+    inside = (pixels > -0.5).all(axis=-1) & (pixels < np.array(device.size) - 0.5).all(axis=-1)
+    return np.asarray(inside & (points[:, 2] > 0))

@@ -1,0 +1,69 @@
+"""The few pictures from which every pattern's picture follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Light levels of patterns as sums, but for rounding: `level_n ≈ Σ_c weights[n, c] channels[c]`.
+
+    weights: (patterns, channels). channels: (channels, rows, columns) of mirrors, within [0, 1]; the first
+    is white.
+    """
+
+    weights: NDArray[np.float64]
+    channels: Picture
+
+    def level(self, n: int) -> Picture:
+        """What the basis gives for pattern n, (rows, columns)."""
+        weights = self.weights[n].astype(np.float32)
+        return np.asarray(np.tensordot(weights, self.channels, axes=1))
+
+
+def span(levels: Picture, allowed: float) -> Basis:
+    """The smallest basis from which every pattern follows within `allowed` RMS.
+
+    levels: (patterns, rows, columns) in [0, 1]. The first channel is white; the others are principal
+    components, moved and scaled into [0, 1] so that they can be projected.
+    """
+    n, shape = len(levels), levels.shape[1:]
+    flat = levels.reshape(n, -1)
+    mean, covariance = _moments(flat)
+    energy, vectors = np.linalg.eigh(covariance)
+    rank = next(r for r in range(n + 1) if _residual(energy, vectors, n - r) <= allowed)
+    loading = vectors[:, n - rank :]
+    components = loading.T.astype(np.float32) @ flat
+    components -= (loading.T @ mean)[:, None].astype(np.float32)
+    low, high = components.min(axis=1), components.max(axis=1)
+    components -= low[:, None]
+    components /= (high - low)[:, None]
+    weights = np.column_stack([mean + loading @ low, loading * (high - low)])
+    channels = np.concatenate([np.ones((1, flat.shape[1]), np.float32), components])
+    return Basis(weights, channels.reshape(-1, *shape))
+
+
+def _moments(flat: Picture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means (n,) and covariance (n, n) of n rows, summed in double precision, a cache's worth at a time."""
+    n, count = flat.shape
+    total, products = np.zeros(n), np.zeros((n, n))
+    for start in range(0, count, 1 << 14):
+        part = flat[:, start : start + (1 << 14)].astype(np.float64)
+        total += part.sum(axis=1)
+        products += part @ part.T
+    mean = total / count
+    return mean, products / count - np.outer(mean, mean)
+
+
+def _residual(energy: NDArray[np.float64], vectors: NDArray[np.float64], left: int) -> float:
+    """Greatest RMS over patterns of what the `left` weakest components hold."""
+    if left == 0:
+        return 0.0
+    shares = (vectors[:, :left] ** 2) @ np.maximum(energy[:left], 0.0)
+    return float(np.sqrt(shares.max()))

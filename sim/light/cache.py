@@ -1,0 +1,169 @@
+"""Tables of direct light on disk, under a hash of everything that moves or shades.
+
+A file is one line that names the format, one line of JSON, the arrays, and the SHA-256 of all that. What is
+not exactly what was written, by this version of Blender, is removed and rendered again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import logging
+import math
+import os
+import tempfile
+from contextlib import suppress
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.system import cache_directory
+from sim.light.table import Table
+from sim.scene import Scene, View
+
+LIMIT_BYTES = 2 << 30
+FORMAT = "fpplab light table 3"
+
+_log = logging.getLogger(__name__)
+
+
+def digest(scene: Scene, views: list[View]) -> str:
+    """Names all that a table depends on."""
+    hashed = hashlib.sha256()
+    _feed(hashed, (scene, views))
+    return hashed.hexdigest()[:32]
+
+
+def _feed(hashed: hashlib._Hash, value: object) -> None:
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            hashed.update(field.name.encode())
+            _feed(hashed, getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        hashed.update(f"{value.dtype}{value.shape}".encode())
+        hashed.update(np.ascontiguousarray(value).data)
+    elif isinstance(value, tuple | list):
+        hashed.update(f"({len(value)}".encode())
+        for part in value:
+            _feed(hashed, part)
+    else:
+        hashed.update(f"{value!r};".encode())
+
+
+@lru_cache(maxsize=1)
+def renderer() -> str:
+    """Blender's version, and that of all code of ours that makes a table, by its content."""
+    sim = Path(__file__).parents[1]
+    hashed = hashlib.sha256()
+    for path in sorted(
+        [*(sim / "blender").glob("*.py"), *(sim / "blender").glob("*.osl"), sim / "light/table.py"]
+    ):
+        hashed.update(path.read_bytes())
+    return f"Blender {version('bpy')} with shaders {hashed.hexdigest()[:12]}"
+
+
+class TableCache:
+    """The tables in one directory, the longest unused of which go when they are more than `limit` bytes."""
+
+    def __init__(self, directory: Path | None = None, limit: int = LIMIT_BYTES) -> None:
+        self._directory = directory or cache_directory() / "light"
+        self._limit = limit
+
+    def load(self, key: str) -> Table | None:
+        """The table of that key, or None. A file that is not whole or from elsewhere is removed."""
+        path = self._path(key)
+        try:
+            with path.open("rb") as stream:
+                table = _read(stream)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            _log.warning("%s: is discarded and rendered again: %s", path, error)
+            with suppress(OSError):  # where it cannot be removed it will be discarded again
+                path.unlink(missing_ok=True)
+            return None
+        with suppress(OSError):  # it may be another user's, to read and not to touch
+            os.utime(path)
+        return table
+
+    def store(self, key: str, table: Table) -> None:
+        """Keep a table. What cannot be written is only slower, so that is a warning and no error."""
+        if table.nbytes > self._limit:
+            _log.warning("%.1f GB of light are more than the cache holds; not kept", table.nbytes / 1e9)
+            return
+        try:
+            self._directory.mkdir(parents=True, exist_ok=True)
+            self._write_whole(self._path(key), table)
+        except OSError as error:
+            _log.warning("light is not kept in %s: %s", self._directory, error)
+            return
+        self._make_room()
+
+    def _write_whole(self, path: Path, table: Table) -> None:
+        """Under its name once it is complete; not flushed to the disk, because its checksum would tell."""
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f"{path.name}.", delete=False) as draft:
+            try:
+                _write(draft, table)
+                draft.close()
+                os.replace(draft.name, path)
+            except BaseException:
+                Path(draft.name).unlink(missing_ok=True)
+                raise
+
+    def _path(self, key: str) -> Path:
+        return self._directory / f"{key}.table"
+
+    def _make_room(self) -> None:
+        """Remove the longest unused files, and with them the drafts of processes that were killed."""
+        files = []
+        for path in self._directory.glob("*.table*"):
+            with suppress(OSError):  # another process has removed it
+                files.append((path.stat(), path))
+        total = sum(stat.st_size for stat, _ in files)
+        for stat, path in sorted(files, key=lambda entry: entry[0].st_mtime_ns):
+            if total <= self._limit:
+                return
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            total -= stat.st_size
+
+
+def _write(stream: IO[bytes], table: Table) -> None:
+    about = {"renderer": renderer(), "samples": table.samples.shape, "albedo": table.albedo.shape}
+    hashed = hashlib.sha256()
+    for part in (f"{FORMAT}\n{json.dumps(about)}\n".encode(), table.samples.data, table.albedo.data):
+        stream.write(part)
+        hashed.update(part)
+    stream.write(hashed.digest())
+
+
+def _read(stream: BinaryIO) -> Table:
+    """Raises `ValueError` that says what is wrong, `KeyError` or `TypeError` where that is the head."""
+    first = stream.readline(200)
+    name = first.decode(errors="replace").strip()
+    if name != FORMAT:
+        raise ValueError(f"it is '{name[:40]}', not '{FORMAT}'")
+    second = stream.readline(1000)
+    about = json.loads(second)
+    if about["renderer"] != renderer():
+        raise ValueError(f"it was rendered by {about['renderer']}, not {renderer()}")
+    hashed = hashlib.sha256(first + second)
+    samples, albedo = (_array(stream, tuple(about[part]), hashed) for part in ("samples", "albedo"))
+    if stream.read(64) != hashed.digest():
+        raise ValueError("its checksum is wrong")
+    return Table(samples, albedo)
+
+
+def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:
+    if 4 * math.prod(shape) > os.fstat(stream.fileno()).st_size:  # before memory is asked for
+        raise ValueError("it is cut short")
+    values = np.empty(shape, np.float32)
+    if stream.readinto(values.data.cast("B")) != values.nbytes:  # type: ignore[attr-defined]
+        raise ValueError("it is cut short")
+    hashed.update(values.data)
+    return values

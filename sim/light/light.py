@@ -1,0 +1,324 @@
+"""From a pattern on show to the irradiance that the camera sees, by the cheapest way that is right.
+
+Light is linear: a picture under a sum of patterns is the sum of the pictures. Three ways to one result:
+
+`transport`  Direct light only. Blender tells once, for every sample of a pixel, which point it sees and how
+             brightly white light falls there; any pattern is then a look-up in its texture.
+`linear`     The loaded patterns' light levels lie, but for rounding, in a space of few dimensions: for F
+             fringe sets a linear projector needs 1 + 2F, a bent response two more for each harmonic. One
+             channel of one render for each dimension, three in a render; patterns are recombined from them.
+             What rounding leaves is added as direct light, from the table that the first render gives.
+`reference`  One render for every pattern: slow, and what the others are held against.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.patterns import Pattern
+from sim.build import Setup, build_scene
+from sim.light.basis import Basis, Picture, span
+from sim.light.cache import TableCache, digest
+from sim.light.kept import Kept
+from sim.light.table import Table
+from sim.scene import COLOURS, Effort, Scene, View
+from sim.texture import MirrorTexture
+from sim.worker import Blender
+from sim.world import World
+
+KEEP_BYTES = 1 << 29
+TOGETHER, TOGETHER_BYTES = 12, 1 << 27
+"""So many patterns are looked up at once, as long as their pictures are no more bytes than this."""
+START_S, PATHS_PER_S = 60.0, 5e4
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Show:
+    """Pattern `index` of the loaded `patterns` is on."""
+
+    patterns: tuple[Pattern, ...]
+    index: int
+
+    @property
+    def pattern(self) -> Pattern:
+        return self.patterns[self.index]
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Light of the mirrors, relative to the brightest, in each of `count` states.
+
+    of: gives one state's, (rows, columns) float32. rounding: RMS of what quantisation made of it.
+    """
+
+    count: int
+    of: Callable[[int], Picture]
+    rounding: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """A basis' pictures (channels, height, width), and the table of direct light that came with them."""
+
+    pictures: Picture
+    table: Table
+
+    @property
+    def nbytes(self) -> int:
+        """Of memory."""
+        return self.pictures.nbytes + self.table.nbytes
+
+
+class Light:
+    """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk."""
+
+    def __init__(self, world: World, blender: Blender, cache: TableCache | None = None) -> None:
+        self._world, self._blender = world, blender
+        self._cache = cache if cache or not world.render.cache else TableCache()
+        self._tables: Kept[Table] = Kept(2 * KEEP_BYTES)
+        self._pictures: Kept[Picture] = Kept(KEEP_BYTES)
+        self._bases: Kept[Rendered] = Kept(2 * KEEP_BYTES)
+        self._albedos: Kept[Picture] = Kept(KEEP_BYTES)
+        self._loaded: tuple[tuple[Pattern, ...], Levels] | None = None
+        self._planes: tuple[Pattern, Levels] | None = None
+        self._basis: tuple[Levels, Basis] | None = None
+        self._scene: tuple[Setup, Scene, MirrorTexture] | None = None
+        self._falloff = _vignette(world)
+        if world.render.path == "auto" and world.indirect:
+            _log.warning(
+                "the twin takes the light path '%s', because there is %s", world.path, world.indirect
+            )
+
+    def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> Picture:
+        """What the camera sees (height, width) float32, 1 for white; `show` None: the lamp is off.
+
+        row_weights: (bits, height), how much of each binary plane of the pattern every row collects, from
+        `sim.timing`; None when it is all alike. Raises `DeviceError` from the Blender process, `ConfigError`
+        for an item that cannot be made.
+        """
+        width, height = self._world.camera.size
+        if setup.item == "nothing" or (show is None and not self._world.ambient):
+            return np.zeros((height, width), np.float32)
+        picture = np.zeros((height, width), np.float32)
+        if show is not None:
+            picture += self._projected(setup, show, row_weights)
+        if self._world.ambient:
+            picture += np.float32(self._world.ambient) * self._albedo(setup)
+        if self._falloff is not None:
+            picture *= self._falloff
+        return picture
+
+    def table(self, setup: Setup) -> Table:
+        """The direct light on all that is in view, from memory, from disk, or rendered."""
+        if any(setup.shake_mm):
+            return self._found(setup)  # nobody will ask for it again
+        return self._tables.get(setup, lambda: self._found(setup))
+
+    def inherit(self, other: Light) -> None:
+        """Take over the tables of another world that differs in nothing that they depend on."""
+        if _optical(self._world) == _optical(other._world):
+            self._tables.take(other._tables)
+
+    def forget(self) -> None:
+        """Let go of every picture."""
+        for kept in (self._tables, self._pictures, self._bases, self._albedos):
+            kept.clear()
+
+    def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> Picture:
+        if row_weights is None:
+            return self._picture(setup, self._levels(show.patterns), show.index)
+        planes = self._levels_of_planes(show.pattern)
+        picture = self._picture(setup, planes, 0).copy()
+        for plane, weights in enumerate(row_weights, start=1):
+            picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
+        return picture
+
+    def _picture(self, setup: Setup, levels: Levels, index: int) -> Picture:
+        """Under one state of the mirrors."""
+        path = self._world.path
+        if path == "transport":
+            return self._looked_up(setup, levels, index, None)
+        if path == "reference" or any(setup.shake_mm):  # for one picture a basis does not pay
+            return self._pictures.get(
+                (setup, levels, index),
+                lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
+            )
+        basis = self._basis_of(levels)
+        rendered = self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
+        weights = basis.weights[index].astype(np.float32)
+        whole: Picture = np.tensordot(weights, rendered.pictures, axes=1)
+        if self._world.is_translucent(setup.item):
+            return whole  # what rounding leaves is washed out below the surface
+        return whole + self._looked_up(setup, levels, index, basis)
+
+    def _looked_up(self, setup: Setup, levels: Levels, index: int, basis: Basis | None) -> Picture:
+        """From the table: several states at once, because their samples lie at the same places.
+
+        basis: whose sums are left out, so that only what rounding leaves is looked up.
+        """
+        width, height = self._world.camera.size
+        together = max(1, min(TOGETHER, TOGETHER_BYTES // (4 * width * height)))
+        if any(setup.shake_mm):
+            together = 1  # nobody will ask for the next one here
+        first = index - index % together
+        states = range(first, min(first + together, levels.count))
+        pictures = self._pictures.get(
+            (setup, levels, basis, first), lambda: self._look_up(setup, levels, states, basis)
+        )
+        picture: Picture = pictures[index - first]
+        return picture
+
+    def _look_up(self, setup: Setup, levels: Levels, states: range, basis: Basis | None) -> Picture:
+        _, scene, texture = self._built(setup)
+        if basis is None:
+            table, light = self.table(setup), [levels.of(n) for n in states]
+        else:
+            table = self._bases.get((setup, basis), lambda: self._render_basis(setup, basis)).table
+            light = [levels.of(n) - basis.level(n) for n in states]
+        textures = np.stack(
+            [
+                np.stack([texture.spread(image, circle) for image in light], -1)
+                for circle in scene.lamp.circles
+            ]
+        )
+        return table.look_up(textures, texture.fill if texture.exact else None)
+
+    def _render_basis(self, setup: Setup, basis: Basis) -> Rendered:
+        """Three channels in a render; the table comes with the first, whose first channel is white."""
+        _, scene, texture = self._built(setup)
+        white = [texture.spread(basis.channels[0], circle)[..., None] for circle in scene.lamp.circles]
+        first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
+        table = Table.of(first, scene.lamp).divided_by(np.stack(white))
+        self._albedos.put(setup, table.albedo)
+        pictures = [*_colours(first)]
+        for start in range(COLOURS, len(basis.channels), COLOURS):
+            pictures += _colours(self._rendered(setup, basis.channels[start : start + COLOURS]))
+        return Rendered(np.stack(pictures[: len(basis.channels)]), table)
+
+    def _albedo(self, setup: Setup) -> Picture:
+        """Mean reflectance of what every pixel sees, from any render of the set-up."""
+        albedo: Picture = self._albedos.get(setup, lambda: self.table(setup).albedo)
+        return albedo
+
+    def _levels(self, patterns: tuple[Pattern, ...]) -> Levels:
+        if self._loaded is None or self._loaded[0] is not patterns:
+            response = self._world.projector.response
+            depth = min(p.bit_depth for p in patterns)
+            rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * (2**depth - 1))
+            self._loaded = (patterns, Levels(len(patterns), lambda n: self._level(patterns[n]), rounding))
+        return self._loaded[1]
+
+    def _level(self, pattern: Pattern) -> Picture:
+        response = self._world.projector.response
+        table = response.a * np.linspace(0, 1, 256) ** response.g + response.b
+        return table.astype(np.float32)[pattern.image]
+
+    def _levels_of_planes(self, pattern: Pattern) -> Levels:
+        """What closed mirrors leak, state 0, and the binary planes, the least significant first."""
+        if self._planes is None or self._planes[0] is not pattern:
+            response, bits = self._world.projector.response, pattern.bit_depth
+            greys = (1 << bits) - 1
+            codes = np.rint((self._level(pattern) - response.b) / response.a * greys).astype(np.int64)
+
+            def of(n: int) -> Picture:
+                if n == 0:
+                    return np.full(codes.shape, response.b, np.float32)
+                bit = n - 1
+                return np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
+
+            self._planes = (pattern, Levels(bits + 1, of, 0.0))
+        return self._planes[1]
+
+    def _basis_of(self, levels: Levels) -> Basis:
+        if self._basis is None or self._basis[0] is not levels:
+            basis = span(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
+            self._basis = (levels, basis)
+        return self._basis[1]
+
+    def _found(self, setup: Setup) -> Table:
+        _, scene, _ = self._built(setup)
+        keep = self._cache if not any(setup.shake_mm) else None
+        key = digest(scene, self._views)
+        table = keep.load(key) if keep else None
+        if table is None:
+            table = Table.of(
+                self._render(setup, None, self._effort(bounces=0, samples=1, survey=True)), scene.lamp
+            )
+            if keep:
+                keep.store(key, table)
+        return table
+
+    def _rendered(self, setup: Setup, channels: Picture, survey: bool = False) -> Picture:
+        """Renders (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
+        _, scene, texture = self._built(setup)
+        textures = np.zeros((len(scene.lamp.circles), *texture.shape, COLOURS), np.float32)
+        for c, circle in enumerate(scene.lamp.circles):
+            for k, channel in enumerate(channels):
+                textures[c, ..., k] = texture.spread(channel, circle)
+        render = self._world.render
+        return self._render(setup, textures, self._effort(render.bounces, render.samples, survey))
+
+    def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
+        return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
+
+    @property
+    def _views(self) -> list[View]:
+        """Points of pixel and lens, one of each; paired at random, so that neither follows the other."""
+        shifts = self._world.render.shifts
+        if not self._world.camera.aperture_mm:
+            return [View(shift) for shift in shifts]
+        # Vogel's spiral covers the disc evenly with any number of points.
+        n = np.random.default_rng(0).permutation(len(shifts))
+        radius, angle = np.sqrt((n + 0.5) / len(shifts)), n * np.pi * (3 - np.sqrt(5))
+        lens = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+        return [View(shift, (float(x), float(y))) for shift, (x, y) in zip(shifts, lens, strict=True)]
+
+    def _built(self, setup: Setup) -> tuple[Setup, Scene, MirrorTexture]:
+        if self._scene is None or self._scene[0] != setup:
+            self._scene = (setup, *build_scene(self._world, setup))
+        return self._scene
+
+    def _render(self, setup: Setup, textures: Picture | None, effort: Effort) -> Picture:
+        views = self._views
+        width, height = self._world.camera.size
+        paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
+        _, scene, _ = self._built(setup)
+        return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
+
+
+def _colours(rendered: Picture) -> list[Picture]:
+    """The three pictures (height, width) of a render (views, height, width, …)."""
+    return list(np.moveaxis(rendered[..., :COLOURS].mean(axis=0), -1, 0))
+
+
+def _vignette(world: World) -> Picture | None:
+    """What of the light the lens lets through to each pixel, (height, width); None for all of it."""
+    exponent = world.camera.vignetting
+    if exponent == 0:
+        return None
+    camera = world.camera_model()
+    width, height = camera.size
+    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+    slopes = camera.normalise(np.stack([u, v], axis=-1))
+    return np.asarray((1 + (slopes**2).sum(axis=-1)) ** (-exponent / 2), np.float32)
+
+
+def _optical(world: World) -> dict[str, Any]:
+    """All of a world that tables of direct light depend on."""
+    excluded: dict[str, Any] = {
+        "ambient": True,
+        "vibration_mm": True,
+        "camera": {"sensor", "shutter", "vignetting", "transmission"},
+        "projector": {"response", "leds", "lit", "period_s"},
+        "stage": {"travel_mm"},
+        "render": {"path", "samples", "bounces", "cache", "device"},
+    }
+    return world.model_dump(exclude=excluded)

@@ -1,0 +1,193 @@
+"""Direct light as a table: for every sample of a pixel, where on the projector it looks, and how brightly.
+
+`I = mean_k shade_k * texture(column_k, row_k, circle_k)` for any pattern, brightness or response.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Floats
+from fpplab.geometry import RigidTransform
+from sim.scene import ALBEDO, DIRECT, Lamp, X, Y, Z
+
+Picture = NDArray[np.float32]
+
+DIMMEST = np.float32(0.02)
+"""Where white light is weaker than this share, at the projector's last mirror, it is not divided by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """samples: (K, height, width, 4) texture column and row, circle and shade; albedo: (height, width).
+
+    Circles count along `Lamp.circles`, with fractions for what lies between two. Shade is the irradiance
+    under white, 0 in shadow.
+    """
+
+    samples: Picture
+    albedo: Picture
+
+    @property
+    def nbytes(self) -> int:
+        """Of memory."""
+        return self.samples.nbytes + self.albedo.nbytes
+
+    @classmethod
+    def of(cls, rendered: Picture, lamp: Lamp) -> Table:
+        """From what Blender rendered, (K, height, width, CHANNELS)."""
+        views, height, width, channels = rendered.shape
+        samples = np.empty((views, height, width, 4), np.float32)
+        T = RigidTransform(lamp.T_camera_projector[:3, :3], lamp.T_camera_projector[:3, 3]).inverse()
+        _locate(
+            rendered.reshape(-1, channels),
+            T.matrix[:3],
+            lamp.optics.distortion,
+            lamp.affine @ lamp.optics.matrix,
+            lamp.texels_per_slope * lamp.aperture.diameter_mm,
+            1.0 / lamp.aperture.focus_mm,
+            np.array(lamp.circles, np.float64) ** 2,
+            samples.reshape(-1, 4),
+        )
+        albedo = np.zeros((height, width), np.float32)
+        for view in rendered:
+            albedo += view[..., ALBEDO]
+        return cls(samples, albedo / np.float32(views))
+
+    def look_up(self, textures: Picture, fill: float | None = None) -> Picture:
+        """Pictures (patterns, height, width) under textures (circles, rows, columns, patterns).
+
+        fill: the side of sharp mirrors in texels, or None for smooth optics.
+        """
+        views, height, width, _ = self.samples.shape
+        out = np.empty((textures.shape[-1], height * width), np.float32)
+        flat = self.samples.reshape(views, height * width, 4)
+        if fill is None:
+            _interpolated(textures, flat, out)
+        else:
+            _nearest(textures[0], flat, np.float32(fill), out)
+        return out.reshape(-1, height, width)
+
+    def divided_by(self, white: Picture) -> Table:
+        """The table of a lamp that was `white` (circles, rows, columns, 1) when it was evenly white."""
+        samples = self.samples.copy()
+        _divide(white, samples.reshape(-1, 4))
+        return Table(samples, self.albedo)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _locate(
+    rendered: Picture,
+    T_projector_camera: Floats,
+    distortion: Floats,
+    to_texel: Floats,
+    circle_scale: float,
+    inverse_focus: float,
+    squares: Floats,
+    out: Picture,
+) -> None:
+    """Brown-Conrady as in `fpplab.geometry`, in float64: a texel is a thousandth of the projector."""
+    R, t = T_projector_camera[:, :3], T_projector_camera[:, 3]
+    k1, k2, p1, p2, k3 = distortion
+    for i in numba.prange(len(rendered)):
+        out[i] = 0
+        px, py, pz = np.float64(rendered[i, X]), np.float64(rendered[i, Y]), np.float64(rendered[i, Z])
+        if rendered[i, DIRECT] <= 0 or pz == 0:
+            continue
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        x = (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]) / z
+        y = (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]) / z
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+        yd = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+        out[i, 0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
+        out[i, 1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
+        if len(squares) > 1:
+            circle = circle_scale * (1.0 / z - inverse_focus)
+            out[i, 2] = _between(circle * circle, squares)
+        out[i, 3] = rendered[i, DIRECT]
+
+
+@numba.njit(cache=True)
+def _between(square: float, squares: Floats) -> float:
+    """Where a value lies among rising ones: 1.25 is a quarter of the way from the second to the third."""
+    level = 0
+    while level < len(squares) - 2 and square > squares[level + 1]:
+        level += 1
+    share = (square - squares[level]) / (squares[level + 1] - squares[level])
+    return float(level + min(max(share, 0.0), 1.0))
+
+
+@numba.njit(parallel=True, cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _interpolated(textures: Picture, samples: Picture, out: Picture) -> None:
+    circles, rows, columns, patterns = textures.shape
+    views, pixels, _ = samples.shape
+    share = np.float32(1.0 / views)
+    one = np.float32(1.0)
+    for p in numba.prange(pixels):
+        total = np.zeros(patterns, np.float32)
+        for k in range(views):
+            x, y = samples[k, p, 0], samples[k, p, 1]
+            shade = samples[k, p, 3]
+            if shade > 0 and 0 <= x < columns - 1 and 0 <= y < rows - 1:
+                i, j = int(x), int(y)
+                fx, fy = x - np.float32(i), y - np.float32(j)
+                a, b = shade * (one - fx) * (one - fy), shade * fx * (one - fy)
+                c, d = shade * (one - fx) * fy, shade * fx * fy
+                low = int(samples[k, p, 2])
+                high_share = samples[k, p, 2] - np.float32(low)
+                for level in range(low, min(low + 2, circles)):
+                    w = high_share if level > low else one - high_share
+                    for q in range(patterns):
+                        total[q] += w * (
+                            a * textures[level, j, i, q]
+                            + b * textures[level, j, i + 1, q]
+                            + c * textures[level, j + 1, i, q]
+                            + d * textures[level, j + 1, i + 1, q]
+                        )
+        for q in range(patterns):
+            out[q, p] = total[q] * share
+
+
+@numba.njit(parallel=True, cache=True)
+def _nearest(textures: Picture, samples: Picture, fill: np.float32, out: Picture) -> None:
+    rows, columns, patterns = textures.shape
+    views, pixels, _ = samples.shape
+    share = np.float32(1.0 / (views * fill * fill))
+    half, reach = np.float32(0.5), np.float32(fill / 2)
+    for p in numba.prange(pixels):
+        for q in range(patterns):
+            out[q, p] = 0
+        for k in range(views):
+            x, y = samples[k, p, 0], samples[k, p, 1]
+            shade = samples[k, p, 3]
+            i, j = np.floor(x + half), np.floor(y + half)
+            if not (shade > 0 and 0 <= i < columns and 0 <= j < rows):
+                continue
+            if fill == 1 or (abs(x - i) < reach and abs(y - j) < reach):
+                for q in range(patterns):
+                    out[q, p] += share * shade * textures[int(j), int(i), q]
+
+
+@numba.njit(parallel=True, cache=True)
+def _divide(white: Picture, samples: Picture) -> None:
+    circles, rows, columns, _ = white.shape
+    for p in numba.prange(len(samples)):
+        x, y = samples[p, 0], samples[p, 1]
+        light = np.float32(0)
+        if 0 <= x < columns - 1 and 0 <= y < rows - 1:
+            i, j = int(x), int(y)
+            fx, fy = x - np.float32(i), y - np.float32(j)
+            low = int(samples[p, 2])
+            share = samples[p, 2] - np.float32(low)
+            for level in range(low, min(low + 2, circles)):
+                w = share if level > low else np.float32(1) - share
+                top = white[level, j, i, 0] * (1 - fx) + white[level, j, i + 1, 0] * fx
+                bottom = white[level, j + 1, i, 0] * (1 - fx) + white[level, j + 1, i + 1, 0] * fx
+                light += w * (top * (1 - fy) + bottom * fy)
+        samples[p, 3] = samples[p, 3] / light if light > DIMMEST else np.float32(0)

@@ -1,0 +1,99 @@
+"""Where a board is held: seeded poses that camera and projector see whole."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+from fpplab.geometry import Pinhole, RigidTransform
+from sim.world import PoseRules, World
+
+TRIES = 20000
+CANDIDATES = 6
+
+
+def plate_corners(size_mm: tuple[float, float]) -> Floats:
+    """Corners (4, 3) of a plate around its origin, clockwise from the top left."""
+    x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
+    return np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+
+
+@lru_cache(maxsize=16)
+def _poses_of(
+    world_key: str, name: str, size_mm: tuple[float, float], rules: PoseRules
+) -> tuple[RigidTransform, ...]:
+    world = World.model_validate_json(world_key)
+    random = np.random.default_rng([world.seed, *name.encode()])
+    camera, projector = world.camera_model(), world.projector_model()
+    outline = _outline(size_mm)
+    T_projector_camera = world.T_projector_camera()
+    chosen: list[RigidTransform] = []
+    fitting: list[RigidTransform] = []
+    for attempt in count():
+        if len(chosen) == rules.count:
+            return tuple(chosen)
+        if attempt == TRIES * rules.count:
+            raise ConfigError(
+                f"world: 'items.{name}.poses' asks for {rules.count} poses of a board of {size_mm[0]:g} x "
+                f"{size_mm[1]:g} mm, but hardly any lie in the camera's image and the projector's light; "
+                "lower tilt_deg or range_mm, or use a smaller board"
+            )
+        pose = _random_pose(random, camera, rules)
+        seen = pose.apply(outline)
+        if _inside(camera, seen, rules.margin_px) and _inside(
+            projector, T_projector_camera.apply(seen), rules.margin_px
+        ):
+            fitting.append(pose)
+        if len(fitting) == CANDIDATES:
+            chosen.append(_farthest(fitting, chosen))
+            fitting.clear()
+    raise AssertionError
+
+
+def board_poses(
+    world: World, name: str, size_mm: tuple[float, float], rules: PoseRules
+) -> tuple[RigidTransform, ...]:
+    """Poses T_camera_board, reproducible from the world's seed, spread over the camera's image.
+
+    Of a few random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
+    Raises `ConfigError` when there is no room.
+    """
+    return _poses_of(world.model_dump_json(), name, size_mm, rules)
+
+
+def _outline(size_mm: tuple[float, float]) -> Floats:
+    """Points along a board's edge, so that distortion cannot bend one out of sight."""
+    corners = plate_corners(size_mm)
+    steps = np.linspace(0, 1, 5)[:-1, None]
+    return np.concatenate(
+        [a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    )
+
+
+def _random_pose(random: np.random.Generator, camera: Pinhole, rules: PoseRules) -> RigidTransform:
+    direction, turn = random.uniform(0, 2 * np.pi), np.radians(random.uniform(-1, 1) * rules.turn_deg)
+    tilt = np.radians(rules.tilt_deg) * np.sqrt(random.uniform())
+    tilted = RigidTransform.from_vectors(
+        tilt * np.array([np.cos(direction), np.sin(direction), 0]), np.zeros(3)
+    )
+    turned = RigidTransform.from_vectors(np.array([0, 0, turn]), np.zeros(3))
+    pixel = random.uniform((0, 0), camera.size)
+    depth = rules.distance_mm + random.uniform(-1, 1) * rules.range_mm
+    centre = depth * np.append(camera.normalise(pixel), 1.0)
+    return RigidTransform(tilted.rotation @ turned.rotation, centre)
+
+
+def _inside(device: Pinhole, points: Floats, margin_px: float) -> bool:
+    pixels = device.project(points)
+    return bool(np.all(pixels >= margin_px) and np.all(pixels <= np.array(device.size) - 1 - margin_px))
+
+
+def _farthest(fitting: list[RigidTransform], chosen: list[RigidTransform]) -> RigidTransform:
+    if not chosen:
+        return fitting[0]
+    before = np.array([pose.translation for pose in chosen])
+    return max(fitting, key=lambda pose: np.linalg.norm(before - pose.translation, axis=1).min())

@@ -1,0 +1,38 @@
+"""The simulated world as plain data, one module for each of a world file's sections.
+
+The world frame is the camera's (OpenCV, mm). Irradiance is relative: 1 is a perfectly white surface that
+faces the white projector at `projector.distance_mm`.
+"""
+
+from sim.world.camera import Binning, CameraWorld, Sensor, Shutter
+from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
+from sim.world.materials import Diffuse, Glossy, Grain, Material, Ridges, Translucent
+from sim.world.projector import LedWorld, ProjectorWorld, Response
+from sim.world.render import LightPath, Render
+from sim.world.world import StageWorld, World
+
+__all__ = [
+    "ArtefactItem",
+    "Binning",
+    "BoardItem",
+    "CameraWorld",
+    "CardItem",
+    "Diffuse",
+    "Glossy",
+    "Grain",
+    "Item",
+    "LedWorld",
+    "LightPath",
+    "Material",
+    "MeshItem",
+    "PoseRules",
+    "ProjectorWorld",
+    "Render",
+    "Response",
+    "Ridges",
+    "Sensor",
+    "Shutter",
+    "StageWorld",
+    "Translucent",
+    "World",
+]

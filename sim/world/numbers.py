@@ -1,0 +1,14 @@
+"""Ranges that several sections of a world file share."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Size = tuple[Annotated[int, Field(ge=8, le=20000)], Annotated[int, Field(ge=8, le=20000)]]
+Small = Annotated[float, Field(ge=-0.5, le=0.5)]
+Distortion = tuple[Small, Small, Small, Small, Small]

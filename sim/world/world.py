@@ -1,0 +1,154 @@
+"""The whole simulated bench: the truth that a measurement on the twin is held against."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from fpplab import config
+from fpplab.config import Document
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+from fpplab.geometry import Pinhole, RigidTransform
+from sim.world.camera import Binning, CameraWorld
+from sim.world.items import BoardItem, Item, beside
+from sim.world.materials import Diffuse, Material, Translucent
+from sim.world.numbers import NotNegative
+from sim.world.projector import ProjectorWorld
+from sim.world.render import LightPath, Render
+
+
+class StageWorld(Document):
+    """The stage that carries the projector along `axis`, a direction in the camera's frame."""
+
+    travel_mm: tuple[float, float] = (-60.0, 60.0)
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _is_a_stage(self) -> StageWorld:
+        if not self.travel_mm[0] <= 0 <= self.travel_mm[1]:
+            raise ValueError(f"'travel_mm' is {list(self.travel_mm)}: must hold 0, where homing ends")
+        if not np.any(self.axis):
+            raise ValueError("'axis' is zero: must be a direction")
+        return self
+
+    def offset(self, position_mm: float) -> Floats:
+        """How far the stage carries the projector, (3,) in mm in the camera's frame."""
+        axis = np.array(self.axis)
+        return position_mm * axis / np.linalg.norm(axis)
+
+
+class World(Document):
+    """The whole bench.
+
+    items: what the fixture can hold, by name. mounted: what it holds at first. material: of items that name
+    none of `materials`. ambient: even light on everything in view, relative to the projector's white.
+    vibration_mm: standard deviation, along each axis, of where the item is from frame to frame.
+    """
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    camera: CameraWorld = CameraWorld()
+    projector: ProjectorWorld
+    stage: StageWorld = StageWorld()
+    items: dict[str, Item]
+    mounted: str = "nothing"
+    material: Material = Diffuse()
+    materials: Annotated[dict[str, Material], Field(default_factory=dict)]
+    ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
+    vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
+    render: Render = Render()
+
+    @model_validator(mode="after")
+    def _names_are_free(self) -> World:
+        if "nothing" in self.items:
+            raise ValueError("'items' names an item 'nothing', which is the empty fixture's name")
+        if self.mounted not in (*self.items, "nothing"):
+            raise ValueError(
+                f"'mounted' is '{self.mounted}': must be nothing, or one of {', '.join(self.items)}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _materials_are_there(self) -> World:
+        for name, item in self.items.items():
+            wanted = None if isinstance(item, BoardItem) else item.material
+            if wanted is not None and wanted not in self.materials:
+                known = ", ".join(self.materials) or "none"
+                raise ValueError(f"'items.{name}.material' is '{wanted}': must be of 'materials' ({known})")
+        return self
+
+    @model_validator(mode="after")
+    def _path_can_serve(self) -> World:
+        if self.render.path == "transport" and (effect := self.indirect):
+            raise ValueError(
+                f"'render.path' is transport, which knows direct light alone, but there is {effect}: "
+                "choose path auto, linear or reference"
+            )
+        return self
+
+    @property
+    def indirect(self) -> str | None:
+        """What makes light arrive elsewhere than where it fell, if anything does."""
+        if self.render.bounces:
+            return f"light that bounces ('render.bounces' is {self.render.bounces})"
+        for name in self.items:
+            if self.is_translucent(name):
+                return f"a translucent material (of 'items.{name}')"
+        return None
+
+    def is_translucent(self, name: str) -> bool:
+        """Whether light enters an item and leaves it elsewhere."""
+        return isinstance(self.material_of(name), Translucent)
+
+    @property
+    def path(self) -> LightPath:
+        """The way that serves: as chosen, or for `auto` the cheapest that is right."""
+        if self.render.path != "auto":
+            return self.render.path
+        return "linear" if self.indirect else "transport"
+
+    @classmethod
+    def load(cls, path: Path | str) -> World:
+        """Read a world file, by path or by the name of one that comes with fpplab. Raises `ConfigError`.
+
+        A relative name of a mesh or target file is looked for beside the world file first.
+        """
+        found = config.find(path)
+        world = config.load(found, cls)
+        items = {name: beside(item, found.parent) for name, item in world.items.items()}
+        return world.model_copy(update={"items": items})
+
+    def binned(self, binning: Binning) -> World:
+        """The same world, seen by its camera at another binning. Raises `ConfigError` when that cannot be."""
+        data = self.model_dump(mode="json")
+        data["camera"]["binning"] = binning
+        return config.validate(data, World, "world")
+
+    def camera_model(self) -> Pinhole:
+        """The true camera."""
+        return self.camera.model()
+
+    def projector_model(self) -> Pinhole:
+        """The true projector."""
+        return self.projector.model()
+
+    def T_projector_camera(self, stage_mm: float = 0.0) -> RigidTransform:
+        """The true pose of the camera in the projector's frame, with the stage at `stage_mm`."""
+        pose = self.projector.T_camera_projector.transform()
+        return RigidTransform(pose.rotation, pose.translation + self.stage.offset(stage_mm)).inverse()
+
+    def item(self, name: str) -> Item:
+        """One item. Raises `ConfigError` that lists them."""
+        if name not in self.items:
+            raise ConfigError(f"world: there is no item '{name}'; there are {', '.join(self.items)}")
+        return self.items[name]
+
+    def material_of(self, name: str) -> Material:
+        """What an item is made of; the white of a board's print for a board."""
+        item = self.item(name)
+        if isinstance(item, BoardItem):
+            return Diffuse(reflectance=1.0)  # a print has its own reflectance
+        return self.material if item.material is None else self.materials[item.material]
