@@ -108,13 +108,15 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
         # As JSON, because strict JSON still takes a list for a tuple and a word for a choice.
         return model.model_validate_json(json.dumps(data, default=str))
     except ValidationError as error:
-        raise ConfigError(f"{source}: {describe(error)}") from error
+        raise ConfigError(f"{source}: {describe(error, data)}") from error
 
 
-def describe(error: ValidationError) -> str:
-    """The faults of a validation in one sentence: field, value, what is allowed."""
+def describe(error: ValidationError, data: Any = None) -> str:
+    """The faults of a validation of `data` in one sentence: field, value, what is allowed."""
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
-    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    if data is not None:
+        details = [_written(detail, data) for detail in details]
     faults = [_fault(detail) for detail in details]
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return faults[0] + more
@@ -129,7 +131,22 @@ def _fault(detail: Any) -> str:
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
     if detail["type"] == "value_error" and not field:
         return str(message)
+    if detail["type"] == "value_error" and isinstance(detail["input"], dict):
+        return f"in '{field}' {message}"  # which names the field inside
     return f"'{field}' is {_shown(detail['input'])}: {message}"
+
+
+def _written(detail: Any, data: Any) -> dict[str, Any]:
+    """A fault whose place is the document's: without the names of which of several models was tried."""
+    place: list[int | str] = []
+    for part in detail["loc"]:
+        inside = data if isinstance(data, dict) else dict(enumerate(data)) if isinstance(data, list) else {}
+        if part in inside:
+            data = inside[part]
+            place.append(part)
+    if detail["type"] == "missing":
+        place.append(detail["loc"][-1])
+    return {**detail, "loc": tuple(place)}
 
 
 def _field(loc: tuple[int | str, ...]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
 import string
@@ -31,13 +32,14 @@ def import_images(
 
     names: a format of the index, such as "f_{index:02d}.png". bits: depth of the images' grey
     levels; 8-bit files hold 8, 16-bit files 10, 12 or 16. Every file is checked before the session is
-    made. Raises `ConfigError`, `DataError` (missing, damaged, colour, other size or depth).
+    made. Raises `ConfigError`, `DataError` (missing, damaged, colour, other size or depth, one image
+    under two names).
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: is not a folder")
     paths = [folder / _name(names, i) for i in range(plan.images)]
     _check_all_there(folder, paths, names)
-    size = _check_alike(paths, bits)
+    size = _check_images(paths, bits)
     session = Session.create(out, plan, force=force)
     try:
         for index, (_, _, pattern) in enumerate(plan.steps()):
@@ -73,10 +75,20 @@ def _check_all_there(folder: Path, paths: list[Path], names: str) -> None:
         )
 
 
-def _check_alike(paths: list[Path], bits: int) -> tuple[int, int]:
+def _check_images(paths: list[Path], bits: int) -> tuple[int, int]:
+    """Size of the images, which are all of one kind and no two the same."""
     size: tuple[int, int] | None = None
+    seen: dict[bytes, Path] = {}
     for path in paths:
-        height, width = _read_grey(path, bits, size).shape
+        image = _read_grey(path, bits, size)
+        # A sensor never gives the same image twice: a file was copied under two names.
+        twin = seen.setdefault(hashlib.sha256(image.data).digest(), path)
+        if twin is not path:
+            raise DataError(
+                f"{path}: is the same image as {twin.name}; every step has an image of its own: "
+                "find the one that was copied by mistake"
+            )
+        height, width = image.shape
         size = width, height
     assert size is not None  # a plan has at least one fringe set
     return size

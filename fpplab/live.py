@@ -35,7 +35,7 @@ from fpplab.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map
 from fpplab.devices import Frame
 from fpplab.errors import DataError, DeviceError
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.patterns import fringe_level, quantise
+from fpplab.patterns import pattern_image
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.plan import Plan
 from fpplab.report.figures import error_limit
@@ -140,11 +140,13 @@ class Viewer:
             if self._server is not None:
                 self._server.stop()
 
-    def wait(self) -> None:
-        """Return once the window is closed, or on Ctrl-C; at once for a file."""
-        if self._server is not None and self.fault is None:
-            with suppress(KeyboardInterrupt):
-                self._server.wait()
+    def wait(self, announce: Callable[[str], None]) -> None:
+        """Tell `announce` where it shows; return once that is closed, or on Ctrl-C; at once for a file."""
+        if self._server is None or self.fault is not None:
+            return
+        with suppress(KeyboardInterrupt):  # Ctrl-C may come as soon as the first word is out
+            announce(self.where)
+            self._server.wait()
 
     @_harmless
     def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
@@ -161,7 +163,7 @@ class Viewer:
             plan, size, lattice = self._plan
             index, step, _ = list(plan.steps())[frame.index]
             if pattern is None:
-                pattern = quantise(fringe_level(plan.fringes[index], step, size, lattice))
+                pattern = pattern_image(plan, index, step, size, lattice)
             self._collect(frame, index, step)
         if pattern is not None:
             self._log("world/projector/pattern", _picture(pattern))
@@ -276,9 +278,7 @@ def view_session(
             viewer.cloud(load_cloud(session.path / CLOUD))
         if viewer.fault is not None:
             raise DeviceError("viewer", "show", viewer.fault, "save to a file instead")
-        if not isinstance(to, Path):
-            announce(viewer.where)
-        viewer.wait()
+        viewer.wait(announce)
         return viewer.where
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,22 @@ from fpplab.acquisition import Observer, acquire, expose, unseen
 from fpplab.calibration import Calibration
 from fpplab.characterisation import (
     Characterisation,
+    Level,
     Observation,
     characterise,
     finest_periods,
     observe,
+    out_of_step,
 )
 from fpplab.clouds import Cloud, save_cloud
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, Image
 from fpplab.devices import Frame
 from fpplab.errors import CalibrationError
-from fpplab.gamma import Response, fit_response
+from fpplab.gamma import Response
+from fpplab.greys import Greys, fit_greys, pixels_of_regions, statistics
 from fpplab.patterns import uniform_patterns
 from fpplab.phase import Decoded, decode
-from fpplab.plan import Plan
+from fpplab.plan import GreyLevels, Plan
 from fpplab.reconstruction import triangulate
 from fpplab.rig import Mounted, Rig
 from fpplab.session import Session
@@ -78,9 +82,14 @@ def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
     size, _ = session.projector()
     session.plan.check_projector(size, session.path)
     frames = session.stack(progress=lambda share: progress(0.5 * share))
-    decoded = decode(frames, session.plan, size, session.format[2], str(session.path))
+    decoded = _decode(session, frames)
     progress(1.0)
     return decoded
+
+
+def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
+    size, _ = session.projector()
+    return decode(frames, session.plan, size, session.format[2], str(session.path))
 
 
 def reconstruct(
@@ -106,13 +115,13 @@ def finish_scan(
 
 def mean_image(session: Session) -> NDArray[np.uint8]:
     """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
-    finest = session.plan.sets_along(session.plan.axes[0])[-1]
-    chosen = [i for i, (fringe, _, _) in enumerate(session.plan.steps()) if fringe == finest]
+    _, frames = session.finest()
     width, height, bits = session.format
     total = np.zeros((height, width), np.float32)
-    for i in chosen:
-        total += session.read(i, verify=False)
-    mean: NDArray[np.uint8] = np.rint(total / (len(chosen) * (1 << (bits - 8)))).clip(0, 255).astype(np.uint8)
+    for frame in frames:
+        total += frame
+    levels = np.rint(total / (len(frames) * (1 << (bits - 8))))
+    mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
     return mean
 
 
@@ -136,11 +145,17 @@ def take_poses(
 
 
 def characterise_sessions(
-    sessions: Sequence[Session], target: Target, progress: Progress = nothing
+    sessions: Sequence[Session],
+    target: Target,
+    progress: Progress = nothing,
+    *,
+    level: Level | Literal["auto"] = Level.TANGENTIAL,
+    refine_board: bool | None = None,
 ) -> Characterisation:
     """Camera, projector and the pose between them from one session per pose of a target.
 
-    A pose in which the target is not found is left out and named, as long as enough remain.
+    A pose in which the target is not found, or whose frames are out of step with the plan, is left out
+    and named, as long as enough remain. level, refine_board: as in `characterise`.
     Raises `CalibrationError`.
     """
     size, lattice = sessions[0].projector()
@@ -148,34 +163,74 @@ def characterise_sessions(
     observations: list[Observation] = []
     left_out: dict[str, str] = {}
     for k, session in enumerate(sessions):
-        decoded = decode_session(session)
-        name = session.path.name
         try:
-            observations.append(observe(name, mean_image(session), decoded, target, periods))
+            observations.append(_observe_session(session, target, periods))
         except CalibrationError as error:
-            left_out[name] = str(error)
+            left_out[session.path.name] = str(error)
         progress(0.8 * (k + 1) / len(sessions))
     width, height, _ = sessions[0].format
-    result = characterise(observations, target, (width, height), size, lattice, left_out=left_out)
+    result = characterise(
+        observations,
+        target,
+        (width, height),
+        size,
+        lattice,
+        left_out=left_out,
+        level=level,
+        refine_board=refine_board,
+    )
     progress(1.0)
     return result
 
 
-def measure_response(
-    rig: Rig, exposure_s: float, greys: Sequence[int] = tuple(range(0, 256, 17)), progress: Progress = nothing
-) -> tuple[Response, Floats]:
-    """Show uniform greys and fit the response; also the levels, (K, 2) of in and out in [0, 1].
+def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
+    """What one pose tells. Raises `CalibrationError` that names it."""
+    name = session.path.name
+    session.plan.check_projector(session.projector()[0], session.path)
+    frames = session.stack()
+    if lag := out_of_step(frames, session.plan):
+        raise CalibrationError(
+            f"{name}: the frames are out of step with the plan by one: frame 1 shows pattern {1 - lag}; "
+            "check the trigger, or the settling time when stepped, and take it again"
+        )
+    return observe(name, mean_image(session), _decode(session, frames), target, periods)
 
-    The mean of the middle ninth of the image stands for the frame: evenly lit, and free of the edge.
+
+def measure_response(
+    rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = nothing
+) -> tuple[Response, Floats]:
+    """Show uniform greys and fit the response; also the levels fitted, (K, 2) of in and out in [0, 1].
+
+    The greys are shown from black to white and back, `repeats` times in all, so that a lamp that drifts
+    does not pass for a response; before them one frame with the projector off.
+    Raises `CalibrationError`, `DeviceError`.
     """
+    wanted = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)
-    patterns = uniform_patterns(list(greys), rig.projector.caps.size)
-    levels = []
-    with closing(expose(rig, patterns, settings)) as shots:
-        for grey, frame in zip(greys, shots, strict=True):
-            height, width = frame.image.shape
-            middle = frame.image[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-            levels.append((grey / 255.0, float(middle.mean()) / ((1 << frame.settings.bits) - 1)))
-            progress(len(levels) / len(greys))
-    measured = np.array(levels)
-    return fit_response(measured[:, 0], measured[:, 1]), measured
+    shown = np.unique(np.rint(np.linspace(0, 255, wanted.levels)).astype(int))
+    patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    dark = _dark_frame(rig, exposure_s)
+    seen = np.empty((wanted.repeats, len(shown), *statistics(dark.image, dark.settings.bits).shape))
+    for repeat in range(wanted.repeats):
+        order = range(len(shown))[:: 1 if repeat % 2 == 0 else -1]
+        with closing(expose(rig, [patterns[i] for i in order], settings)) as shots:
+            for done, (i, frame) in enumerate(zip(order, shots, strict=True), 1):
+                seen[repeat, i] = statistics(frame.image, frame.settings.bits)
+                progress((repeat + done / len(shown)) / wanted.repeats)
+    response = fit_greys(
+        Greys(
+            shown=shown / 255.0,
+            seen=seen,
+            dark=statistics(dark.image, dark.settings.bits),
+            pixels=pixels_of_regions(dark.image),
+            bits=dark.settings.bits,
+        )
+    )
+    return response, np.array([(level.shown, level.seen) for level in response.measured])
+
+
+def _dark_frame(rig: Rig, exposure_s: float) -> Frame:
+    """A frame with the projector off: the camera's black level, and the light of the room."""
+    rig.camera.configure(rig.camera_settings(exposure_s))
+    rig.make_dark()
+    return rig.camera.snap()

@@ -31,7 +31,7 @@ from fpplab.conventions import Image, Lattice
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
-from fpplab.plan import Plan
+from fpplab.plan import FringeSet, Plan
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
 
@@ -215,6 +215,12 @@ class Session:
             if progress:
                 progress((i + 1) / self.plan.images)
         return images
+
+    def finest(self) -> tuple[FringeSet, list[Image]]:
+        """The finest fringe set along the first coded axis, and its frames; checksums are taken as good."""
+        finest = self.plan.sets_along(self.plan.axes[0])[-1]
+        chosen = [i for i, (fringe, _, _) in enumerate(self.plan.steps()) if fringe == finest]
+        return self.plan.fringes[finest], [self.read(i, verify=False) for i in chosen]
 
     @property
     def format(self) -> tuple[int, int, int]:

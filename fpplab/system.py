@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
+from pathlib import Path
 
 BLENDER = {
     "libX11.so.6": "libx11-6",
@@ -22,6 +24,12 @@ BLENDER = {
 
 USB = {"libusb-1.0.so.0": "libusb-1.0-0"}
 """What pyusb and hidapi talk through."""
+
+
+def cache_directory() -> Path:
+    """Where results that can be made again are kept for this user; not made yet."""
+    chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(chosen or Path.home() / ".cache") / "fpplab"
 
 
 def missing(libraries: dict[str, str]) -> list[str]:

@@ -28,6 +28,7 @@ REGISTRY = {
     "decode": "fpplab.benchmarks.decode:run",
     "triangulate": "fpplab.benchmarks.triangulate:run",
     "compare": "fpplab.benchmarks.compare:run",
+    "twin": "sim.benchmark:run",
 }
 
 

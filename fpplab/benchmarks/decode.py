@@ -33,6 +33,7 @@ from fpplab.patterns import fringe_level
 from fpplab.phase import decode
 from fpplab.phase.kernels import read_all
 from fpplab.plan import FringeSet, Plan
+from fpplab.system import cache_directory
 
 CAMERA = (5472, 3648)
 PROJECTOR = (912, 1140)
@@ -240,9 +241,8 @@ class _FringesProcess:
 
 
 def _environment() -> Path:
-    """Where the baseline is installed: in the user's cache directory."""
-    cache = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
-    return Path(cache) / "fpplab" / "bench-fringes"
+    """Where the baseline is installed."""
+    return cache_directory() / "bench-fringes"
 
 
 def _fringes_python() -> Path:

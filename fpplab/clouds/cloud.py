@@ -120,20 +120,28 @@ def load_cloud(path: Path) -> Cloud:
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
-    """A true shape in mm from STL, PLY or OBJ. Raises `ConfigError`, `DataError`."""
+    """A true shape in mm from STL, PLY or OBJ: its faces alone, joined wherever corners coincide.
+
+    Raises `ConfigError` for another suffix, `DataError` for a file that is missing, damaged or no mesh.
+    """
     import trimesh  # half a second that measuring does not need
 
     suffix = _known_suffix(path, MESH_SUFFIXES)
     try:
-        with path.open("rb") as stream:
-            mesh = trimesh.load_mesh(stream, file_type=suffix[1:])
+        # Unprocessed, for processing would drop corners that are not finite without a word.
+        with path.open("rb") as stream, np.errstate(invalid="ignore"):
+            mesh = trimesh.load_mesh(stream, file_type=suffix[1:], process=False)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
     except Exception as error:  # the readers of three formats raise what they like
-        raise DataError(f"{path}: is no readable {suffix[1:].upper()} mesh ({error})") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+        raise DataError(
+            f"{path}: is no readable {suffix[1:].upper()} mesh ({error}); export it again"
+        ) from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"{path}: holds no faces; give a mesh of the true shape, not a cloud")
-    return mesh
+    if not np.isfinite(mesh.vertices).all():
+        raise DataError(f"{path}: has corners that are not finite; export it again")
+    return trimesh.Trimesh(mesh.vertices, mesh.faces)
 
 
 def _known_suffix(path: Path, known: tuple[str, ...]) -> str:

@@ -27,6 +27,8 @@ STILL = 1e-7
 """Smallest motion that goes on, in rad and in sizes of the mesh."""
 FAR = 0.01
 """Median distance, in sizes of the mesh, from which a pose is not the sought one."""
+DETAIL, SIDE_POINTS = 0.004, 400_000
+"""Sizes of the mesh below which it is not asked which side of it is seen, and points that tell the side."""
 HUBER = 1.345
 TRIMMED = 0.8
 """Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else."""
@@ -84,6 +86,7 @@ class _Target:
         self.faces = np.ascontiguousarray(mesh.faces, np.int64)
         self.normals = np.asarray(mesh.face_normals, np.float64)
         self.size = float(np.linalg.norm(mesh.extents))
+        self.sides = _Sides(mesh, DETAIL * self.size)
 
     def residuals(self, points: Floats, pose: RigidTransform) -> tuple[Floats, Floats, Floats]:
         """Point-to-plane distances (N,), the placed points (N, 3) and their planes' normals (N, 3)."""
@@ -95,11 +98,35 @@ class _Target:
     def misfit(self, points: Floats, pose: RigidTransform) -> float:
         """Trimmed mean distance; a face seen from behind counts as far as the mesh is large."""
         placed = pose.apply(points)
-        square, face, _ = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
-        towards = pose.translation - placed
-        behind = np.einsum("ij,ij->i", towards, self.normals[face]) < 0.0
+        square, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
+        towards, side = pose.translation - placed, self.sides.at(foot, self.normals[face])
+        behind = np.einsum("ij,ij->i", towards, side) < 0.0
         distances = np.where(behind, self.size, np.sqrt(square))
         return float(np.sort(distances)[: int(np.ceil(TRIMMED * len(distances)))].mean())
+
+
+class _Sides:
+    """Which way a surface faces, for who overlooks detail: printed layers have grooves with undersides."""
+
+    def __init__(self, mesh: trimesh.Trimesh, detail_mm: float) -> None:
+        self._detail = detail_mm
+        points, faces = trimesh.sample.sample_surface(mesh, SIDE_POINTS, seed=0)
+        cells, cell = np.unique(self._cells(points), return_inverse=True)
+        self._known = cells
+        self._facing = np.zeros((len(cells), 3))
+        np.add.at(self._facing, cell, mesh.face_normals[faces])
+
+    def at(self, points: Floats, otherwise: Floats) -> Floats:
+        """Directions (N, 3) at points of the surface; `otherwise` where none of it was sampled."""
+        cells = self._cells(points)
+        place = np.minimum(np.searchsorted(self._known, cells), len(self._known) - 1)
+        known = self._known[place] == cells
+        return np.where(known[:, None], self._facing[place], otherwise)
+
+    def _cells(self, points: Floats) -> NDArray[np.int64]:
+        """One number for every cell, unique within 2^20 cells along each axis."""
+        i = np.floor(np.asarray(points) / self._detail).astype(np.int64) + (1 << 19)
+        return np.asarray((i[:, 0] << 40) + (i[:, 1] << 20) + i[:, 2])
 
 
 def _near(points: Floats, target: _Target, pose: RigidTransform) -> bool:

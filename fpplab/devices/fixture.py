@@ -59,10 +59,15 @@ class Fixture(Device):
 
     @final
     def check(self, item: str, pose: int = 0) -> None:
-        """Refuse an item or pose that it has not: `SettingError`; nothing moves."""
+        """Refuse an item or pose that it has not: `SettingError`; nothing moves.
+
+        Raises `ConfigError` for an item that it has and cannot put up.
+        """
         self._need(State.IDLE, doing="check")
         if item != "nothing":
             self._check_held("check", item, pose)
+            with self._guard("check"):
+                self._check(item, pose)
 
     def _check_held(self, doing: str, item: str, pose: int) -> None:
         items = self.caps.items
@@ -75,6 +80,9 @@ class Fixture(Device):
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
         """An operator's hands know no pose; a fixture that does overrides this."""
         return None
+
+    def _check(self, item: str, pose: int) -> None:
+        """Refuse what `caps` lists but cannot be put up."""
 
     @abstractmethod
     def _caps(self) -> FixtureCaps: ...

@@ -25,6 +25,7 @@ from PIL import Image as Pixels
 
 from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask
 from fpplab.errors import DataError
+from fpplab.gamma import Response
 from fpplab.report.raster import CloudLike, block_mean, lay, raster
 
 HALF, FULL = 4.8, 9.6
@@ -333,6 +334,65 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
         xlim=(-0.02, 1.02),
     )
     return figure
+
+
+@_picture
+def response_fit(response: Response) -> Figure:
+    """A fitted response: levels with error bars and the curve, the misfit below, regions' exponents beside.
+
+    Error bars span two standard uncertainties each way.
+    Raises `DataError` for a response that does not say what it was fitted to.
+    """
+    if not response.measured or not response.regions:
+        raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
+    shown, seen, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
+    error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
+    figure = Figure(figsize=(FULL, 3.8), dpi=DPI, layout="compressed", facecolor="white")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
+    curve, misfit = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
+    axis = np.linspace(0, 1, 200)
+    curve.plot(axis, response.apply(axis), color=SECOND, linewidth=1.5, label=_formula(response))
+    curve.errorbar(
+        shown,
+        seen,
+        error,
+        fmt="o",
+        color=ACCENT,
+        markersize=3.5,
+        label="seen, ± 2 standard uncertainties",
+        capsize=2,
+    )
+    curve.set(ylabel="level seen, of full scale", xlim=(-0.02, 1.02))
+    curve.legend(loc="upper left")
+    misfit.axhline(0, color=SECOND, linewidth=1.2)
+    misfit.errorbar(shown, 255 * rest, 255 * error, fmt="o", color=ACCENT, markersize=3.5, capsize=2)
+    misfit.set(
+        xlabel="level shown, of full scale", ylabel="seen − fitted\nin greys of 255", xlim=(-0.02, 1.02)
+    )
+    _region_exponents(figure.add_subplot(grid[:, 1]), response)
+    return figure
+
+
+def _region_exponents(axes: Axes, response: Response) -> None:
+    """g of every region, with two standard uncertainties, against that of all together."""
+    names = [f"{r.row + 1}, {r.column + 1}" for r in response.regions]
+    place = np.arange(len(names))
+    reach = 2 * response.sigma[2]
+    axes.axvspan(response.g - reach, response.g + reach, color=SECOND, alpha=0.25, linewidth=0)
+    axes.axvline(response.g, color=SECOND, linewidth=1.2)
+    axes.errorbar(
+        [r.g for r in response.regions],
+        place,
+        xerr=[2 * r.sigma_g for r in response.regions],
+        fmt="o",
+        color=ACCENT,
+        markersize=3.5,
+        capsize=2,
+    )
+    axes.set_yticks(place, names)
+    axes.set(xlabel="exponent g of each region", ylabel="region: row, column", ylim=(len(names) - 0.5, -0.5))
+    axes.xaxis.set_major_formatter(mpl.ticker.FormatStrFormatter("%.4f"))
+    axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(4))
 
 
 @_picture

@@ -56,6 +56,11 @@ class Figure:
     caption: str
     wide: bool = False
 
+    @classmethod
+    def of(cls, png: bytes, alt: str, caption: str, wide: bool = False) -> Figure:
+        """From the file's bytes."""
+        return cls(base64.b64encode(png).decode("ascii"), alt, caption, wide)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -99,11 +104,23 @@ def write_report(
     if characterisation:
         sections.append(_characterisation_section(characterisation))
     sections += [_scan_section(scan) for scan in scans]
+    write_page(path, title, _summary(characterisation, scans), sections, facts, when)
+
+
+def write_page(
+    path: Path,
+    title: str,
+    summary: Sequence[Table],
+    sections: Sequence[Section],
+    facts: Mapping[str, str] | None = None,
+    when: datetime | None = None,
+) -> None:
+    """Write tables and sections as one HTML file, whole or not at all. Raises `DataError`."""
     page = _template().render(
         title=title,
         when=(when or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
         facts=facts or {},
-        summary=_summary(characterisation, scans),
+        summary=summary,
         sections=sections,
         version=__version__,
     )
@@ -119,7 +136,7 @@ def _template() -> Any:
 
 
 def _figure(png: bytes, alt: str, caption: str, wide: bool = False) -> Figure:
-    return Figure(base64.b64encode(png).decode("ascii"), alt, caption, wide)
+    return Figure.of(png, alt, caption, wide)
 
 
 # Summary
@@ -261,7 +278,7 @@ def _response_section(response: Response, levels: Floats) -> Section:
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
     columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
     picture = _figure(
-        figures.response_curve(response, levels),
+        figures.response_fit(response) if response.regions else figures.response_curve(response, levels),
         f"Response of projector and camera, with a fitted exponent of {response.g:.3f}",
         "Left: the levels measured and the fitted response. Right: measured minus fitted.",
         wide=True,

@@ -21,10 +21,8 @@ def scan_section(
     name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
 ) -> ScanSection:
     """What the report shows of one scan: the finest fringes along the first axis, and the results."""
-    plan = session.plan
-    finest = plan.sets_along(plan.axes[0])[-1]
-    frames = [session.read(i, verify=False) for i, (k, _, _) in enumerate(plan.steps()) if k == finest]
-    wrapped = wrapped_phase(frames, plan.fringes[finest])
+    fringe, frames = session.finest()
+    wrapped = wrapped_phase(frames, fringe)
     return ScanSection(
-        name, plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
+        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
     )

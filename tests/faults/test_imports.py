@@ -89,6 +89,11 @@ def test_an_image_of_another_size(folder: Path) -> None:
     refuses(folder, "f_03.png: is 21 x 16 pixels but the first image is 20 x 16")
 
 
+def test_one_image_under_two_names(folder: Path) -> None:
+    replace(folder, 3, image_of(1))
+    refuses(folder, "f_03.png: is the same image as f_01.png; every step has an image of its own")
+
+
 def test_more_bits_than_promised(folder: Path) -> None:
     replace(folder, 1, image_of(1).astype(np.uint16) * 257)
     refuses(folder, "f_01.png: holds 16-bit grey levels but 8 bits were promised; see --bits")
@@ -100,7 +105,7 @@ def test_fewer_bits_than_promised(folder: Path) -> None:
 
 def test_a_level_that_the_bits_do_not_hold(folder: Path) -> None:
     for index in range(4):
-        replace(folder, index, np.full((16, 20), 4095 + (index == 2), np.uint16))
+        replace(folder, index, np.full((16, 20), 4096 if index == 2 else 4090 + index, np.uint16))
     refuses(folder, "f_02.png: has a grey level of 4096, more than 12 bits hold", bits=12)
 
 

@@ -34,10 +34,32 @@ def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  
     _, found = calibration
     assert found["poses"] == 5
     assert not found["left_out"]
-    assert found["camera"]["rms_px"] <= 0.30
-    assert found["projector"]["rms_px"] <= 0.35
+    assert found["camera"]["rms_px"] <= 0.10
+    assert found["projector"]["rms_px"] <= 0.11
     assert found["stereo_rms_px"] <= 0.36
-    assert found["joint_rms_px"] <= 0.36
+    assert found["joint_rms_px"] <= 0.11
+    assert max(found["leave_one_out"].values()) <= 0.20
+    assert found["model"] == "tangential"
+    assert [m["model"] for m in found["models"]] == ["tangential"]
+    assert 0 < found["rejected"] < 20
+    assert len(found["warnings"]) == 1
+
+
+def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
+    folder = calibration[0].parent
+    done = fpplab(
+        "characterise", folder / "board", "--target", "target_slstudio", "--out", folder / "flat.yaml",
+        "--flat-board", "--model", "auto", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert done.json["model"] == "k1"
+    assert [m["model"] for m in done.json["models"]] == ["k1", "k2", "tangential", "k3"]
+    assert done.json["leave_one_out"]["camera_px"] <= 0.33
+    assert done.json["leave_one_out"]["projector_px"] <= 0.40
+    assert "warning: no point of a board lay in this part of the camera's image" in done.err
+    page = (folder / "flat.html").read_text()
+    assert "k1: distortion k1" in page
+    assert "point 109 lies" in page
 
 
 def test_the_skull_is_reconstructed(

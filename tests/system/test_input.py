@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image as Pillow
 
+from tests.faults.recording import image_of
 from tests.system.conftest import ROOT, Command, Demo
 
 
@@ -112,6 +115,36 @@ def test_missing_frame_is_named(fpplab: Command, demo: Demo, tmp_path: Path) -> 
     assert done.code == 4
     assert "frame 7" in done.json["error"]
     assert not (tmp_path / "x.npz").exists()
+
+
+BAD_IMAGES = {
+    "16 bits": (image_of(2).astype(np.uint16) * 257, "f_02.png: holds 16-bit grey levels but 8 bits"),
+    "colour": (np.zeros((16, 20, 3), np.uint8), "f_02.png: is not a grey image (its mode is RGB)"),
+    "another size": (
+        np.zeros((16, 21), np.uint8),
+        "f_02.png: is 21 x 16 pixels but the first image is 20 x 16",
+    ),
+    "a duplicate": (image_of(0), "f_02.png: is the same image as f_00.png"),
+    "missing": (None, "1 of the plan's 4 frames are missing (f_02.png)"),
+}
+
+
+@pytest.mark.parametrize(("image", "words"), BAD_IMAGES.values(), ids=BAD_IMAGES.keys())
+def test_wrong_loose_images(
+    fpplab: Command, tmp_path: Path, image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None, words: str
+) -> None:
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(yaml.safe_dump({"fringes": [FRINGE]}))
+    for index in range(4):
+        wanted = image if index == 2 else image_of(index)
+        if wanted is not None:
+            Pillow.fromarray(wanted).save(tmp_path / f"f_{index:02d}.png")
+    done = fpplab(
+        "import", tmp_path, "--plan", plan, "--frames", "f_{index:02d}.png", "--out", tmp_path / "s", "--json"
+    )
+    assert done.code == 4
+    assert words in done.json["error"]
+    assert not (tmp_path / "s").exists()
 
 
 def test_not_a_session(fpplab: Command, tmp_path: Path) -> None:

@@ -247,6 +247,17 @@ def test_alignment_corrects_a_small_motion_exactly() -> None:
     assert np.abs(rest.apply(mesh.vertices) - mesh.vertices).max() < 0.01
 
 
+def test_alignment_finds_a_printed_part_from_far() -> None:
+    """The grooves between its layers have undersides, which say nothing about the side that is seen."""
+    printed = artefacts.sliced(artefacts.make("pyramid"), 0.4, 0.06)
+    true = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.0]), np.array([0.0, 0.0, 460.0]))
+    cloud = perfect_cloud(printed.copy().apply_transform(true.matrix), 0.03)
+    found = align_mesh(cloud.points.astype(np.float64), printed).transform
+    towards = found.rotation @ np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(towards, [0, 0, -1], atol=2e-3)
+    np.testing.assert_allclose(found.translation, true.translation, atol=0.1)
+
+
 def test_alignment_to_something_else_is_refused() -> None:
     ball = np.random.default_rng(0).normal(size=(3000, 3))
     ball = 200.0 * ball / np.linalg.norm(ball, axis=1)[:, None] + [0, 0, 600]

@@ -1,0 +1,185 @@
+"""Whether a measuring system keeps what it promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from fpplab import console
+from fpplab.cli.app import Force, Json, Out, PlanName, app
+from fpplab.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from fpplab.acceptance import Acceptance, Standard
+    from fpplab.calibration import Calibration
+    from fpplab.clouds import Cloud
+    from fpplab.plan import Plan
+
+LISTS = ("--spheres", "--planes")
+
+
+class TakesLists(TyperCommand):
+    """Lets `--spheres` and `--planes` be followed by any number of paths."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, spread(args))
+
+
+def spread(words: Sequence[str]) -> list[str]:
+    """`--spheres A B` as `--spheres A --spheres B`."""
+    plain: list[str] = []
+    current, followed = "", True
+    for word in [*words, "-"]:
+        if current and not word.startswith("-"):
+            plain += [current, word]
+            followed = True
+        elif not followed:
+            raise ConfigError(f"{current} is followed by no path; name the clouds or sessions")
+        elif word in LISTS:
+            current, followed = word, False
+        else:
+            plain.append(word)
+            current = ""
+    return plain[:-1]
+
+
+@app.command(cls=TakesLists)
+def verify(
+    standard: Annotated[str, typer.Option("--standard", help="Standard file: the standards and limits.")],
+    out: Out,
+    spheres: Annotated[
+        list[Path] | None, typer.Option("--spheres", help="Clouds or sessions of the ball bar, any number.")
+    ] = None,
+    planes: Annotated[
+        list[Path] | None, typer.Option("--planes", help="Clouds or sessions of the plane, any number.")
+    ] = None,
+    mpe: Annotated[
+        str, typer.Option("--mpe", help="Maximum permissible errors in µm, such as PF=50,SD=30.")
+    ] = "",
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="Measure the standard's items now, on this rig.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
+    ] = None,
+    plan: PlanName = "plan_paper.yaml",
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Acceptance test in the manner of VDI/VDE 2634 part 2, on a ball bar and a plane.
+
+    Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F,
+    each in µm beside its maximum permissible error. A test that is not passed is a result and no fault:
+    the exit code is 0, and `passed` is false. Writes OUT, a report.
+
+    Examples: `fpplab verify --standard standard_demo --spheres bar1/cloud.ply bar2/cloud.ply
+    --planes plane1/cloud.ply --out verify.html`;
+    `fpplab verify --standard standard_demo --rig rig_demo --calibration calibration.yaml --out verify.html`
+    """
+    from fpplab.acceptance import Standard
+    from fpplab.calibration import Calibration
+    from fpplab.files import need_suffix, refuse_existing
+    from fpplab.plan import Plan
+
+    need_suffix(out, ".html")
+    refuse_existing(out, force)
+    if bool(spheres or planes) == bool(rig):
+        raise ConfigError("give either --spheres and --planes, or --rig, to say where the points come from")
+    known = Standard.load(standard).permitting([word for word in mpe.split(",") if word.strip()])
+    model = Calibration.load(calibration) if calibration else None
+    with console.stopwatch() as seconds:
+        bars, flats = _named(spheres or []), _named(planes or [])
+        if rig:
+            bars, flats = _measured(rig, known, model, Plan.load(plan), out, force)
+        from fpplab.acceptance import verify as judge
+        from fpplab.report.acceptance import write_acceptance_report
+
+        with console.progress("Verifying"):
+            again = None if rig else model
+            result = judge(known, _clouds(bars, again), _clouds(flats, again))
+            write_acceptance_report(out, result)
+        elapsed = seconds()
+    for notice in result.notices():
+        console.say(notice)
+    answer = {**result.summary(), "seconds": elapsed, "report": str(out)}
+    console.answer(answer, json, lambda: _show(result, out))
+
+
+def _named(paths: Sequence[Path]) -> dict[str, Path]:
+    """Clouds and sessions by name. Raises `ConfigError` for one that is missing, or given twice."""
+    names = [str(path) for path in paths]
+    for path, name in zip(paths, names, strict=True):
+        if names.count(name) > 1:
+            raise ConfigError(f"{name}: is given twice; each position of a standard counts once")
+        if not path.exists():
+            raise ConfigError(f"{name}: there is no such cloud or session")
+    return dict(zip(names, paths, strict=True))
+
+
+def _clouds(sources: Mapping[str, Path], calibration: Calibration | None) -> Iterator[tuple[str, Cloud]]:
+    for name, path in sources.items():
+        yield name, _cloud(path, calibration)
+
+
+def _cloud(path: Path, calibration: Calibration | None) -> Cloud:
+    """A cloud from its file; or from a session: reconstructed anew if a calibration is given."""
+    from fpplab.clouds import load_cloud
+    from fpplab.measurement import CLOUD, reconstruct
+    from fpplab.session import Session
+
+    if not path.is_dir():
+        return load_cloud(path)
+    if calibration:
+        return reconstruct(Session.open(path), calibration)[1]
+    if not (path / CLOUD).is_file():
+        raise DataError(f"{path}: holds no {CLOUD}; give --calibration to reconstruct it")
+    return load_cloud(path / CLOUD)
+
+
+def _measured(
+    rig: str, standard: Standard, calibration: Calibration | None, plan: Plan, out: Path, force: bool
+) -> tuple[dict[str, Path], dict[str, Path]]:
+    """Sessions of every item that the standard names, by item, scanned into a folder beside the report."""
+    if calibration is None:
+        raise ConfigError("--rig needs --calibration, the rig's own; make it with fpplab characterise")
+    items = standard.items
+    if not (items.ball_bar or items.plane):
+        raise ConfigError(
+            f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
+        )
+    from fpplab.measurement import finish_scan, take
+    from fpplab.phase import check_unwrapping
+    from fpplab.rig import Rig
+
+    check_unwrapping(plan, "--plan")
+    folder = out.with_name(out.stem + "_scans")
+    with Rig.load(rig) as bench:
+        fixture, caps = bench.need_fixture("fpplab verify --rig"), bench.projector.caps
+        plan.check_projector(caps.size, "--plan")
+        calibration.check_camera(bench.camera.caps.size, "--calibration")
+        calibration.check_projector(caps.size, caps.lattice, "--calibration")
+        for item in (*items.ball_bar, *items.plane):
+            fixture.check(item)
+        for item in (*items.ball_bar, *items.plane):
+            with console.progress(f"Scanning {item}") as report:
+                session = take(
+                    bench, plan, folder / item, (item, 0), force=force, complete_too=True, progress=report
+                )
+                finish_scan(session, calibration)
+    return {name: folder / name for name in items.ball_bar}, {name: folder / name for name in items.plane}
+
+
+def _show(result: Acceptance, out: Path) -> None:
+    rows = [
+        [name, found.worst_um, found.mpe_um or "–", WORDS[found.passed]]
+        for name, found in result.judgements().items()
+    ]
+    console.table(f"Acceptance test: {result.standard.name}", ["", "worst µm", "permitted µm", ""], rows)
+    console.stdout.print(f"{WORDS[result.passed]}; report: {out}", markup=False)
+
+
+WORDS = {True: "passed", False: "not passed", None: "not judged"}

@@ -1,0 +1,45 @@
+"""The program, and the options that commands have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from fpplab.errors import Cancelled
+
+
+class Commands(TyperGroup):
+    """Turns Ctrl-C into the project's own word for it, with its exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Cancelled("cancelled") from None
+
+
+app = typer.Typer(
+    name="fpplab",
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="""Measure surfaces by fringe projection, on a bench or on its digital twin.
+
+A **rig** file says which devices, a **plan** what to project, a **target** which board. The usual
+order: `characterise` once, then `scan`, then `compare` with the true shape. `fpplab demo` does all
+of it on the virtual bench and leaves a report to look at.
+
+Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
+RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
+PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
+CalibrationFile = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
+Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]

@@ -1,0 +1,99 @@
+"""What goes out of fpplab and comes in: printed boards, and calibrations of other programs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Force, Json, Out, app
+from fpplab.conventions import Lattice
+from fpplab.errors import ConfigError
+
+
+@app.command()
+def target(
+    name: Annotated[
+        str, typer.Argument(metavar="TARGET", help="Target file, or the name of one that comes with fpplab.")
+    ],
+    make: Annotated[Path, typer.Option("--make", help="The page to write: .pdf or .svg.")],
+    paper: Annotated[
+        str, typer.Option("--paper", help="A4, A3, letter, or width x height in mm like 300x200.")
+    ] = "A4",
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Draw a board for printing, at true scale, with a ruler to prove it.
+
+    Example: `fpplab target target_paper --make board.pdf`
+    """
+    from fpplab.files import refuse_existing
+    from fpplab.targets import Target
+    from fpplab.targets.printing import print_target
+
+    board = Target.load(name)
+    refuse_existing(make, force)
+    sheet = print_target(board, make, paper, Path(name).stem)
+    console.answer(asdict(sheet), json)
+
+
+@app.command()
+def convert(
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="A calibration of fpplab, or the files of OpenCV that hold one together."),
+    ],
+    out: Out,
+    camera_size: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--camera-size", help="Width and height in px, if the files do not say."),
+    ] = None,
+    projector_size: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--projector-size", help="Width and height in px, if the files do not say."),
+    ] = None,
+    lattice: Annotated[
+        Lattice | None, typer.Option("--lattice", help="How the mirrors lie, if the files do not say.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Exchange calibrations with programs that use OpenCV's files.
+
+    A calibration of fpplab becomes OpenCV's FileStorage (M1 D1 M2 D2 R T; .xml or .yml);
+    OpenCV's files, lengths in mm, become a calibration of fpplab (.yaml). Pixels are counted alike.
+
+    Examples: `fpplab convert calibration.yaml --out stereo.xml`;
+    `fpplab convert stereo.yml --out calibration.yaml --camera-size 1368 912 --projector-size 912 1140
+    --lattice diamond`; `fpplab convert camera.yml projector.yml extrinsics.yml --out calibration.yaml
+    --lattice square`
+    """
+    from fpplab.calibration import Calibration
+    from fpplab.files import need_suffix, refuse_existing, write_text
+    from fpplab.interchange import from_opencv, is_opencv, to_opencv
+
+    foreign = [is_opencv(file) for file in files]
+    if all(foreign):
+        need_suffix(out, ".yaml")
+        refuse_existing(out, force)
+        calibration = from_opencv(files, camera_size, projector_size, lattice)
+        calibration.save(out)
+    elif len(files) == 1:
+        if camera_size or projector_size or lattice:
+            raise ConfigError(f"{files[0]}: says itself what its devices are; leave sizes and lattice out")
+        need_suffix(out, ".xml", ".yml")
+        refuse_existing(out, force)
+        calibration = Calibration.load(files[0])
+        if calibration.uncertainty:
+            console.say(f"{out}: without the uncertainties of {files[0]}, for which OpenCV has no entry")
+        write_text(out, to_opencv(calibration, "xml" if out.suffix.lower() == ".xml" else "yaml"))
+    else:
+        own = files[foreign.index(False)]
+        raise ConfigError(f"{own}: is a calibration of fpplab and complete; give it alone")
+    console.answer(
+        {"file": out, "baseline_mm": calibration.baseline_mm, "lattice": str(calibration.projector.lattice)},
+        json,
+    )

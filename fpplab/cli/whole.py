@@ -1,0 +1,54 @@
+"""The whole story on the virtual bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Force, Json, Out, app
+
+
+@app.command()
+def demo(
+    out: Out = Path("fpplab-demo"),
+    quick: Annotated[bool, typer.Option("--quick", help="684 x 456 pixels instead of 1368 x 912.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Measure three artefacts on the virtual bench, from gamma to report.
+
+    Shows the whole method: response, characterisation with a circle board, scans of a pyramid,
+    pillars and steps, comparison with their true shapes. Open the report it names.
+
+    Example: `fpplab demo --quick --out first-look`
+    """
+    from fpplab.demo import run_demo
+
+    result = run_demo(out, quick, force)
+    console.answer(result, json, lambda: _show_demo(result))
+
+
+def _show_demo(result: dict[str, Any]) -> None:
+    scans = [[s[k] for k in DEMO_COLUMNS] for s in result["scans"]]
+    console.table("Scans", list(DEMO_COLUMNS.values()), scans)
+    found = result["characterisation"]
+    console.stdout.print(
+        f"camera {found['camera']['rms_px']:.3f} px, projector {found['projector']['rms_px']:.3f} px, "
+        f"mean surface SMCD {result['mean_surface_smcd_um']:.1f} µm, {result['seconds']:.0f} s"
+    )
+    console.stdout.print(f"report: {result['report']}")
+
+
+DEMO_COLUMNS = {
+    "artefact": "artefact",
+    "images": "images",
+    "points": "points",
+    "surface_rms_um": "RMS µm",
+    "surface_smcd_um": "surface SMCD µm",
+    "smcd_um": "SMCD µm",
+    "smcd_floor_um": "its floor µm",
+    "completeness": "complete",
+}
