@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from fpplab.calibration import Calibration
 from fpplab.clouds import Cloud, load_cloud
-from fpplab.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map
+from fpplab.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, raw_per_grey
 from fpplab.devices import Frame
 from fpplab.errors import DataError, DeviceError
 from fpplab.geometry import Pinhole, RigidTransform
@@ -182,7 +182,7 @@ class Viewer:
     @_harmless
     def phase(self, wrapped: Wrapped, bits: int = 8) -> None:
         """The wrapped phase of the latest fringe set, of frames of `bits` depth."""
-        faint = FAINT * (1 << (bits - 8))
+        faint = FAINT * raw_per_grey(bits)
         phase = np.where(wrapped.modulation >= faint, wrapped.phase, np.float32(np.nan))
         self._map("maps/phase", phase, "twilight", (0.0, TWO_PI))
 

@@ -3,6 +3,7 @@
 from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.acceptance.verification import (
+    VERDICTS,
     Acceptance,
     BallBarTest,
     Measured,
@@ -15,6 +16,7 @@ from fpplab.acceptance.verification import (
 
 __all__ = [
     "QUANTITIES",
+    "VERDICTS",
     "Acceptance",
     "BallBarTest",
     "Measured",

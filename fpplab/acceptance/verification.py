@@ -32,6 +32,8 @@ POSITIONS = 3
 """Fewer positions of a standard say little about the measuring volume."""
 FAR_OFF = 0.1
 """Relative deviation from which a diameter or spacing is not that of the standard at all."""
+VERDICTS = {True: "passed", False: "not passed", None: "not judged"}
+"""What a judgement says to people."""
 
 Clouds = Iterable[tuple[str, Cloud]]
 """Each with the name of its source."""

@@ -174,12 +174,11 @@ def _measured(
 
 
 def _show(result: Acceptance, out: Path) -> None:
+    from fpplab.acceptance import VERDICTS
+
     rows = [
-        [name, found.worst_um, found.mpe_um or "–", WORDS[found.passed]]
+        [name, found.worst_um, found.mpe_um or "–", VERDICTS[found.passed]]
         for name, found in result.judgements().items()
     ]
     console.table(f"Acceptance test: {result.standard.name}", ["", "worst µm", "permitted µm", ""], rows)
-    console.stdout.print(f"{WORDS[result.passed]}; report: {out}", markup=False)
-
-
-WORDS = {True: "passed", False: "not passed", None: "not judged"}
+    console.stdout.print(f"{VERDICTS[result.passed]}; report: {out}", markup=False)

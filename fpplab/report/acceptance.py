@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
-from fpplab.acceptance import QUANTITIES, Acceptance, BallBarTest, Measured, PlaneTest, SphereTest
-from fpplab.report import figures
+from fpplab.acceptance import QUANTITIES, VERDICTS, Acceptance, BallBarTest, Measured, PlaneTest, SphereTest
+from fpplab.report.drawing import FULL, colour_bar, pair, picture, show
+from fpplab.report.figures import error_limit, error_map
 from fpplab.report.page import Figure, Section, Table, write_page
 from fpplab.report.raster import lay, raster
 
-WORDS = {True: "passed", False: "not passed", None: "not judged"}
 JUDGED = (
     "Quantity",
     "Values",
@@ -48,7 +48,7 @@ def write_acceptance_report(path: Path, found: Acceptance) -> None:
     rule = found.standard.evaluation
     facts = {
         "Standard": found.standard.name,
-        "Result": WORDS[found.passed],
+        "Result": VERDICTS[found.passed],
         "Method": "in the manner of VDI/VDE 2634 part 2, from single views",
         "Points that count": f"incidence up to {rule.cap_deg:g}°, {rule.edge_mm:g} mm inside edges",
     }
@@ -65,7 +65,7 @@ def _summary(found: Acceptance) -> list[Table]:
             _signed(name, j.worst_um),
             f"{j.known_to_um:g}",
             "–" if j.mpe_um is None else f"{j.mpe_um:g}",
-            WORDS[j.passed],
+            VERDICTS[j.passed],
         )
         for name, j in found.judgements().items()
     )
@@ -117,28 +117,28 @@ def _plane_section(plane: PlaneTest, number: int) -> Section:
     )
     caption = "Signed distance of every point that counts from the fitted plane; red lies towards the camera."
     found, distances = _Drawn.of(plane.measured)
-    drawn = Figure.of(figures.error_map(found, distances), "Map of the plane's signed errors", caption, True)
+    drawn = Figure.of(error_map(found, distances), "Map of the plane's signed errors", caption, True)
     return Section(f"Plane, position {number}", text, figures=(drawn,))
 
 
-@figures._picture
+@picture
 def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
     """Both spheres of a ball bar, coloured alike by their signed errors, without what was discarded.
 
     The colours span ± the 98th percentile of the absolute error, which is stated.
     """
     drawn = [_Drawn.of(test.measured) for test in spheres]
-    limit = figures.error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
-    sheet, panels = figures._pair(0.44 * figures.FULL, (1.0, 1.0))
+    limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
+    sheet, panels = pair(0.44 * FULL, (1.0, 1.0))
     for axes, test, (found, distances) in zip(panels, spheres, drawn, strict=True):
         grid = raster(found)
         laid, extent = lay(grid, 1e3 * distances[:, None])
-        mappable = figures._show(axes, laid[..., 0], "RdBu_r", (-limit, limit), extent)
+        mappable = show(axes, laid[..., 0], "RdBu_r", (-limit, limit), extent)
         axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
         title = f"Sphere {test.number}: PF {test.form_um:.1f} µm, RMS {test.measured.rms_um:.1f} µm"
         axes.set_title(title, fontsize=8.5)
     label = f"signed error in µm (range ±{limit:.3g}, 98 % of points)"
-    figures._colour_bar(sheet, panels[-1], mappable, label)
+    colour_bar(sheet, panels[-1], mappable, label)
     return sheet
 
 

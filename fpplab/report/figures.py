@@ -7,53 +7,43 @@ interface alone, so that drawing neither opens windows nor leaves state behind.
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import Any, ParamSpec, Protocol, cast
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from numpy.typing import NDArray
-from PIL import Image as Pixels
 
-from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask
+from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
 from fpplab.errors import DataError
 from fpplab.gamma import Response
+from fpplab.report.drawing import (
+    ACCENT,
+    ALARM,
+    FULL,
+    INK,
+    SECOND,
+    blank,
+    colour_bar,
+    map_height,
+    map_sheet,
+    pair,
+    picture,
+    sensor_axes,
+    sheet,
+    show,
+    thinning,
+    value_range,
+)
 from fpplab.report.raster import CloudLike, block_mean, lay, raster
 
-HALF, FULL = 4.8, 9.6
-"""Widths in inches of pictures that stand in pairs, and alone."""
-DPI = 160
-FINEST = 1200
-"""Columns beyond which a map is thinned before it is drawn."""
 RELIEF_COLUMNS = 760
 """Columns of a relief: points are averaged to this, which takes the noise out of the normals."""
 CONTOUR_COLUMNS = 400
-UNMEASURED = "#b9bcc0"
-INK, ACCENT, SECOND, ALARM = "#22262b", "#1f6f9f", "#c0662b", "#ff3b1f"
-STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#6c727a",
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": "#4a5058",
-    "ytick.color": "#4a5058",
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-}
 
 
 class ResponseLike(Protocol):
@@ -67,45 +57,21 @@ class ResponseLike(Protocol):
     def g(self) -> float: ...
 
 
-P = ParamSpec("P")
-
-
-def _picture(draw: Callable[P, Figure]) -> Callable[P, bytes]:
-    """Draw in the house style and return the PNG file."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
-        with mpl.rc_context(cast(Any, STYLE)):
-            return _png(draw(*args, **kwargs))
-
-    return drawn
-
-
-def _png(figure: Figure) -> bytes:
-    """A PNG of 256 colours: a third of the size, which is what a page of many pictures needs."""
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    rgb = Pixels.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    stream = io.BytesIO()
-    rgb.quantize(256, dither=Pixels.Dither.NONE).save(stream, "PNG", optimize=True)
-    return stream.getvalue()
-
-
-@_picture
+@picture
 def camera_image(image: Image, bits: int = 8) -> Figure:
     """One frame with its saturated pixels marked. image: raw integers [v, u]; bits: their depth."""
-    full = (1 << bits) - 1
+    full = full_scale(bits)
     saturated = image >= full
-    figure, axes = _map_sheet(image.shape)
-    step = _thinning(image.shape)
+    figure, axes = map_sheet(image.shape)
+    step = thinning(image.shape)
     bright = max(float(np.percentile(image[::step, ::step], 99.8)), 1.0)
-    mappable = _show(axes, image, "gray", (0.0, bright))
+    mappable = show(axes, image, "gray", (0.0, bright))
     share = float(saturated.mean())
     label = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
     if share:
         marks = cv2.dilate(saturated.astype(np.uint8), np.ones((2 * step + 1,) * 2, np.uint8)) > 0
         overlay = np.where(marks, 1.0, np.nan)
-        _show(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
+        show(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
     axes.legend(
         handles=[Patch(facecolor=ALARM if share else "none", label=label)],
         loc="lower right",
@@ -113,26 +79,26 @@ def camera_image(image: Image, bits: int = 8) -> Figure:
         borderpad=0.1,
         handlelength=1.0 if share else 0.0,
     )
-    _colour_bar(figure, axes, mappable, f"grey level (full scale {full})")
+    colour_bar(figure, axes, mappable, f"grey level (full scale {full})")
     return figure
 
 
-@_picture
+@picture
 def wrapped_phase(phase: Map) -> Figure:
     """The phase of one fringe set in rad, [0, 2π), on a cyclic colour map."""
-    figure, axes = _map_sheet(phase.shape)
-    bar = _colour_bar(figure, axes, _show(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
+    figure, axes = map_sheet(phase.shape)
+    bar = colour_bar(figure, axes, show(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
     bar.set_ticks([0, np.pi / 2, np.pi, 1.5 * np.pi, TWO_PI], labels=["0", "π/2", "π", "3π/2", "2π"])
     return figure
 
 
-@_picture
+@picture
 def coordinate(values: Map, axis: Axis) -> Figure:
     """The projector's coordinate in px along `axis`, with contour lines."""
-    figure, axes = _map_sheet(values.shape)
-    limits = _range(values, 0.1, 99.9)
-    mappable = _show(axes, values, "viridis", limits)
-    bar = _colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
+    figure, axes = map_sheet(values.shape)
+    limits = value_range(values, 0.1, 99.9)
+    mappable = show(axes, values, "viridis", limits)
+    bar = colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
     coarse, (height, width) = block_mean(values, CONTOUR_COLUMNS), values.shape
     levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
     known = coarse[np.isfinite(coarse)]
@@ -144,35 +110,35 @@ def coordinate(values: Map, axis: Axis) -> Figure:
     return figure
 
 
-@_picture
+@picture
 def modulation(values: Map) -> Figure:
     """The fringes' amplitude in grey levels of 255."""
-    figure, axes = _map_sheet(values.shape)
-    mappable = _show(axes, values, "inferno", (0.0, _range(values, 0.0, 99.5)[1]))
-    _colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
+    figure, axes = map_sheet(values.shape)
+    mappable = show(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
+    colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
     return figure
 
 
-@_picture
+@picture
 def relief(cloud: CloudLike) -> Figure:
     """The measured surface under a light from the upper left, as the camera sees it."""
     grid = raster(cloud)
     points, extent = lay(grid, cloud.points)
-    figure, axes = _map_sheet(points.shape)
-    _show(axes, shading(points), "gray", (0.0, 1.0), extent)
+    figure, axes = map_sheet(points.shape)
+    show(axes, shading(points), "gray", (0.0, 1.0), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
     return figure
 
 
-@_picture
+@picture
 def depth(cloud: CloudLike) -> Figure:
     """Distance from the camera along its axis, in mm."""
     grid = raster(cloud)
     laid, extent = lay(grid, cloud.points[:, 2:])
-    figure, axes = _map_sheet(laid.shape)
-    mappable = _show(axes, laid[..., 0], "viridis_r", _range(laid, 0.5, 99.5), extent)
+    figure, axes = map_sheet(laid.shape)
+    mappable = show(axes, laid[..., 0], "viridis_r", value_range(laid, 0.5, 99.5), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    _colour_bar(figure, axes, mappable, "distance z from the camera in mm")
+    colour_bar(figure, axes, mappable, "distance z from the camera in mm")
     return figure
 
 
@@ -198,7 +164,7 @@ def shading(points: Map) -> Map:
     return np.where(known, bright, np.nan).astype(np.float32)
 
 
-@_picture
+@picture
 def error_map(
     cloud: CloudLike, distances_mm: NDArray[np.floating[Any]], counted: Mask | None = None
 ) -> Figure:
@@ -216,10 +182,10 @@ def error_map(
         raise DataError(f"{len(cloud.points)} points were given with {len(known)} distances; nothing to draw")
     grid, limit = raster(cloud), error_limit(errors)
     laid, extent = lay(grid, errors[:, None])
-    figure, (left, right) = _pair(_map_height(laid.shape, 0.64 * FULL), (2.15, 1.0))
-    mappable = _show(left, laid[..., 0], "RdBu_r", (-limit, limit), extent)
+    figure, (left, right) = pair(map_height(laid.shape, 0.64 * FULL), (2.15, 1.0))
+    mappable = show(left, laid[..., 0], "RdBu_r", (-limit, limit), extent)
     left.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    _colour_bar(figure, left, mappable, f"signed error in µm (range ±{limit:.3g}, 98 % of points)")
+    colour_bar(figure, left, mappable, f"signed error in µm (range ±{limit:.3g}, 98 % of points)")
     _distribution(right, known, limit)
     return figure
 
@@ -242,7 +208,7 @@ def error_limit(errors: NDArray[np.floating[Any]]) -> float:
     return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0
 
 
-@_picture
+@picture
 def residuals(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
     """Reprojection errors over the sensor as vectors, and as a scatter with its RMS circle.
 
@@ -252,8 +218,8 @@ def residuals(pixels: Floats, errors: Floats, size: tuple[int, int], device: str
         raise DataError(f"{device}: {len(errors)} residuals were given for {len(pixels)} pixels")
     length = np.linalg.norm(errors, axis=1)
     rms = float(np.sqrt(np.mean(length**2)))
-    figure, (left, right) = _pair(min(_map_height(size[::-1], 0.6 * FULL), 0.44 * FULL), (1.6, 1.0))
-    _sensor(left, size, device)
+    figure, (left, right) = pair(min(map_height(size[::-1], 0.6 * FULL), 0.44 * FULL), (1.6, 1.0))
+    sensor_axes(left, size, device)
     left.set_facecolor("white")
     gain = 0.05 * max(size) / max(2.0 * rms, 1e-12)
     arrows = left.quiver(
@@ -284,14 +250,14 @@ def residuals(pixels: Floats, errors: Floats, size: tuple[int, int], device: str
     return figure
 
 
-@_picture
+@picture
 def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
     """Where the board's points lay on a sensor, one colour per pose.
 
     poses: (N, 2) px each; size: (width, height) of the `device`.
     """
-    figure, axes = _map_sheet(size[::-1])
-    _sensor(axes, size, device)
+    figure, axes = map_sheet(size[::-1])
+    sensor_axes(axes, size, device)
     axes.set_facecolor("white")
     colours = mpl.colormaps["turbo"](np.linspace(0.05, 0.95, len(poses)))
     for points, colour in zip(poses, colours, strict=True):
@@ -303,12 +269,12 @@ def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Fig
     return figure
 
 
-@_picture
+@picture
 def response_curve(response: ResponseLike, levels: Floats) -> Figure:
     """Levels measured and fitted, and what remains. levels: (K, 2), in and out, both in [0, 1]."""
     shown, seen = levels.T
     axis = np.linspace(0, 1, 200)
-    figure, (left, right) = _pair(3.2, (1.3, 1.0))
+    figure, (left, right) = pair(3.2, (1.3, 1.0))
     left.plot(
         axis,
         response.a * axis**response.g + response.b,
@@ -336,7 +302,7 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
     return figure
 
 
-@_picture
+@picture
 def response_fit(response: Response) -> Figure:
     """A fitted response: levels with error bars and the curve, the misfit below, regions' exponents beside.
 
@@ -347,7 +313,7 @@ def response_fit(response: Response) -> Figure:
         raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
     shown, seen, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
     error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
-    figure = Figure(figsize=(FULL, 3.8), dpi=DPI, layout="compressed", facecolor="white")
+    figure = blank(FULL, 3.8)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
     curve, misfit = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
     axis = np.linspace(0, 1, 200)
@@ -395,10 +361,10 @@ def _region_exponents(axes: Axes, response: Response) -> None:
     axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(4))
 
 
-@_picture
+@picture
 def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Sequence[float]) -> Figure:
     """RMS reprojection error of each pose in px, camera and projector side by side."""
-    figure, axes = _sheet(FULL, 2.6)
+    figure, axes = sheet(FULL, 2.6)
     place = np.arange(len(names))
     axes.bar(place - 0.2, camera_px, 0.38, color=ACCENT, label="camera")
     axes.bar(place + 0.2, projector_px, 0.38, color=SECOND, label="projector")
@@ -413,77 +379,3 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
 def _formula(response: ResponseLike) -> str:
     sign = "+" if response.b >= 0 else "−"
     return rf"{response.a:.3f} · level$^{{{response.g:.3f}}}$ {sign} {abs(response.b):.3f}"
-
-
-# Sheets and axes
-
-
-def _sheet(width: float, height: float) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="compressed", facecolor="white")
-    return figure, figure.subplots()
-
-
-def _pair(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    figure = Figure(figsize=(FULL, height), dpi=DPI, layout="compressed", facecolor="white")
-    cast(Any, figure.get_layout_engine()).set(wspace=0.05)
-    left, right = figure.subplots(1, 2, width_ratios=ratios)
-    return figure, (left, right)
-
-
-def _map_sheet(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
-    return _sheet(HALF, _map_height(shape, HALF))
-
-
-def _map_height(shape: tuple[int, ...], width: float) -> float:
-    """Height of a picture whose map, of `shape` (h, w), leaves room for labels; never a tower."""
-    return float(np.clip((width - 1.1) * shape[0] / shape[1] + 0.7, 1.8, 1.25 * width))
-
-
-def _sensor(axes: Axes, size: tuple[int, int], device: str) -> None:
-    axes.set(
-        xlim=(-0.5, size[0] - 0.5),
-        ylim=(size[1] - 0.5, -0.5),
-        aspect="equal",
-        xlabel=f"{device} u in px",
-        ylabel=f"{device} v in px",
-    )
-
-
-def _show(
-    axes: Axes,
-    values: NDArray[Any],
-    colours: str | mpl.colors.Colormap,
-    limits: tuple[float, float],
-    extent: tuple[float, float, float, float] | None = None,
-    background: bool = True,
-) -> ScalarMappable:
-    height, width = values.shape
-    step = _thinning(values.shape)
-    if background:
-        axes.set_facecolor(UNMEASURED)
-        axes.set(xlabel="camera u in px", ylabel="camera v in px")
-    return axes.imshow(
-        values[::step, ::step],
-        cmap=colours,
-        vmin=limits[0],
-        vmax=limits[1],
-        extent=extent or (-0.5, width - 0.5, height - 0.5, -0.5),
-    )
-
-
-def _colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
-    bar = figure.colorbar(mappable, ax=axes, label=label, fraction=0.05, pad=0.02, aspect=28)
-    bar.outline.set_visible(False)
-    return bar
-
-
-def _thinning(shape: tuple[int, ...]) -> int:
-    return max(1, -(-shape[1] // FINEST))
-
-
-def _range(values: Map, least: float, most: float) -> tuple[float, float]:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        raise DataError("the map has no measured pixel; nothing to draw")
-    low, high = np.percentile(known, (least, most))
-    return float(low), float(max(high, low + 1e-6))
