@@ -11,13 +11,14 @@ Frame: mm, base on z = 0, z up towards the viewer, centred on x = y = 0.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from fpplab.artefacts.lengths import check_below, check_positive
 from fpplab.artefacts.standards import BallBar
 from fpplab.conventions import TWO_PI, Floats
 from fpplab.errors import ConfigError
@@ -38,11 +39,11 @@ class Pyramid:
     height: float = 25.0
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        check_positive(self)
         for axis in range(2):
-            _check_below(self, "top", self.top[axis], self.foot[axis], "the foot")
-            _check_below(self, "foot", self.foot[axis], self.plate[axis], "the plate")
-        _check_below(self, "thickness", self.thickness, self.height, "the height")
+            check_below(self, "top", self.top[axis], self.foot[axis], "the foot")
+            check_below(self, "foot", self.foot[axis], self.plate[axis], "the plate")
+        check_below(self, "thickness", self.thickness, self.height, "the height")
 
     def mesh(self) -> trimesh.Trimesh:
         """A single watertight body, normals outward."""
@@ -71,10 +72,10 @@ class Pillars:
     climb: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        check_positive(self)
         cell = min(self.plate[0] / len(self.diameters), self.plate[1] / len(self.heights))
-        _check_below(self, "diameters", max(self.diameters), cell, "one cell of the plate")
-        _check_below(self, "thickness", self.thickness, min(self.heights), "the lowest pillar")
+        check_below(self, "diameters", max(self.diameters), cell, "one cell of the plate")
+        check_below(self, "thickness", self.thickness, min(self.heights), "the lowest pillar")
 
     def mesh(self) -> trimesh.Trimesh:
         """A single watertight body, normals outward."""
@@ -100,7 +101,7 @@ class Steps:
     heights: tuple[float, ...] = (5.0, 10.0, 15.0, 20.0, 25.0)
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        check_positive(self)
         if any(high <= low for low, high in pairwise(self.heights)):
             raise ConfigError(f"Steps.heights: {self.heights} must rise from each tread to the next")
 
@@ -143,22 +144,6 @@ def save_stl(mesh: trimesh.Trimesh, path: Path) -> None:
     """Write as binary STL, whole or not at all. Raises `DataError`."""
     data = trimesh.exchange.stl.export_stl(mesh)
     write_atomic(path, lambda stream: stream.write(data))
-
-
-def _check_positive(shape: Pyramid | Pillars | Steps) -> None:
-    for field in fields(shape):
-        values = np.atleast_1d(getattr(shape, field.name))
-        if values.size == 0 or not (np.isfinite(values).all() and (values > 0).all()):
-            raise ConfigError(
-                f"{type(shape).__name__}.{field.name}: {values.tolist()} must be lengths above 0 mm"
-            )
-
-
-def _check_below(shape: object, field: str, value: float, limit: float, of: str) -> None:
-    if not value < limit:
-        raise ConfigError(
-            f"{type(shape).__name__}.{field}: {value:g} mm must be less than {limit:g} mm, {of}"
-        )
 
 
 def _corners(x0: float, x1: float, y0: float, y1: float) -> Floats:

@@ -14,9 +14,10 @@ from itertools import groupby
 
 import numpy as np
 import trimesh
-from manifold3d import CrossSection, Error, JoinType, Manifold, Mesh64, OpType
+from manifold3d import CrossSection, Error, JoinType, Manifold, OpType
 
 from fpplab.artefacts.parts import check_solid
+from fpplab.artefacts.solids import to_manifold, to_trimesh
 from fpplab.conventions import Floats
 from fpplab.errors import ConfigError
 
@@ -83,8 +84,7 @@ def layer_count(height_mm: float, layer_mm: float) -> int:
 
 
 def _solid(mesh: trimesh.Trimesh) -> Manifold:
-    corners = np.array(mesh.vertices, np.float64, order="C")
-    solid = Manifold(Mesh64(corners, np.array(mesh.faces, np.uint64, order="C")))
+    solid = to_manifold(mesh)
     if solid.status() != Error.NoError:
         raise ConfigError(f"the part: is no solid ({solid.status().name}); repair it in a mesh editor")
     return solid
@@ -143,7 +143,6 @@ def _contours(outline: CrossSection) -> list[bytes]:
 
 def _mesh(body: Manifold, heights: Floats) -> trimesh.Trimesh:
     """The body with its slab boundaries, whole numbers until now, at their heights in mm."""
-    parts = body.to_mesh64()
-    corners = np.array(parts.vert_properties[:, :3])
-    corners[:, 2] = heights[np.rint(corners[:, 2]).astype(int)]
-    return trimesh.Trimesh(corners, parts.tri_verts, process=False)
+    mesh = to_trimesh(body)
+    mesh.vertices[:, 2] = heights[np.rint(mesh.vertices[:, 2]).astype(int)]
+    return mesh

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from manifold3d import Manifold, Mesh64
+from manifold3d import Manifold
 
+from fpplab.artefacts.lengths import check_below, check_positive
+from fpplab.artefacts.solids import to_manifold, to_trimesh
 from fpplab.conventions import Floats
 from fpplab.errors import ConfigError
 
@@ -35,20 +37,13 @@ class BallBar:
     post: float = 8.0
 
     def __post_init__(self) -> None:
-        for name in ("diameter", "spacing", "bar", "clearance", "post"):
-            values = np.atleast_1d(getattr(self, name))
-            if values.shape != ((3,) if name == "bar" else (1,)) or not (
-                np.isfinite(values).all() and (values > 0).all()
-            ):
-                raise ConfigError(f"BallBar.{name}: {values.tolist()} must be lengths above 0 mm")
-        for name, value, limit, of in (
-            ("diameter", self.diameter, self.spacing, "the spacing"),
-            ("post", self.post, self.diameter, "the spheres' diameter"),
-            ("post", self.post, self.bar[1], "the bar's width"),
-            ("spacing", self.spacing + self.post, self.bar[0], "the bar's length, with a post"),
-        ):
-            if not value < limit:
-                raise ConfigError(f"BallBar.{name}: {value:g} mm must be less than {limit:g} mm, {of}")
+        check_positive(self)
+        if len(self.bar) != 3:
+            raise ConfigError(f"BallBar.bar: {list(self.bar)} must be length, width and thickness in mm")
+        check_below(self, "diameter", self.diameter, self.spacing, "the spacing")
+        check_below(self, "post", self.post, self.diameter, "the spheres' diameter")
+        check_below(self, "post", self.post, self.bar[1], "the bar's width")
+        check_below(self, "spacing", self.spacing + self.post, self.bar[0], "the bar's length, with a post")
 
     @property
     def centres(self) -> Floats:
@@ -65,10 +60,7 @@ class BallBar:
         for centre in self.centres:
             body += post.translate((centre[0], centre[1], self.bar[2] / 2))
             body += self._sphere().translate(tuple(centre))
-        parts = body.to_mesh64()
-        return trimesh.Trimesh(np.array(parts.vert_properties[:, :3]), parts.tri_verts, process=False)
+        return to_trimesh(body)
 
     def _sphere(self) -> Manifold:
-        ball = trimesh.creation.icosphere(SUBDIVISIONS, self.diameter / 2)
-        corners = np.array(ball.vertices, np.float64, order="C")
-        return Manifold(Mesh64(corners, np.array(ball.faces, np.uint64, order="C")))
+        return to_manifold(trimesh.creation.icosphere(SUBDIVISIONS, self.diameter / 2))

@@ -353,6 +353,7 @@ def test_the_ball_bar_is_one_closed_body_as_true_as_its_facets() -> None:
         ("spacing", 95.0),
         ("clearance", 0.0),
         ("bar", (1.0, float("nan"), 5.0)),
+        ("bar", (100.0, 24.0)),
     ],
 )
 def test_an_impossible_ball_bar_is_refused(field: str, value: Any) -> None:
