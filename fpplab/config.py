@@ -171,6 +171,12 @@ def to_yaml(data: Any) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
+def beside(name: str, folder: Path) -> str:
+    """What a file in `folder` calls `name`: absolute if something of that name is there, else as it is."""
+    near = folder / name
+    return str(near.resolve()) if name and near.exists() else name
+
+
 def find(name: str | Path) -> Path:
     """A configuration by path, or by name among the ones that come with fpplab.
 

@@ -158,8 +158,7 @@ class Plan(Document):
 
 def _named_response(name: str, plan: Path) -> dict[str, float]:
     """The law in a response file that a plan names. Raises `ConfigError`."""
-    beside = plan.parent / name
-    file = beside if beside.is_file() else Path(name)
+    file = Path(config.beside(name, plan.parent))
     try:
         curve = Response.load(file).curve(file)
     except ConfigError as error:

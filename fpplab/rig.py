@@ -160,12 +160,10 @@ class Rig:
             raise ConfigError(f"{self._source}: {error}") from error
 
     def _options(self, section: Section) -> dict[str, Any]:
-        return {key: self._beside(value) for key, value in section.options.items()}
-
-    def _beside(self, value: Any) -> Any:
-        if isinstance(value, str) and value and (self._folder / value).exists():
-            return str((self._folder / value).resolve())
-        return value
+        return {
+            key: config.beside(value, self._folder) if isinstance(value, str) else value
+            for key, value in section.options.items()
+        }
 
 
 def load_backend(name: str, source: Path | str, device: str) -> Any:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from fpplab import config
 from fpplab.calibration import PoseFile
 from fpplab.config import Document
 from sim.world.numbers import NotNegative, Positive
@@ -76,10 +77,10 @@ AnyItem = BoardItem | ArtefactItem | MeshItem | CardItem
 
 def beside(item: AnyItem, folder: Path) -> AnyItem:
     """The item with the name of its file made absolute, if there is one of that name in `folder`."""
-    if isinstance(item, BoardItem) and (folder / item.target).is_file():
-        return item.model_copy(update={"target": str((folder / item.target).resolve())})
-    if isinstance(item, MeshItem) and (folder / item.mesh).is_file():
-        return item.model_copy(update={"mesh": str((folder / item.mesh).resolve())})
+    if isinstance(item, BoardItem):
+        return item.model_copy(update={"target": config.beside(item.target, folder)})
+    if isinstance(item, MeshItem):
+        return item.model_copy(update={"mesh": config.beside(item.mesh, folder)})
     return item
 
 
