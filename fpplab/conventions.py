@@ -29,7 +29,7 @@ Frames of a camera
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,3 +80,18 @@ def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
 def phase_steps(steps: int) -> Floats:
     """The shifts `δ_n = 2π n/N` in rad, (steps,)."""
     return TWO_PI * np.arange(steps) / steps
+
+
+def full_scale(bits: int) -> int:
+    """The greatest integer of a frame or pattern of `bits` depth."""
+    return (1 << bits) - 1
+
+
+def raw_dtype(bits: int) -> np.dtype[Any]:
+    """The type of a frame's integers: uint8 up to 8 bits, else uint16."""
+    return np.dtype(np.uint8 if bits <= 8 else np.uint16)
+
+
+def raw_per_grey(bits: int) -> int:
+    """Integers of a frame of `bits` depth, at least 8, to one grey level of 8 bits."""
+    return 1 << (bits - 8)

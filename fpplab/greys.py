@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpplab.conventions import Floats, Image, Mask
+from fpplab.conventions import Floats, Image, Mask, full_scale
 from fpplab.errors import CalibrationError
 from fpplab.gamma import Region, Response, fit_response
 
@@ -35,8 +35,7 @@ def statistics(image: Image, bits: int) -> Floats:
     Mean; variance of a pixel's noise, from the differences of neighbours, which the unevenness of the
     light leaves alone; variance of the pixels; share of pixels at full scale.
     """
-    full = (1 << bits) - 1
-    return np.stack([_of_region(part / full) for part in _regions(image)], axis=1)
+    return np.stack([_of_region(part / full_scale(bits)) for part in _regions(image)], axis=1)
 
 
 def _of_region(levels: Floats) -> Floats:
@@ -92,7 +91,7 @@ def levels_of(greys: Greys, regions: Mask) -> tuple[Floats, Floats, Mask]:
     not dither it away.
     """
     seen, weight = greys.seen[..., regions], greys.pixels[regions]
-    pixels, step = weight.sum(), 1.0 / ((1 << greys.bits) - 1)
+    pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
     means, noise, spread, white = (seen[:, :, i] @ weight / pixels for i in (MEAN, NOISE, SPREAD, WHITE))
     repeats = len(means)
     of_pixels = np.maximum(noise.mean(axis=0), step**2 / 12) / pixels

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image as Pillow
 
-from fpplab.conventions import Image
+from fpplab.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import ConfigError, DataError
 from fpplab.plan import Plan
@@ -108,9 +108,9 @@ def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:
     depth = 8 if mode == "L" else 16
     if (depth == 8) != (bits == 8):
         raise DataError(f"{path}: holds {depth}-bit grey levels but {bits} bits were promised; see --bits")
-    if int(image.max(initial=0)) >= 1 << bits:
+    if int(image.max(initial=0)) > full_scale(bits):
         raise DataError(f"{path}: has a grey level of {image.max()}, more than {bits} bits hold; see --bits")
     if size is not None and image.shape[::-1] != size:
         found = " x ".join(map(str, image.shape[::-1]))
         raise DataError(f"{path}: is {found} pixels but the first image is {size[0]} x {size[1]}")
-    return image.astype(np.uint8) if bits == 8 else image.astype(np.uint16)
+    return image.astype(raw_dtype(bits))

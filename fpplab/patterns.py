@@ -8,7 +8,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Lattice, axis_length, mirror_centres, phase_of_coordinate, phase_steps
+from fpplab.conventions import (
+    Lattice,
+    axis_length,
+    full_scale,
+    mirror_centres,
+    phase_of_coordinate,
+    phase_steps,
+)
 from fpplab.plan import FringeSet, Plan
 
 
@@ -41,7 +48,7 @@ def fringe_level(
 
 def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
     """Levels in [0, 1] as the nearest grey of a `bit_depth` projector, on the scale 0 … 255."""
-    greys = (1 << bit_depth) - 1
+    greys = full_scale(bit_depth)
     return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
 

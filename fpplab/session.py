@@ -27,7 +27,7 @@ from pydantic import ValidationError
 
 from fpplab import config
 from fpplab.config import Document
-from fpplab.conventions import Image, Lattice
+from fpplab.conventions import Image, Lattice, raw_dtype
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
@@ -183,7 +183,7 @@ class Session:
             raise DataError(f"{path}: frame {index} is missing") from None
         except Exception as error:
             raise DataError(f"{path}: frame {index} is truncated or damaged ({error})") from error
-        expected = np.dtype(np.uint8 if record.bits == 8 else np.uint16)
+        expected = raw_dtype(record.bits)
         if image.dtype != expected or image.shape != (record.height, record.width):
             raise DataError(
                 f"{path}: frame {index} is {image.dtype} {image.shape[::-1]} but the journal says "

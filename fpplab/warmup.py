@@ -13,7 +13,15 @@ import trimesh
 
 from fpplab.calibration import Calibration
 from fpplab.comparison import compare
-from fpplab.conventions import Floats, Image, axis_length, phase_of_coordinate, phase_steps
+from fpplab.conventions import (
+    Floats,
+    Image,
+    axis_length,
+    full_scale,
+    phase_of_coordinate,
+    phase_steps,
+    raw_dtype,
+)
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.phase import Decoded, decode
 from fpplab.plan import Plan
@@ -45,7 +53,7 @@ def _frame(plan: Plan, index: int, step: int, seen: Floats, size: tuple[int, int
     coordinate = seen[..., 0 if fringe.axis == "x" else 1]
     phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(size, fringe.axis))
     level = 0.5 + 0.4 * np.cos(phase - phase_steps(fringe.steps)[step])
-    image: Image = np.rint(level * ((1 << bits) - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+    image: Image = np.rint(level * full_scale(bits)).astype(raw_dtype(bits))
     return image
 
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Image
+from fpplab.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from sim.radiometry import gain_factor
 from sim.world import Sensor
@@ -40,9 +40,8 @@ class SensorModel:
 
     def gain(self, settings: CameraSettings) -> float:
         """Numbers per electron."""
-        full_scale = (1 << settings.bits) - 1
         share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
-        return float(full_scale * share * gain_factor(settings.gain_db))
+        return float(full_scale(settings.bits) * share * gain_factor(settings.gain_db))
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
         """One frame [v, u], uint8 up to 8 bits, else uint16; the noise follows from seed and counter."""
@@ -52,10 +51,8 @@ class SensorModel:
         noise = random.standard_normal(charge.shape, np.float32)
         few = charge < MANY
         counted = random.poisson(charge[few]).astype(np.float32) + np.float32(read) * noise[few]
-        full_scale = (1 << settings.bits) - 1
-        out: Image = np.empty(charge.shape, np.uint8)
-        if settings.bits > 8:
-            out = np.empty(charge.shape, np.uint16)
+        full = full_scale(settings.bits)
+        out = np.empty(charge.shape, raw_dtype(settings.bits))
         noise *= np.sqrt(charge + np.float32(read**2))
         charge += noise
         charge[few] = counted
@@ -63,8 +60,8 @@ class SensorModel:
             charge.ravel(),
             self.sensor.full_well_e * self.binning**2,
             self.gain(settings),
-            self.sensor.black_level * full_scale,
-            full_scale,
+            self.sensor.black_level * full,
+            full,
             out.ravel(),
         )
         return out

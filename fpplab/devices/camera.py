@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Literal, final
+from typing import Literal, final
 
-import numpy as np
-
-from fpplab.conventions import Image
+from fpplab.conventions import Image, raw_dtype
 from fpplab.devices.device import Device, State
 from fpplab.errors import CapabilityError, FrameLossError, SettingError, StateError
 
@@ -30,13 +28,18 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class CameraCaps:
-    """What a camera can do. size: (width, height) in px; ranges are (least, most)."""
+    """What a camera can do. size: (width, height) in px; ranges are (least, most).
+
+    readout_s: from the first row to the last, where they are exposed one after another (rolling shutter):
+    what a frame sees must stand still for the exposure and this. 0 where all rows are exposed at once.
+    """
 
     size: tuple[int, int]
     bits: tuple[int, ...]
     exposure_s: tuple[float, float]
     gain_db: tuple[float, float]
     triggers: tuple[Trigger, ...]
+    readout_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,13 +177,13 @@ class Camera(Device):
             )
         settings = self._configured("read")
         width, height = self.caps.size
-        expected: type[np.unsignedinteger[Any]] = np.uint8 if settings.bits == 8 else np.uint16
+        expected = raw_dtype(settings.bits)
         if frame.image.shape != (height, width) or frame.image.dtype != expected:
             raise FrameLossError(
                 self.name,
                 "read",
                 f"frame {frame.index} is {frame.image.dtype} {frame.image.shape[::-1]}",
-                f"{np.dtype(expected)} {(width, height)} was configured",
+                f"{expected} {(width, height)} was configured",
             )
 
     @abstractmethod

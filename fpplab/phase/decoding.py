@@ -14,7 +14,18 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, axis_length, phase_steps
+from fpplab.conventions import (
+    TWO_PI,
+    Axis,
+    Floats,
+    Image,
+    Map,
+    Mask,
+    axis_length,
+    full_scale,
+    phase_steps,
+    raw_per_grey,
+)
 from fpplab.errors import DataError
 from fpplab.files import write_atomic
 from fpplab.phase.kernels import GROUP, Maps, Recipe, decode_pixels
@@ -151,14 +162,14 @@ def decode(
     images = _checked(frames, plan, bits, source)
     plan.check_projector(projector_size, source)
     ladders = [build_ladder(plan, axis, source) for axis in plan.axes]
-    noise = fit_noise(_sample(images, plan), _full_scale(bits), _grey(bits))
+    noise = fit_noise(_sample(images, plan), full_scale(bits), 1.0 / raw_per_grey(bits))
     recipe = _recipe(images, plan, ladders, projector_size, bits, noise)
     shape = images[0].shape
     maps = _allocate(images[0].size, plan)
     highest = _run(recipe, images[0].dtype, images[0].size, maps, progress)
-    if highest > _full_scale(bits):
+    if highest > full_scale(bits):
         raise DataError(
-            f"{source}: holds values up to {highest:g}, above the full scale {_full_scale(bits)} of "
+            f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
     spread_u, spread_v = recipe.spread
@@ -204,15 +215,6 @@ def _size(frame: Image) -> str:
     return f"{frame.shape[1]} x {frame.shape[0]}"
 
 
-def _full_scale(bits: int) -> int:
-    return (1 << bits) - 1
-
-
-def _grey(bits: int) -> float:
-    """8-bit grey levels per raw unit."""
-    return 1.0 / (1 << (bits - 8))
-
-
 def _set_starts(plan: Plan) -> NDArray[np.int64]:
     """Where each set's frames start, and where the last set's end, (S + 1,)."""
     return np.cumsum([0, *(f.steps for f in plan.fringes)])
@@ -249,7 +251,7 @@ def _recipe(
     noise: NoiseModel,
 ) -> Recipe:
     """The plan, the rules and the noise as the kernel's tables."""
-    addresses, weights, first = _frame_tables(images, plan, _grey(bits))
+    addresses, weights, first = _frame_tables(images, plan, 1.0 / raw_per_grey(bits))
     rungs = [rung for ladder in ladders for rung in ladder.rungs]
     coefficients = np.zeros((len(rungs), len(plan.fringes)), np.float32)
     row = 0
@@ -275,8 +277,8 @@ def _recipe(
         length=np.array(size, f32),
         spread=np.array(spread, f32),
         reference=ladders[0].finest,
-        grey=f32(_grey(bits)),
-        full_scale=f32(_full_scale(bits)),
+        grey=f32(1.0 / raw_per_grey(bits)),
+        full_scale=f32(full_scale(bits)),
         modulation_min=f32(rules.modulation_min),
         contrast_min=f32(rules.contrast_min),
         residual_max=f32(rules.residual_max),

@@ -12,9 +12,12 @@ from fpplab.conventions import (
     Lattice,
     axis_length,
     coordinate_of_phase,
+    full_scale,
     mirror_centres,
     phase_of_coordinate,
     phase_steps,
+    raw_dtype,
+    raw_per_grey,
 )
 
 STRIPES = st.floats(0.1, 500.0)
@@ -78,3 +81,15 @@ def test_sizes_are_width_by_height(axis: Axis, length: int) -> None:
     assert axis_length((912, 1140), axis) == length
     u, v = mirror_centres((912, 1140), Lattice.SQUARE)
     assert u.shape == v.shape == (1140, 912)
+
+
+@pytest.mark.parametrize(("bits", "width"), [(1, 8), (8, 8), (9, 16), (12, 16), (16, 16)])
+def test_a_depth_has_its_greatest_integer_and_a_type_that_holds_it(bits: int, width: int) -> None:
+    assert np.binary_repr(full_scale(bits)) == bits * "1"
+    assert raw_dtype(bits) == np.dtype(f"uint{width}")
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_the_integers_of_any_depth_make_256_greys(bits: int) -> None:
+    assert full_scale(bits) // raw_per_grey(bits) == 255
+    assert (full_scale(bits) + 1) % raw_per_grey(bits) == 0
