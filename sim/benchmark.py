@@ -10,10 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import tempfile
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +20,7 @@ import psutil
 from fpplab import config, console
 from fpplab.artefacts import Steps
 from fpplab.benchmarks import Result
+from fpplab.benchmarks.peak import peak_of
 from fpplab.devices import CameraSettings
 from fpplab.patterns import Pattern, make_patterns
 from fpplab.plan import FringeSet, Plan
@@ -188,7 +186,7 @@ def _measured(folder: Path, binning: int) -> tuple[int, float, float, int]:
     """Pixels, seconds, seconds with the table from disk, and peak bytes of this process and Blender."""
     os.environ["XDG_CACHE_HOME"] = str(folder)
     effort = {"path": "transport", "binning": binning, "subpixels": 2, "cache": True}
-    with _peak_memory() as peak, _Rig(folder, **effort) as rig:
+    with peak_of(_memory, 0.1) as peak, _Rig(folder, **effort) as rig:
         seconds = rig.measure(STRIPES, f"Transport at binning {binning}")
         width, height = rig.camera.caps.size
     with _Rig(folder, **effort) as rig:
@@ -196,24 +194,10 @@ def _measured(folder: Path, binning: int) -> tuple[int, float, float, int]:
     return width * height, seconds, again, peak[0]
 
 
-@contextmanager
-def _peak_memory() -> Iterator[list[int]]:
-    """The greatest memory that this process and its children held at a time; shared pages count once."""
-    peak, done = [0], threading.Event()
-
-    def watch() -> None:
-        own = psutil.Process()
-        while not done.wait(0.1):
-            try:
-                family = [own, *own.children(recursive=True)]
-                peak[0] = max(peak[0], sum(process.memory_full_info().pss for process in family))
-            except psutil.NoSuchProcess:
-                continue
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
+def _memory() -> int:
+    """What this process and its children hold, in bytes; shared pages count once."""
+    own = psutil.Process()
     try:
-        yield peak
-    finally:
-        done.set()
-        watcher.join()
+        return sum(int(p.memory_full_info().pss) for p in [own, *own.children(recursive=True)])
+    except psutil.NoSuchProcess:
+        return 0  # one of them has ended since: the next sample tells

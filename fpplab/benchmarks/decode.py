@@ -13,7 +13,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +26,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from fpplab.benchmarks import Result
+from fpplab.benchmarks.peak import peak_of
 from fpplab.conventions import TWO_PI, Lattice, Map, Mask
 from fpplab.errors import DataError
 from fpplab.patterns import fringe_level
@@ -157,22 +157,13 @@ def _memory(paths: list[Path]) -> Result:
 def _peak_growth(paths: list[Path]) -> int:
     """Bytes that mapping and decoding the frames add to this process at most."""
     _product([np.zeros((64, 64), np.uint8) for _ in range(PLAN.images)])
-    process, done, samples = psutil.Process(), threading.Event(), [0]
+    process = psutil.Process()
     before = process.memory_info().rss
-
-    def watch() -> None:
-        while not done.wait(0.001):
-            samples.append(process.memory_info().rss)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    frames = [np.asarray(tifffile.memmap(p, mode="r")) for p in paths]
-    decoded = decode(frames, PLAN, PROJECTOR)
-    samples.append(process.memory_info().rss)
-    done.set()
-    watcher.join()
+    with peak_of(lambda: process.memory_info().rss, 0.001) as peak:
+        frames = [np.asarray(tifffile.memmap(p, mode="r")) for p in paths]
+        decoded = decode(frames, PLAN, PROJECTOR)
     assert decoded.valid.any()
-    return max(samples) - before
+    return peak[0] - before
 
 
 _FRINGES_SCRIPT = """
