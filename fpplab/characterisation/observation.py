@@ -19,6 +19,7 @@ from fpplab.errors import CalibrationError
 from fpplab.plan import Plan
 from fpplab.targets import Target, UnclearPart
 from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
+from fpplab.targets.partial import detect_part
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
@@ -101,12 +102,12 @@ def observe(
 
 
 def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
-    """As much of the board as is in view, or a `CalibrationError` that says why it is not known."""
+    """What is in view of a board not found whole, or a `CalibrationError` that says why it is not known."""
     missing = f"{name}: the board was not found in the picture"
     if cause := why_not_found(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
-        found = target.detect_part(image)
+        found = detect_part(target, image)
     except UnclearPart as error:
         raise CalibrationError(f"{missing}: {error}") from error
     if found is None:

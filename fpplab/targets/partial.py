@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -77,12 +77,13 @@ class _Patch:
     pixels: Floats
 
 
-def detect_part(target: Target, level: Floats) -> Detection | None:
-    """Find part of a checkerboard or a board of circles in a grey picture [v, u].
+def detect_part(target: Target, image: NDArray[Any]) -> Detection | None:
+    """Find part of a checkerboard or a board of circles in a grey picture [v, u] of any real type.
 
     None when there is no part of such a board. Raises `UnclearPart` with the reason when there
     is one and its points cannot be told for certain.
     """
+    level = np.nan_to_num(np.asarray(image, np.float64))
     patch = _FINDERS[target.kind](target, stretched(level)) if target.kind in _FINDERS else None
     if patch is None or len(patch.cells) < LEAST_POINTS or not _is_of_points(target, patch, level):
         return None

@@ -176,7 +176,7 @@ class Target(Document):
         Raises `UnclearPart` (a `CalibrationError`) with the reason when there are points of a board and
         it is not certain which, `CalibrationError` when the picture is not two-dimensional.
         """
-        return self.detect(image) or detect_part(self, np.nan_to_num(np.asarray(image, np.float64)))
+        return self.detect(image) or detect_part(self, image)
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's model of a ChArUco board; its origin is the first square's corner, in mm."""
