@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Floats, Lattice
 from fpplab.errors import CalibrationError
 from fpplab.files import write_text
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
 
-INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+INTRINSICS = ("fx", "fy", "cx", "cy", *DISTORTION)
 """The parameters of a device, in the order of every vector that holds them."""
 
 POSE = ("rx", "ry", "rz", "x", "y", "z")
@@ -135,13 +135,26 @@ Coefficient = Annotated[float, Field(ge=-100, le=100)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
+def _five_or_eight(distortion: tuple[float, ...]) -> tuple[float, ...]:
+    if len(distortion) not in (POLYNOMIAL, len(DISTORTION)):
+        raise ValueError(
+            f"must be {POLYNOMIAL} coefficients ({', '.join(DISTORTION[:POLYNOMIAL])}), or {len(DISTORTION)} "
+            f"with {', '.join(DISTORTION[POLYNOMIAL:])}"
+        )
+    return distortion
+
+
+Distortion = Annotated[tuple[Coefficient, ...], AfterValidator(_five_or_eight)]
+"""A lens in a file: as many coefficients as OpenCV has without or with k4, k5, k6."""
+
+
 class PinholeFile(Document):
     """One device in a calibration file."""
 
     size: tuple[Pixels, Pixels]
     focal_px: tuple[Focal, Focal]
     centre_px: tuple[Centre, Centre]
-    distortion: tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
+    distortion: Distortion
     lattice: Lattice = Lattice.SQUARE
 
 
@@ -213,7 +226,7 @@ def _pinhole_file(device: Pinhole) -> PinholeFile:
         size=device.size,
         focal_px=(float(k[0, 0]), float(k[1, 1])),
         centre_px=(float(k[0, 2]), float(k[1, 2])),
-        distortion=tuple(device.distortion.tolist()),
+        distortion=tuple(device.coefficients.tolist()),
         lattice=device.lattice,
     )
 

@@ -6,8 +6,8 @@ Read are these and the names of other calibration programs (`NAMES`), from one f
 several.
 
 Nothing needs to be converted. Pixels: both put (0, 0) at the centre of the first pixel. Distortion:
-both use (k1, k2, p1, p2, k3). Lengths: taken as they are, so the foreign board must have been given
-in mm.
+both use (k1, k2, p1, p2, k3), and with k4, k5, k6 the rational model. Lengths: taken as they are, so the
+foreign board must have been given in mm.
 
 Lattice: FileStorage files do not say how the projector's mirrors lie, so it must be told. The numbers
 are left as they are. On a `diamond` lattice fpplab counts u in columns, with odd rows at half ones
@@ -31,7 +31,7 @@ from fpplab import config
 from fpplab.calibration import Calibration, CalibrationFile
 from fpplab.conventions import Floats, Lattice
 from fpplab.errors import ConfigError
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.geometry import DISTORTION, Pinhole, RigidTransform
 
 Format = Literal["yaml", "xml"]
 
@@ -67,7 +67,8 @@ ALONE = {
 
 RMS = ("camera", "projector", "joint")
 
-LEAST_COEFFICIENTS, MODELLED = 4, 5
+COEFFICIENTS = (4, 5, 8, 12, 14)
+"""How many OpenCV's models have; those beyond the eighth are not modelled here."""
 ORTHONORMAL = 1e-4
 """How far R Rᵀ may be from one: files are written with five digits and more."""
 
@@ -97,7 +98,7 @@ def to_opencv(calibration: Calibration, kind: Format) -> str:
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | flags)
     for number, device in enumerate((calibration.camera, calibration.projector), start=1):
         storage.write(f"M{number}", device.matrix)
-        storage.write(f"D{number}", device.distortion.reshape(1, -1))
+        storage.write(f"D{number}", device.coefficients.reshape(1, -1))
         storage.write(f"image_size{number}", np.array([device.size], np.int32))
     storage.write("lattice2", str(calibration.projector.lattice))
     storage.write("R", calibration.T_projector_camera.rotation)
@@ -119,7 +120,7 @@ def from_opencv(
     camera_size, projector_size (width, height) in px and lattice: what the files do not say.
     Raises `ConfigError` that names file, entry and what is expected when something is missing, said
     twice or otherwise than in the file, of the wrong shape, or beyond the model: skew, or distortion
-    that needs more than five coefficients.
+    that needs more than eight coefficients.
     """
     entries = _gathered(paths)
     source = " + ".join(str(path) for path in paths)
@@ -221,17 +222,18 @@ def _matrix(entry: _Entry) -> Floats:
 
 
 def _distortion(entry: _Entry) -> Floats:
-    expected = "4 or 5 coefficients (k1, k2, p1, p2, k3)"
+    modelled = len(DISTORTION)
+    expected = f"4, 5 or 8 coefficients ({', '.join(DISTORTION)})"
     found = _numbers(entry, expected)
-    if found.ndim > 2 or found.size != max(found.shape) or not LEAST_COEFFICIENTS <= found.size <= 14:
+    if found.ndim > 2 or found.size != max(found.shape) or found.size not in COEFFICIENTS:
         raise ConfigError(f"{entry.where} has the shape {_shape(found)}; expected {expected}")
     flat = found.ravel()
-    if np.any(flat[MODELLED:]):
+    if np.any(flat[modelled:]):
         raise ConfigError(
-            f"{entry.where} has {flat.size} coefficients and those beyond the fifth are not zero; expected "
-            f"{expected}: calibrate there without the rational, thin prism and tilted models"
+            f"{entry.where} has {flat.size} coefficients and those beyond the eighth are not zero; expected "
+            f"{expected}: calibrate there without the thin prism and tilted models"
         )
-    return np.append(flat[:MODELLED], np.zeros(max(MODELLED - flat.size, 0)))
+    return flat[:modelled]
 
 
 def _rotation(entry: _Entry) -> Floats:
@@ -314,7 +316,7 @@ def _check_ranges(calibration: Calibration, source: str) -> None:
             "size": list(device.size),
             "focal_px": device.matrix[[0, 1], [0, 1]].tolist(),
             "centre_px": device.matrix[:2, 2].tolist(),
-            "distortion": device.distortion.tolist(),
+            "distortion": device.coefficients.tolist(),
         }
         for name, device in devices.items()
     }

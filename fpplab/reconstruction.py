@@ -22,10 +22,8 @@ from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import PixelGrid
 from fpplab.conventions import Floats, Map
 from fpplab.errors import DataError
-from fpplab.geometry import Pinhole
+from fpplab.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
 
-PIXEL_TOLERANCE = 1e-9
-"""The camera's distortion is inverted until the pixel is met this well, in px."""
 DEPTH_TOLERANCE = 1e-5
 """Relative size of the last step in depth; each step squares the error, so the depth is good to 1e-10."""
 ITERATIONS = 20
@@ -70,7 +68,7 @@ def triangulate(
 
     Where two axes are coded a pixel needs both, and each counts by its inverse variance. Points
     behind a device, outside the projector's image, where its distortion folds, or without a solution
-    are dropped. `sigma_mm` is the decoded sigma propagated along the ray; `epipolar_px` is given for
+    are dropped. `sigma_noise_mm` is the decoded sigma propagated along the ray; `epipolar_px` is given for
     two axes.
 
     Raises `CalibrationError` when the maps are of another camera, `DataError` when nothing remains.
@@ -92,7 +90,7 @@ def triangulate(
     points, pixels = np.empty((total, 3), np.float32), np.empty((total, 2), np.int32)
     sigma_mm, epipolar = np.empty(total, np.float32), np.empty(total, np.float32)
     outputs = points, pixels, sigma_mm, epipolar
-    device, pose, size = _projector(calibration)
+    projector, pose = calibration.projector, calibration.T_projector_camera.matrix[:3].ravel()
     _solve(
         slopes,
         u,
@@ -101,9 +99,10 @@ def triangulate(
         use_u,
         use_v,
         float(decoded.v_per_u),
-        device,
-        pose,
-        size,
+        _intrinsics(projector),
+        tuple(pose.tolist()),
+        projector.size,
+        projector.reach,
         np.cumsum(counts) - counts,
         *outputs,
     )
@@ -122,7 +121,7 @@ def triangulate(
         size=(width, height),
         normals=grid.normals() if grid else None,
         colour=None if texture is None else np.asarray(texture, np.uint8)[pixels[:, 1], pixels[:, 0]],
-        sigma_mm=sigma_mm,
+        sigma_noise_mm=sigma_mm,
         epipolar_px=epipolar if use_u and use_v else None,
     )
 
@@ -136,7 +135,7 @@ def camera_slopes(camera: Pinhole) -> Floats:
     with _lock:
         if key not in _slopes:
             slopes = np.empty((2, camera.size[1], camera.size[0]))
-            _invert(_intrinsics(camera), slopes)
+            _invert(_intrinsics(camera), camera.reach, slopes)
             slopes.flags.writeable = False
             _slopes[key] = slopes
         _slopes.move_to_end(key)
@@ -156,52 +155,42 @@ Numbers = tuple[float, ...]
 
 
 def _intrinsics(device: Pinhole) -> Numbers:
-    """(fx, fy, cx, cy, k1, k2, p1, p2, k3)."""
+    """(fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6)."""
     k = device.matrix
     return tuple(map(float, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion)))
 
 
-def _projector(calibration: Calibration) -> tuple[Numbers, Numbers, tuple[int, int]]:
-    """The projector's intrinsics, rows of (rotation | translation), and its size."""
-    pose = calibration.T_projector_camera.matrix[:3].ravel()
-    return _intrinsics(calibration.projector), tuple(pose.tolist()), calibration.projector.size
+_distort = njit(inline="always")(distort)
 
 
-@njit(inline="always")
-def _distort(x: float, y: float, c: Numbers) -> tuple[float, float, float, float, float, float]:
-    """Distorted slopes and their derivatives (∂xd/∂x, ∂xd/∂y = ∂yd/∂x, ∂yd/∂y), and the radial
-    growth d(r·radial)/dr, which is negative where the model folds."""
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (c[4] + r2 * (c[5] + r2 * c[8]))
-    growth = c[4] + r2 * (2.0 * c[5] + r2 * 3.0 * c[8])
-    xd = x * radial + 2.0 * c[6] * x * y + c[7] * (r2 + 2.0 * x * x)
-    yd = y * radial + c[6] * (r2 + 2.0 * y * y) + 2.0 * c[7] * x * y
-    xx = radial + 2.0 * x * x * growth + 2.0 * c[6] * y + 6.0 * c[7] * x
-    xy = 2.0 * x * y * growth + 2.0 * c[6] * x + 2.0 * c[7] * y
-    yy = radial + 2.0 * y * y * growth + 6.0 * c[6] * y + 2.0 * c[7] * x
-    return xd, yd, xx, xy, yy, radial + 2.0 * r2 * growth
+@njit(cache=True, error_model="numpy")
+def _straighten(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
+    """`Pinhole.normalise` of one pixel."""
+    fx, fy, lens = device[0], device[1], device[4:]
+    target_x, target_y = (u - device[2]) / fx, (v - device[3]) / fy
+    x, y, last = target_x, target_y, 0.0
+    for _ in range(INVERSION_STEPS):
+        square = x * x + y * y
+        if square >= reach * reach:
+            length = 0.5 * (np.sqrt(last) + reach)
+            x, y = x * length / np.sqrt(square), y * length / np.sqrt(square)
+            square = length * length
+        last = square
+        xd, yd, xx, xy, yy = _distort(x, y, lens)
+        determinant = xx * yy - xy * xy
+        ex, ey = target_x - xd, target_y - yd
+        if abs(ex) * fx < PIXEL_TOLERANCE and abs(ey) * fy < PIXEL_TOLERANCE and determinant > 0.0:
+            return x, y
+        x += (yy * ex - xy * ey) / determinant
+        y += (xx * ey - xy * ex) / determinant
+    return np.nan, np.nan
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _invert(camera: Numbers, slopes: Floats) -> None:
-    height, width = slopes.shape[1:]
-    fx, fy = camera[0], camera[1]
-    for v in prange(height):
-        for u in range(width):
-            target_x, target_y = (u - camera[2]) / fx, (v - camera[3]) / fy
-            x, y = target_x, target_y
-            slopes[0, v, u] = slopes[1, v, u] = np.nan
-            for _ in range(ITERATIONS):
-                xd, yd, xx, xy, yy, growth = _distort(x, y, camera)
-                determinant = xx * yy - xy * xy
-                if growth <= 0.0 or determinant <= 0.0:
-                    break
-                ex, ey = target_x - xd, target_y - yd
-                if abs(ex) * fx < PIXEL_TOLERANCE and abs(ey) * fy < PIXEL_TOLERANCE:
-                    slopes[0, v, u], slopes[1, v, u] = x, y
-                    break
-                x += (yy * ex - xy * ey) / determinant
-                y += (xx * ey - xy * ex) / determinant
+def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
+    for v in prange(slopes.shape[1]):
+        for u in range(slopes.shape[2]):
+            slopes[0, v, u], slopes[1, v, u] = _straighten(u, v, camera, reach)
 
 
 @njit(cache=True)
@@ -244,6 +233,7 @@ def _solve(
     projector: Numbers,
     pose: Numbers,
     size: tuple[int, int],
+    reach: float,
     starts: NDArray[np.int64],
     points: Map,
     pixels: NDArray[np.int32],
@@ -256,12 +246,13 @@ def _solve(
     """
     height, width = coded_u.shape
     fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
+    lens, reach_squared = projector[4:], reach * reach
     per_fx, per_fy = 1.0 / fx, 1.0 / fy
     xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
     wu, wv = (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
     for block in prange((height + BLOCK - 1) // BLOCK):
         # What distortion does to the pixel above is a start that needs one step only.
-        shift_x, shift_y = np.zeros(width), np.zeros(width)
+        shift_x, shift_y = np.full(width, np.nan), np.full(width, np.nan)
         for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
             at = starts[row] - 1
             for column in range(width):
@@ -275,6 +266,8 @@ def _solve(
                 dx, dy, dz = xa * a + xb * b + xc, ya * a + yb * b + yc, za * a + zb * b + zc
                 # With the distortion taken as known the equations are linear in z.
                 x, y = (u - cx) * per_fx - shift_x[column], (v - cy) * per_fy - shift_y[column]
+                if np.isnan(x):
+                    x, y = _straighten(u, v, projector, reach)
                 mx, my = wu * (x * dz - dx), wv * (y * dz - dy)
                 z = (mx * (tx - x * tz) + my * (ty - y * tz)) / (mx * mx + my * my + 1e-300)
                 for _ in range(ITERATIONS):
@@ -283,7 +276,7 @@ def _solve(
                         break
                     near = 1.0 / pz
                     x, y = (z * dx + tx) * near, (z * dy + ty) * near
-                    xd, yd, xx, xy, yy, growth = _distort(x, y, projector)
+                    xd, yd, xx, xy, yy = _distort(x, y, lens)
                     x_z, y_z = (dx - x * dz) * near, (dy - y * dz) * near
                     ju, jv = wu * fx * (xx * x_z + xy * y_z), wv * fy * (xy * x_z + yy * y_z)
                     pu, pv = fx * xd + cx, fy * yd + cy
@@ -297,11 +290,11 @@ def _solve(
                     if abs(step) <= DEPTH_TOLERANCE * z:
                         shift_x[column], shift_y[column] = xd - x, yd - y
                         inside = -0.5 <= pu <= size[0] - 0.5 and -0.5 <= pv <= size[1] - 0.5
-                        if inside and growth > 0.0:
+                        if inside and x * x + y * y < reach_squared:
                             points[at, 0], points[at, 1], points[at, 2] = z * a, z * b, z
                             pixels[at, 0], pixels[at, 1] = column, row
-                            reach = np.sqrt((1.0 + a * a + b * b) * per_square)
-                            spread[at] = sigma[row, column] * reach
+                            mm_per_px = np.sqrt((1.0 + a * a + b * b) * per_square)
+                            spread[at] = sigma[row, column] * mm_per_px
                             if use_u and use_v:
                                 iu, iv = ju, jv * v_per_u
                                 across = abs(iu * (v - pv) - iv * (u - pu))

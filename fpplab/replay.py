@@ -70,10 +70,10 @@ class ReplayCamera(Camera):
         self._recording = _recording(self.name, bench)
 
     def _open(self) -> None:
-        self._pending = 0
+        """The bench holds the recording."""
 
     def _close(self) -> None:
-        self._pending = 0
+        """Nothing to make safe."""
 
     def _info(self) -> DeviceInfo:
         path = self._recording.session.path
@@ -94,7 +94,7 @@ class ReplayCamera(Camera):
         return settings
 
     def _arm(self, n: int, trigger: Trigger) -> None:
-        self._pending = n
+        """Every frame is there already."""
 
     def _read(self, timeout_s: float) -> Frame:
         index = self._recording.shown
@@ -108,7 +108,7 @@ class ReplayCamera(Camera):
         return Frame(image, self._taken, record.settings, time.time(), record.device_time_s, record.pattern)
 
     def _stop(self) -> None:
-        self._pending = 0
+        """Nothing is under way between calls."""
 
 
 class ReplayProjector(Projector):

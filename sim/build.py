@@ -9,7 +9,7 @@ import numpy as np
 
 from fpplab.conventions import Floats
 from fpplab.geometry import Pinhole, RigidTransform
-from sim.items import item_poses, item_surface
+from sim.items import item_poses, item_shape, item_surface
 from sim.scene import Aperture, Lamp, Optics, Scene, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
@@ -42,10 +42,10 @@ def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
 
 def is_lit_in_view(world: World, setup: Setup) -> bool:
     """Whether some point of the item lies in the camera's image and in the projector's; shadows aside."""
-    surface = item_surface(world, setup.item, item_poses(world, setup.item)[setup.pose])
-    points = _spread_points(surface)
-    seen = _in_image(world.camera_model(), points)
-    lit = _in_image(world.projector_model(), world.T_projector_camera(setup.stage_mm).apply(points))
+    vertices, faces = item_shape(world, setup.item)
+    points = item_poses(world, setup.item)[setup.pose].apply(_spread_points(vertices[faces]))
+    seen = world.camera_model().sees(points)
+    lit = world.projector_model().sees(points, world.T_projector_camera(setup.stage_mm))
     return bool(np.any(seen & lit))
 
 
@@ -94,10 +94,12 @@ def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, .
 
 
 def _half_angle(projector: Pinhole) -> float:
-    """Of the cone around the axis that holds the whole image and a margin, rad."""
+    """Of the cone around the axis that holds the image and a margin, as far as the lens reaches, rad."""
     width, height = projector.size
     corners = np.array([[-8.0, -8.0], [width + 8, -8], [width + 8, height + 8], [-8, height + 8]])
-    return float(np.arctan(np.linalg.norm(projector.normalise(corners), axis=-1)).max()) + 0.01
+    widest = np.arctan(np.linalg.norm(projector.normalise(corners), axis=-1)).max() + 0.01
+    # A corner that the lens does not reach is NaN.
+    return float(np.fmin(widest, np.arctan(projector.reach)))
 
 
 def _bounding_box(surface: Surface) -> Floats:
@@ -127,18 +129,11 @@ def _window(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int,
     return int(across[0]), int(down[0]), int(across[1]), int(down[1])
 
 
-def _spread_points(surface: Surface) -> Floats:
-    """Points on a surface, in the camera's frame: a lattice over every triangle, coarse on small ones."""
-    corners = _placed(surface, surface.vertices)[surface.faces]
-    steps = 12 if len(surface.faces) < 500 else 1
+def _spread_points(triangles: Floats) -> Floats:
+    """Points on triangles (F, 3, 3): a lattice over each, coarse where there are many."""
+    steps = 12 if len(triangles) < 500 else 1
     i, j = (k.ravel() for k in np.mgrid[0 : steps + 1, 0 : steps + 1])
     inside = i + j <= steps
     a, b = i[inside] / steps, j[inside] / steps
     shares = np.stack([1 - a - b, a, b], axis=-1)
-    return np.asarray(np.einsum("kc,fcx->fkx", shares, corners).reshape(-1, 3))
-
-
-def _in_image(device: Pinhole, points: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    pixels = device.project(points)
-    inside = (pixels > -0.5).all(axis=-1) & (pixels < np.array(device.size) - 0.5).all(axis=-1)
-    return np.asarray(inside & (points[:, 2] > 0))
+    return np.asarray(np.einsum("kc,fcx->fkx", shares, triangles).reshape(-1, 3))

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from fpplab import artefacts
 from fpplab.artefacts.parts import load_part
 from fpplab.artefacts.slicing import sliced
+from fpplab.conventions import Floats
 from fpplab.errors import ConfigError
 from fpplab.geometry import RigidTransform
 from fpplab.targets import Target
@@ -30,9 +32,7 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
     if not isinstance(item, BoardItem):
         return (item.pose.transform(),)
     if isinstance(item.poses, PoseRules):
-        with _named(f"items.{name}.target"):
-            size = Target.load(item.target).size_mm
-        return board_poses(world, name, size, item.poses)
+        return board_poses(world, name, _target(name, item).size_mm, item.poses)
     return tuple(pose.transform() for pose in item.poses)
 
 
@@ -55,20 +55,31 @@ def _part(path: Path, changed_ns: int) -> trimesh.Trimesh:
     return load_part(path)
 
 
+def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
+    """Corners (V, 3) in mm in the item's own frame, and triangles (F, 3) of them. Raises `ConfigError`."""
+    item = world.item(name)
+    if isinstance(item, CardItem):
+        return plate_corners(item.card_mm), _PLATE
+    if isinstance(item, BoardItem):
+        return plate_corners(_target(name, item).size_mm), _PLATE
+    with _named(f"items.{name}.{'mesh' if isinstance(item, MeshItem) else 'artefact'}"):
+        mesh = item_mesh(item)
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+
+
 def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
     """An item held in `pose`, T_camera_item. Raises `ConfigError`."""
     item, material = world.item(name), paint(world.material_of(name))
-    if isinstance(item, CardItem):
-        return Surface(plate_corners(item.card_mm), _PLATE, pose.matrix, material)
+    vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):
-        with _named(f"items.{name}.target"):
-            target = Target.load(item.target)
-        picture = target.image(_print_resolution(world, pose))
-        return Surface(plate_corners(target.size_mm), _PLATE, pose.matrix, material, picture, _PLATE_UV)
-    with _named(f"items.{name}.{'mesh' if isinstance(item, MeshItem) else 'artefact'}"):
-        mesh = item_mesh(item)
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+        picture = _target(name, item).image(_print_resolution(world, pose))
+        return Surface(vertices, faces, pose.matrix, material, picture, _PLATE_UV)
     return Surface(vertices, faces, pose.matrix, material)
+
+
+def _target(name: str, item: BoardItem) -> Target:
+    with _named(f"items.{name}.target"):
+        return Target.load(item.target)
 
 
 @contextmanager

@@ -31,6 +31,7 @@ def _poses_of(
     camera, projector = world.camera_model(), world.projector_model()
     outline = _outline(size_mm)
     T_projector_camera = world.T_projector_camera()
+    margin = rules.margin_px + 0.5  # the rules count from the centres of the outermost pixels
     chosen: list[RigidTransform] = []
     fitting: list[RigidTransform] = []
     for attempt in count():
@@ -44,8 +45,9 @@ def _poses_of(
             )
         pose = _random_pose(random, camera, rules)
         seen = pose.apply(outline)
-        if _inside(camera, seen, rules.margin_px) and _inside(
-            projector, T_projector_camera.apply(seen), rules.margin_px
+        if (
+            camera.sees(seen, margin_px=margin).all()
+            and projector.sees(seen, T_projector_camera, margin).all()
         ):
             fitting.append(pose)
         if len(fitting) == CANDIDATES:
@@ -85,11 +87,6 @@ def _random_pose(random: np.random.Generator, camera: Pinhole, rules: PoseRules)
     depth = rules.distance_mm + random.uniform(-1, 1) * rules.range_mm
     centre = depth * np.append(camera.normalise(pixel), 1.0)
     return RigidTransform(tilted.rotation @ turned.rotation, centre)
-
-
-def _inside(device: Pinhole, points: Floats, margin_px: float) -> bool:
-    pixels = device.project(points)
-    return bool(np.all(pixels >= margin_px) and np.all(pixels <= np.array(device.size) - 1 - margin_px))
 
 
 def _farthest(fitting: list[RigidTransform], chosen: list[RigidTransform]) -> RigidTransform:

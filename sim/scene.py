@@ -16,7 +16,10 @@ from fpplab.conventions import Floats
 
 @dataclass(frozen=True, eq=False)
 class Optics:
-    """A pinhole with OpenCV's distortion. size: (width, height) in px. matrix: (3, 3) in px."""
+    """A pinhole with OpenCV's distortion.
+
+    size: (width, height) in px. matrix: (3, 3) in px. distortion: (8,), k1 k2 p1 p2 k3 k4 k5 k6.
+    """
 
     size: tuple[int, int]
     matrix: Floats
@@ -61,6 +64,11 @@ class Lamp:
     aperture: Aperture
     texels_per_slope: float
     circles: tuple[float, ...]
+
+    @property
+    def sharp(self) -> float | None:
+        """Side of mirrors with sharp edges, in texels; None for smooth optics."""
+        return self.fill if self.exact else None
 
 
 @dataclass(frozen=True)

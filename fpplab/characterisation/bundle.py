@@ -15,7 +15,7 @@ from enum import StrEnum
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, pinvh
+from scipy.linalg import cho_solve
 from scipy.optimize import least_squares
 
 from fpplab.calibration import INTRINSICS, POSE, Uncertainty
@@ -27,7 +27,17 @@ from fpplab.geometry import RigidTransform
 SOFT = 3.0
 """Residuals beyond this many robust standard deviations count linearly, not squared (Huber)."""
 
+RATIONAL_SIGMA = 1.0
+"""How far k4, k5, k6 lie from zero before anything is seen, one standard deviation. Wide lenses need them
+of order one. On a mild lens k1, k2, k3 undo what they do, and without this all would grow together until a
+pole, which a zero of the numerator hides from the points, stands in the image."""
+
+LEAST_EIGENVALUE = 1e-13
+"""Of normal equations scaled to a diagonal of ones, relative to the greatest; less is rounding."""
+
 UNDETERMINED = "the poses do not determine all parameters; add some that are tilted by 20° or more"
+
+MOST_DAMPING = 1e8
 
 ROUNDS = 3
 """How often the noise is judged anew; it settles at the second."""
@@ -40,18 +50,19 @@ class Level(StrEnum):
     K2 = "k2"
     TANGENTIAL = "tangential"
     K3 = "k3"
+    RATIONAL = "rational"
 
     @property
     def terms(self) -> tuple[str, ...]:
         """The intrinsic parameters that are free; the first of `INTRINSICS`."""
-        return INTRINSICS[: {"k1": 5, "k2": 6, "tangential": 8, "k3": 9}[self]]
+        return INTRINSICS[: {"k1": 5, "k2": 6, "tangential": 8, "k3": 9, "rational": 12}[self]]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Everything that is adjusted.
 
-    camera, projector: (9,) as named in `INTRINSICS`. T_projector_camera, poses: (6,), (M, 6)
+    camera, projector: (12,) as named in `INTRINSICS`. T_projector_camera, poses: (6,), (M, 6)
     rotation vectors in rad and translations in mm; poses are `T_camera_target`.
     board: (P, 3) points of the board in mm.
     """
@@ -85,23 +96,6 @@ class Model:
 
 def fit(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
     """The best solution near `start`. Raises `CalibrationError` when there is none."""
-    problem, vector = _fitted(observations, start, model)
-    return problem.unpack(vector)
-
-
-def adjust(
-    observations: Sequence[Observation], start: Solution, model: Model
-) -> tuple[Solution, Uncertainty]:
-    """The best solution near `start`, and the uncertainty of the devices and of the pose between them.
-
-    The covariance is marginal: that the poses and the board are only known so well is in it.
-    Raises `CalibrationError` when the poses do not determine the parameters.
-    """
-    problem, vector = _fitted(observations, start, model)
-    return problem.unpack(vector), problem.uncertainty(vector)
-
-
-def _fitted(observations: Sequence[Observation], start: Solution, model: Model) -> tuple[Problem, Floats]:
     problem = Problem(tuple(observations), model, 1.0)
     vector = problem.pack(start)
     for _ in range(ROUNDS):
@@ -111,7 +105,18 @@ def _fitted(observations: Sequence[Observation], start: Solution, model: Model) 
         if settled:
             break
         vector = _descend(problem, vector)
-    return problem, vector
+    return problem.unpack(vector)
+
+
+def uncertainty(observations: Sequence[Observation], best: Solution, model: Model) -> Uncertainty:
+    """Of the devices and of the pose between them, at the solution that `fit` found for that model.
+
+    The covariance is marginal: that the poses and the board are only known so well is in it.
+    Raises `CalibrationError` when the poses do not determine the parameters.
+    """
+    problem = Problem(tuple(observations), model, 1.0)
+    vector = problem.pack(best)
+    return replace(problem, noise_px=problem.spread(vector)).uncertainty(vector)
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
@@ -125,13 +130,16 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
             # NumPy's factor, not SciPy's, which spends 100 ms on waking threads for such small matrices.
             trial = vector - cho_solve((np.linalg.cholesky(normal), True), gradient)
         except (np.linalg.LinAlgError, ValueError) as error:
-            raise CalibrationError(UNDETERMINED) from error
+            damping *= 10.0
+            if damping > MOST_DAMPING:
+                raise CalibrationError(UNDETERMINED) from error
+            continue
         gain = cost - _huber(problem.misfit(trial), limit)
         if gain > 0:
             vector, cost, damping = trial, cost - gain, 0.1 * damping
         else:
             damping *= 10.0
-        if abs(gain) <= 1e-9 * cost or damping > 1e8:
+        if abs(gain) <= 1e-9 * cost or damping > MOST_DAMPING:
             break
     return vector
 
@@ -180,9 +188,10 @@ class Problem:
         return n, 2 * n, 2 * n + 6, 2 * n + 6 + 6 * len(self.observations)
 
     @property
-    def _stiffness(self) -> float:
-        """Residual in px of a board point 1 mm from where it was drawn."""
-        return self.noise_px / (self.model.board_sigma_mm or np.inf)
+    def _rational(self) -> NDArray[np.intp]:
+        """Where k4, k5, k6 of both devices are, as far as they are free."""
+        rational = np.arange(INTRINSICS.index("k4"), self._free)
+        return np.concatenate([rational, self._free + rational])
 
     def pack(self, solution: Solution) -> Floats:
         n = self._free
@@ -213,12 +222,25 @@ class Problem:
         return max(1.4826 * float(np.median(np.abs(errors))), 1e-6)
 
     def misfit(self, vector: Floats) -> Floats:
-        """Residuals in px; the board's deviations count as errors of `noise_px` for one deviation."""
-        solution = self.unpack(vector)
-        errors = self._errors(solution)
+        """Residuals in px; what is known beforehand counts as errors of `noise_px` for one deviation."""
+        _, pulls, _ = self._known(vector)
+        return np.concatenate([self._errors(self.unpack(vector)), pulls])
+
+    def _known(self, vector: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Of parameters known beforehand: which they are, their residuals in px, and the slopes of these."""
+        rational = self._rational
+        stiffness = np.full(len(rational), self.noise_px / RATIONAL_SIGMA)
+        pulls = vector[rational] * stiffness
         if self.model.board_sigma_mm is None:
-            return errors
-        return np.concatenate([errors, (solution.board - self.model.drawn).ravel() * self._stiffness])
+            return rational, pulls, stiffness
+        board = np.arange(self._heads[3], len(vector))
+        stiff = np.full(len(board), self.noise_px / self.model.board_sigma_mm)
+        moved = vector[board] - self.model.drawn.ravel()
+        return (
+            np.concatenate([rational, board]),
+            np.concatenate([pulls, moved * stiff]),
+            np.concatenate([stiffness, stiff]),
+        )
 
     def _errors(self, solution: Solution) -> Floats:
         pairs = [solution.residuals(i, o) for i, o in enumerate(self.observations)]
@@ -230,12 +252,10 @@ class Problem:
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
         for index, observation in enumerate(self.observations):
             self._add_pose(matrix, gradient, index, observation, solution, limit)
-        if self.model.board_sigma_mm is not None:
-            board = np.arange(self._heads[3], len(vector))
-            pull = (solution.board - self.model.drawn).ravel() * self._stiffness
-            weight = self._stiffness * _weight(pull, limit)
-            matrix[board, board] += weight * self._stiffness
-            gradient[board] += weight * pull
+        known, pulls, stiffness = self._known(vector)
+        weight = stiffness * _weight(pulls, limit)
+        matrix[known, known] += weight * stiffness
+        gradient[known] += weight * pulls
         return matrix, gradient
 
     def _add_pose(
@@ -297,9 +317,14 @@ class Problem:
         scale = np.sqrt(np.diag(normal))
         if np.any(scale == 0):
             raise CalibrationError(UNDETERMINED)
-        inverse, rank = pinvh(normal / np.outer(scale, scale), rtol=1e-13, return_rank=True)
-        if rank < len(vector):
+        scaled = normal / np.outer(scale, scale)
+        # A lens may leave k4, k5, k6 open whatever the poses are; without them all must be determined.
+        others = np.delete(np.arange(len(vector)), self._rational)
+        poses = np.linalg.eigvalsh(scaled[np.ix_(others, others)])
+        if poses[0] < LEAST_EIGENVALUE * poses[-1]:
             raise CalibrationError(UNDETERMINED)
+        values, vectors = np.linalg.eigh(scaled)
+        inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
         spread = np.sum(residuals**2) / max(len(residuals) - len(vector), 1)
         shared = slice(self._heads[2])
         covariance = spread * inverse[shared, shared] / np.outer(scale[shared], scale[shared])
@@ -316,7 +341,7 @@ def _weight(residuals: Floats, limit: float) -> Floats:
 
 
 def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
-    """Pixels (K, 2) and their slopes (2 K, 15): by rotation, translation, and `INTRINSICS`."""
+    """Pixels (K, 2) and their slopes (2 K, 18): by rotation, translation, and `INTRINSICS`."""
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     pixels, slopes = cv2.projectPoints(points, pose[:3], pose[3:], matrix, intrinsics[4:])

@@ -112,6 +112,4 @@ def _seen_by_both(
     u, v = np.meshgrid(shares * device.size[0] - 0.5, shares * device.size[1] - 0.5)
     slopes = device.normalise(np.stack([u, v], axis=-1))
     points = np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * distance
-    seen = other.project(points, T_other_device)
-    inside = (seen > -0.5) & (seen < np.array(other.size) - 0.5)
-    return np.asarray(inside.all(axis=-1), np.bool_)
+    return other.sees(points, T_other_device)

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fpplab.calibration import INTRINSICS
 from fpplab.characterisation.bundle import Solution, vectors_of
 from fpplab.characterisation.observation import Observation
 from fpplab.conventions import Floats
@@ -67,7 +68,7 @@ def _from_behind(pose: Floats) -> bool:
 
 
 def zhang(device: str, boards: Pixels, pixels: Pixels, size: Size) -> tuple[float, Floats, Floats]:
-    """Zhang's method from several guesses of the principal point: RMS, intrinsics (9,), poses (M, 6).
+    """Zhang's method from several guesses of the principal point: RMS, intrinsics (12,), poses (M, 6).
 
     A projector's lens is often shifted so far that its principal point lies at the picture's edge,
     where a start from the centre may end in a wrong minimum.
@@ -104,7 +105,8 @@ def _zhang_from(
         )
     except cv2.error:
         return None
-    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
+    terms = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()]
+    intrinsics = np.pad(terms, (0, len(INTRINSICS) - len(terms)))
     poses = np.hstack([np.array(turns).reshape(-1, 3), np.array(shifts).reshape(-1, 3)])
     sound = np.isfinite(rms) and np.all(np.isfinite(intrinsics)) and intrinsics[:2].min() > 0
     return (float(rms), intrinsics, poses) if sound and poses[:, 5].min() > 0 else None

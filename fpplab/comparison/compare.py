@@ -26,7 +26,7 @@ from fpplab.clouds.pixelgrid import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, align_mesh
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
-from fpplab.comparison.visibility import Shape, in_image
+from fpplab.comparison.visibility import Shape
 from fpplab.conventions import Floats, Map, Mask
 from fpplab.errors import ConfigError, DataError
 
@@ -179,7 +179,7 @@ def _visible_samples(
     seen = np.logical_and.reduce([shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres])
     if calibration is not None:
         pose = calibration.T_projector_camera
-        seen &= in_image(calibration.camera, samples) & in_image(calibration.projector, samples, pose)
+        seen &= calibration.camera.sees(samples) & calibration.projector.sees(samples, pose)
         for centre in centres:
             seen[seen] = shape.lit(centre, samples[seen])
     if not seen.any():

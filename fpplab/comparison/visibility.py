@@ -9,11 +9,9 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from fpplab.conventions import Floats, Mask
-from fpplab.geometry import Pinhole, RigidTransform
 
 OCCLUDED_MM = 0.02
 """A surface this much nearer hides a point; less is the rounding of single-precision rays."""
-BORDER_SAMPLES = 64
 
 
 class Shape:
@@ -48,28 +46,3 @@ class Shape:
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
         return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)
-
-
-def in_image(device: Pinhole, points: Floats, T_device_camera: RigidTransform | None = None) -> Mask:
-    """Which points (N, 3) in the camera's frame fall into the device's image, distortion included."""
-    local = (T_device_camera or RigidTransform.identity()).apply(points)
-    inside = np.asarray(local[:, 2] > 0.0)
-    # Far outside the image the distortion may fold back into it, so the rays are bounded first.
-    low, high = _border_slopes(device)
-    slopes = local[inside, :2] / local[inside, 2:]
-    inside[inside] = ((slopes >= low) & (slopes <= high)).all(axis=1)
-    if inside.any():
-        pixels = device.project(local[inside])
-        inside[inside] = ((pixels >= -0.5) & (pixels <= np.array(device.size) - 0.5)).all(axis=1)
-    return inside
-
-
-def _border_slopes(device: Pinhole) -> tuple[Floats, Floats]:
-    """The least and the greatest slopes (x/z, y/z) along the image's border."""
-    along = np.linspace(0.0, 1.0, BORDER_SAMPLES)
-    ends = np.zeros_like(along), np.ones_like(along)
-    sides = [(along, ends[0]), (along, ends[1]), (ends[0], along), (ends[1], along)]
-    border = np.concatenate([np.stack(side, axis=1) for side in sides]) * np.array(device.size) - 0.5
-    slopes = device.normalise(border)
-    margin = 1e-3
-    return slopes.min(axis=0) - margin, slopes.max(axis=0) + margin

@@ -71,7 +71,7 @@ def _custom(data: Any, optics: Optics, aperture: Aperture, bytecode: str) -> Non
 
 
 _PARAMETERS = (
-    *("width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+    *("width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     *("radius", "focus", "shift_u", "shift_v", "lens_x", "lens_y"),
 )
 

@@ -57,11 +57,11 @@ def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
 
 
 def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
-    """Column and row in the texture: Brown-Conrady, intrinsics and lattice, the last two folded into one."""
-    k1, k2, p1, p2, k3 = map(float, lamp.optics.distortion)
+    """Column and row in the texture: the lens, intrinsics and lattice, the last two folded into one."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = map(float, lamp.optics.distortion)
     r2 = nodes.total(nodes.times(x, x), nodes.times(y, y))
-    radial = nodes.total(
-        1.0, nodes.times(r2, nodes.total(k1, nodes.times(r2, nodes.total(k2, nodes.times(r2, k3)))))
+    radial = nodes.math(
+        "DIVIDE", _one_and_powers(nodes, r2, k1, k2, k3), _one_and_powers(nodes, r2, k4, k5, k6)
     )
     xy2 = nodes.times(x, y, 2.0)
     xd = nodes.total(
@@ -75,6 +75,11 @@ def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
         nodes.total(nodes.times(xd, float(a)), nodes.times(yd, float(b)), float(c)) for a, b, c in to_texel
     )
     return column, row
+
+
+def _one_and_powers(nodes: Nodes, x: Any, a: float, b: float, c: float) -> Any:
+    """1 + a x + b x² + c x³."""
+    return nodes.total(1.0, nodes.times(x, nodes.total(a, nodes.times(x, nodes.total(b, nodes.times(x, c))))))
 
 
 def _colour(

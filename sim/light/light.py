@@ -14,13 +14,13 @@ Light is linear: a picture under a sum of patterns is the sum of the pictures. T
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, full_scale
 from fpplab.patterns import Pattern
 from sim.build import Setup, build_scene
 from sim.light.basis import Basis, Picture, span
@@ -152,7 +152,7 @@ class Light:
                 lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
             )
         basis = self._basis_of(levels)
-        rendered = self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
+        rendered = self._basis_under(setup, basis)
         weights = basis.weights[index].astype(np.float32)
         whole: Picture = np.tensordot(weights, rendered.pictures, axes=1)
         if self._world.is_translucent(setup.item):
@@ -177,28 +177,26 @@ class Light:
         return picture
 
     def _look_up(self, setup: Setup, levels: Levels, states: range, basis: Basis | None) -> Picture:
-        _, scene, texture = self._built(setup)
         if basis is None:
             table, light = self.table(setup), [levels.of(n) for n in states]
         else:
-            table = self._bases.get((setup, basis), lambda: self._render_basis(setup, basis)).table
+            table = self._basis_under(setup, basis).table
             light = [levels.of(n) - basis.level(n) for n in states]
-        textures = np.stack(
-            [
-                np.stack([texture.spread(image, circle) for image in light], -1)
-                for circle in scene.lamp.circles
-            ]
-        )
-        return table.look_up(textures, texture.fill if texture.exact else None)
+        _, scene, _ = self._built(setup)
+        return table.look_up(self._textures(setup, light), scene.lamp.sharp)
+
+    def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
+        return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
 
     def _render_basis(self, setup: Setup, basis: Basis) -> Rendered:
         """Three channels in a render; the table comes with the first, whose first channel is white."""
-        _, scene, texture = self._built(setup)
-        white = [texture.spread(basis.channels[0], circle)[..., None] for circle in scene.lamp.circles]
+        _, scene, _ = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
-        table = Table.of(first, scene.lamp).divided_by(np.stack(white))
+        table = Table.of(first, scene.lamp).divided_by(
+            self._textures(setup, basis.channels[:1]), scene.lamp.sharp
+        )
         self._albedos.put(setup, table.albedo)
-        pictures = [*_colours(first)]
+        pictures = _colours(first)
         for start in range(COLOURS, len(basis.channels), COLOURS):
             pictures += _colours(self._rendered(setup, basis.channels[start : start + COLOURS]))
         return Rendered(np.stack(pictures[: len(basis.channels)]), table)
@@ -212,7 +210,7 @@ class Light:
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._world.projector.response
             depth = min(p.bit_depth for p in patterns)
-            rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * (2**depth - 1))
+            rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * full_scale(depth))
             self._loaded = (patterns, Levels(len(patterns), lambda n: self._level(patterns[n]), rounding))
         return self._loaded[1]
 
@@ -225,7 +223,7 @@ class Light:
         """What closed mirrors leak, state 0, and the binary planes, the least significant first."""
         if self._planes is None or self._planes[0] is not pattern:
             response, bits = self._world.projector.response, pattern.bit_depth
-            greys = (1 << bits) - 1
+            greys = full_scale(bits)
             codes = np.rint((self._level(pattern) - response.b) / response.a * greys).astype(np.int64)
 
             def of(n: int) -> Picture:
@@ -258,13 +256,20 @@ class Light:
 
     def _rendered(self, setup: Setup, channels: Picture, survey: bool = False) -> Picture:
         """Renders (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
-        _, scene, texture = self._built(setup)
-        textures = np.zeros((len(scene.lamp.circles), *texture.shape, COLOURS), np.float32)
-        for c, circle in enumerate(scene.lamp.circles):
-            for k, channel in enumerate(channels):
-                textures[c, ..., k] = texture.spread(channel, circle)
+        dark = [np.zeros_like(channels[0])] * (COLOURS - len(channels))
         render = self._world.render
-        return self._render(setup, textures, self._effort(render.bounces, render.samples, survey))
+        effort = self._effort(render.bounces, render.samples, survey)
+        return self._render(setup, self._textures(setup, [*channels, *dark]), effort)
+
+    def _textures(self, setup: Setup, levels: Sequence[Picture] | Picture) -> Picture:
+        """Of mirrors at these light levels, (circles, rows, columns, levels)."""
+        _, scene, texture = self._built(setup)
+        circles = scene.lamp.circles
+        textures = np.empty((len(circles), *texture.shape, len(levels)), np.float32)
+        for of_circle, circle in zip(textures, circles, strict=True):
+            for n, level in enumerate(levels):
+                of_circle[..., n] = texture.spread(level, circle)
+        return textures
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
@@ -296,7 +301,10 @@ class Light:
 
 def _colours(rendered: Picture) -> list[Picture]:
     """The three pictures (height, width) of a render (views, height, width, …)."""
-    return list(np.moveaxis(rendered[..., :COLOURS].mean(axis=0), -1, 0))
+    total = np.zeros((*rendered.shape[1:3], COLOURS), np.float32)
+    for view in rendered:  # one after another as they lie in memory
+        total += view[..., :COLOURS]
+    return list(np.moveaxis(total / np.float32(len(rendered)), -1, 0))
 
 
 def _vignette(world: World) -> Picture | None:

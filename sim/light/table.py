@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.conventions import Floats
-from fpplab.geometry import RigidTransform
+from fpplab.geometry import RigidTransform, distort
 from sim.scene import ALBEDO, DIRECT, Lamp, X, Y, Z
 
 Picture = NDArray[np.float32]
@@ -39,7 +39,7 @@ class Table:
 
     @classmethod
     def of(cls, rendered: Picture, lamp: Lamp) -> Table:
-        """From what Blender rendered, (K, height, width, CHANNELS)."""
+        """From what Blender rendered under even light, (K, height, width, CHANNELS)."""
         views, height, width, channels = rendered.shape
         samples = np.empty((views, height, width, 4), np.float32)
         T = RigidTransform(lamp.T_camera_projector[:3, :3], lamp.T_camera_projector[:3, 3]).inverse()
@@ -72,11 +72,18 @@ class Table:
             _nearest(textures[0], flat, np.float32(fill), out)
         return out.reshape(-1, height, width)
 
-    def divided_by(self, white: Picture) -> Table:
-        """The table of a lamp that was `white` (circles, rows, columns, 1) when it was evenly white."""
+    def divided_by(self, white: Picture, fill: float | None = None) -> Table:
+        """The table of even light, if this is that of `white` mirrors (circles, rows, columns, 1)."""
         samples = self.samples.copy()
-        _divide(white, samples.reshape(-1, 4))
+        each = samples.reshape(1, 1, -1, 4)
+        shade = each[0, 0, :, 3]
+        again = Table(each, self.albedo).look_up(white, fill)[0, 0]  # white light on top of white light
+        lit = again > DIMMEST * shade
+        shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
         return Table(samples, self.albedo)
+
+
+_distort = numba.njit(inline="always")(distort)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -90,9 +97,8 @@ def _locate(
     squares: Floats,
     out: Picture,
 ) -> None:
-    """Brown-Conrady as in `fpplab.geometry`, in float64: a texel is a thousandth of the projector."""
+    """The lens as in `fpplab.geometry`, in float64: a texel is a thousandth of the projector."""
     R, t = T_projector_camera[:, :3], T_projector_camera[:, 3]
-    k1, k2, p1, p2, k3 = distortion
     for i in numba.prange(len(rendered)):
         out[i] = 0
         px, py, pz = np.float64(rendered[i, X]), np.float64(rendered[i, Y]), np.float64(rendered[i, Z])
@@ -101,10 +107,7 @@ def _locate(
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
         x = (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]) / z
         y = (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]) / z
-        square = x * x + y * y
-        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-        xd = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-        yd = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+        xd, yd, _, _, _ = _distort(x, y, distortion)
         out[i, 0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
         out[i, 1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
         if len(squares) > 1:
@@ -172,22 +175,3 @@ def _nearest(textures: Picture, samples: Picture, fill: np.float32, out: Picture
             if fill == 1 or (abs(x - i) < reach and abs(y - j) < reach):
                 for q in range(patterns):
                     out[q, p] += share * shade * textures[int(j), int(i), q]
-
-
-@numba.njit(parallel=True, cache=True)
-def _divide(white: Picture, samples: Picture) -> None:
-    circles, rows, columns, _ = white.shape
-    for p in numba.prange(len(samples)):
-        x, y = samples[p, 0], samples[p, 1]
-        light = np.float32(0)
-        if 0 <= x < columns - 1 and 0 <= y < rows - 1:
-            i, j = int(x), int(y)
-            fx, fy = x - np.float32(i), y - np.float32(j)
-            low = int(samples[p, 2])
-            share = samples[p, 2] - np.float32(low)
-            for level in range(low, min(low + 2, circles)):
-                w = share if level > low else np.float32(1) - share
-                top = white[level, j, i, 0] * (1 - fx) + white[level, j, i + 1, 0] * fx
-                bottom = white[level, j + 1, i, 0] * (1 - fx) + white[level, j + 1, i + 1, 0] * fx
-                light += w * (top * (1 - fy) + bottom * fy)
-        samples[p, 3] = samples[p, 3] / light if light > DIMMEST else np.float32(0)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from fpplab.calibration import Distortion
 from fpplab.config import Document
 from fpplab.geometry import Pinhole
-from sim.world.numbers import Distortion, NotNegative, Positive, Share, Size
+from sim.world.numbers import NotNegative, Positive, Share, Size
 
 Binning = Literal[1, 2, 4, 8]
 """Pixels of the sensor along each side of a pixel of a frame."""
@@ -78,6 +80,17 @@ class CameraWorld(Document):
         if self.focus_mm is not None and self.focus_mm <= self.focal_mm:
             raise ValueError(
                 f"'focus_mm' is {self.focus_mm:g}: must be greater than 'focal_mm', {self.focal_mm:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _every_pixel_has_a_ray(self) -> CameraWorld:
+        width, height = self.size
+        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
+        if np.isnan(self.model().normalise(corners)).any():
+            raise ValueError(
+                f"'distortion' is {list(self.distortion)}: it folds or has a pole before the image's corner; "
+                "must leave a ray to every pixel"
             )
         return self
 

@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from fpplab.calibration import PoseFile
+from fpplab.calibration import Distortion, PoseFile
 from fpplab.config import Document
 from fpplab.conventions import Lattice
 from fpplab.geometry import Pinhole
 from sim.texture import MirrorTexture, least_blur
-from sim.world.numbers import Distortion, NotNegative, Positive, Share, Size
+from sim.world.numbers import NotNegative, Positive, Share, Size
 
 
 class Response(Document):

@@ -9,16 +9,8 @@ import yaml
 
 from fpplab.plan import Plan
 from tests.system.conftest import Command
-from tests.twin.conftest import plain
-from tests.twin.test_devices import write_world
+from tests.twin.conftest import RIG, plain, write_world
 
-RIG = """
-name: small virtual bench
-bench: {backend: "sim.devices:VirtualBench", world: world.yaml}
-camera: {backend: "sim.devices:SimCamera", bits: 12}
-projector: {backend: "sim.devices:SimProjector"}
-fixture: {backend: "sim.devices:SimFixture"}
-"""
 PLAN = """
 fringes: [{axis: x, stripes: 16, steps: 3}]
 greys: {levels: 9, repeats: 2}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,22 @@ import pytest
 
 from fpplab import config
 from fpplab.conventions import Floats
-from fpplab.patterns import Pattern
+from fpplab.devices import CameraSettings
+from fpplab.patterns import Pattern, uniform_patterns
+from sim.devices import SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
 from sim.light import Light, Picture, Setup, Show
 from sim.worker import Blender
 from sim.world import World
 
 SIZE = (192, 128)
+RIG = """
+name: small virtual bench
+bench: {backend: "sim.devices:VirtualBench", world: world.yaml}
+camera: {backend: "sim.devices:SimCamera", bits: 12}
+projector: {backend: "sim.devices:SimProjector"}
+fixture: {backend: "sim.devices:SimFixture"}
+"""
+"""A rig file that stands beside the file of `write_world`."""
 
 
 def plain(**changes: Any) -> dict[str, Any]:
@@ -60,6 +71,40 @@ def world(**changes: Any) -> World:
     return config.validate(plain(**changes), World, "test world")
 
 
+def write_world(folder: Path, data: dict[str, Any]) -> str:
+    """A world file; its name."""
+    path = folder / "world.yaml"
+    path.write_text(
+        config.to_yaml(
+            {**data, "camera": {**data["camera"], "sensor_size": list(data["camera"]["sensor_size"])}}
+        )
+    )
+    return str(path)
+
+
+class Bench:
+    """The whole rig, open."""
+
+    def __init__(self, file: str) -> None:
+        self.shared = VirtualBench({"world": file})
+        self.camera = SimCamera("camera", {}, self.shared)
+        self.projector = SimProjector("projector", {}, self.shared)
+        self.stage = SimStage("stage", {}, self.shared)
+        self.fixture = SimFixture("fixture", {}, self.shared)
+
+    def open(self) -> None:
+        self.shared.open()
+        for device in (self.camera, self.projector, self.stage, self.fixture):
+            device.open()
+        self.camera.configure(CameraSettings(0.02, bits=12))
+        self.projector.load(uniform_patterns([0, 128, 255], self.projector.caps.size))
+
+    def close(self) -> None:
+        for device in (self.camera, self.projector, self.stage, self.fixture):
+            device.close()
+        self.shared.close()
+
+
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Nothing that an earlier run left, and nothing left for a later one."""
@@ -74,6 +119,15 @@ def blender() -> Iterator[Blender]:
     process = Blender("bench")
     yield process
     process.close()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """One bench for the tests of a module, of the world `plain`."""
+    rig = Bench(write_world(tmp_path_factory.mktemp("world"), plain()))
+    rig.open()
+    yield rig
+    rig.close()
 
 
 def levels(function: Any, of: World) -> Pattern:

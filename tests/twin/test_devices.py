@@ -2,62 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
-from fpplab import config
 from fpplab.conventions import Image
 from fpplab.devices import CameraSettings
 from fpplab.errors import CapabilityError, ConfigError, LimitError, SettingError
 from fpplab.patterns import Pattern, uniform_patterns
-from sim.devices import DARK, SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
-from tests.twin.conftest import plain, world
-
-
-def write_world(folder: Path, data: dict[str, Any]) -> str:
-    """A world file; its name."""
-    path = folder / "world.yaml"
-    path.write_text(
-        config.to_yaml(
-            {**data, "camera": {**data["camera"], "sensor_size": list(data["camera"]["sensor_size"])}}
-        )
-    )
-    return str(path)
-
-
-class Bench:
-    """The whole rig, open."""
-
-    def __init__(self, file: str) -> None:
-        self.shared = VirtualBench({"world": file})
-        self.camera = SimCamera("camera", {}, self.shared)
-        self.projector = SimProjector("projector", {}, self.shared)
-        self.stage = SimStage("stage", {}, self.shared)
-        self.fixture = SimFixture("fixture", {}, self.shared)
-
-    def open(self) -> None:
-        self.shared.open()
-        for device in (self.camera, self.projector, self.stage, self.fixture):
-            device.open()
-        self.camera.configure(CameraSettings(0.02, bits=12))
-        self.projector.load(uniform_patterns([0, 128, 255], self.projector.caps.size))
-
-    def close(self) -> None:
-        for device in (self.camera, self.projector, self.stage, self.fixture):
-            device.close()
-        self.shared.close()
-
-
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    rig = Bench(write_world(tmp_path_factory.mktemp("world"), plain()))
-    rig.open()
-    yield rig
-    rig.close()
+from sim.devices import DARK, SimCamera, SimStage, VirtualBench
+from tests.twin.conftest import Bench, plain, world
 
 
 def test_frames_show_what_is_on_show(bench: Bench) -> None:

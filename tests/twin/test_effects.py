@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,7 @@ from sim.light import Light, Setup, Show
 from sim.radiometry import photopic_efficiency
 from sim.worker import Blender
 from sim.world import World
-from tests.twin.conftest import card_points, grid, plain, world
-from tests.twin.test_devices import Bench, write_world
+from tests.twin.conftest import Bench, card_points, grid, plain, world
 
 EXPOSURE_S = 0.02
 BLACK = 0.01 * 4095
@@ -31,23 +29,14 @@ BRIGHT, QUIET = 1e4, {"full_well_e": 1e9, "read_noise_e": 0.0}
 """Lumens and a sensor for which shot noise is 0.003 % of full scale."""
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """One bench that becomes one world after another."""
-    bench = Bench(write_world(tmp_path_factory.mktemp("world"), plain()))
-    bench.open()
-    yield bench
-    bench.close()
-
-
-def stand(rig: Bench, exposure_s: float = EXPOSURE_S, gain_db: float = 0.0, **changes: Any) -> World:
-    """Let the rig be that world with its card up, and count frames from 0."""
+def stand(bench: Bench, exposure_s: float = EXPOSURE_S, gain_db: float = 0.0, **changes: Any) -> World:
+    """Let the bench be that world with its card up, and count frames from 0."""
     of = world(**changes)
-    rig.shared.become(of)
-    rig.fixture.mount("card")
-    rig.camera.close()
-    rig.camera.open()
-    rig.camera.configure(CameraSettings(exposure_s, gain_db, 12))
+    bench.shared.become(of)
+    bench.fixture.mount("card")
+    bench.camera.close()
+    bench.camera.open()
+    bench.camera.configure(CameraSettings(exposure_s, gain_db, 12))
     return of
 
 
@@ -69,14 +58,14 @@ def fringe(steps: int, stripes: float = 16) -> FringeSet:
     return FringeSet(axis="x", stripes=stripes, steps=steps)
 
 
-def taken(rig: Bench, of: World, fringes: FringeSet) -> list[Image]:
+def taken(bench: Bench, of: World, fringes: FringeSet) -> list[Image]:
     """A frame of every step."""
     plan = Plan(fringes=(fringes,))
-    rig.projector.load(make_patterns(plan, of.projector.size, of.projector.lattice))
+    bench.projector.load(make_patterns(plan, of.projector.size, of.projector.lattice))
     frames = []
     for i in range(fringes.steps):
-        rig.projector.show(i)
-        frames.append(rig.camera.snap().image)
+        bench.projector.show(i)
+        frames.append(bench.camera.snap().image)
     return frames
 
 
@@ -117,13 +106,13 @@ def shake(seed: int, frame: int, vibration_mm: float) -> Floats:
 
 
 @pytest.mark.parametrize("steps", [3, 4])
-def test_phase_errors_of_vibration_are_those_of_theory(rig: Bench, steps: int) -> None:
+def test_phase_errors_of_vibration_are_those_of_theory(bench: Bench, steps: int) -> None:
     """To first order an error e_n of the phase in frame n makes `(2/N) Σ sin²(φ - δ_n) e_n` of it."""
     vibration, fringes = 0.2, fringe(steps)
-    of = stand(rig, **quiet())
-    still = phase(taken(rig, of, fringes), fringes)
-    stand(rig, **quiet(vibration_mm=vibration))
-    error = turned(phase(taken(rig, of, fringes), fringes) - still)
+    of = stand(bench, **quiet())
+    still = phase(taken(bench, of, fringes), fringes)
+    stand(bench, **quiet(vibration_mm=vibration))
+    error = turned(phase(taken(bench, of, fringes), fringes) - still)
     per_mm, normal = phase_per_mm(of, fringes.stripes)
     expected = np.zeros_like(error)
     for n in range(steps):
@@ -133,20 +122,20 @@ def test_phase_errors_of_vibration_are_those_of_theory(rig: Bench, steps: int) -
     assert rms(error - expected) < 0.15 * rms(expected)
 
 
-def test_phase_errors_grow_with_the_vibration(rig: Bench) -> None:
+def test_phase_errors_grow_with_the_vibration(bench: Bench) -> None:
     """The same seed shakes the same way, so that errors are in proportion."""
     fringes = fringe(4)
-    of = stand(rig, **quiet())
-    still = phase(taken(rig, of, fringes), fringes)
+    of = stand(bench, **quiet())
+    still = phase(taken(bench, of, fringes), fringes)
     found = []
     for vibration in (0.1, 0.2, 0.4):
-        stand(rig, **quiet(vibration_mm=vibration))
-        found.append(rms(turned(phase(taken(rig, of, fringes), fringes) - still)) / vibration)
+        stand(bench, **quiet(vibration_mm=vibration))
+        found.append(rms(turned(phase(taken(bench, of, fringes), fringes) - still)) / vibration)
     assert found[0] > 0.02
     np.testing.assert_allclose(found, found[0], rtol=0.08)
 
 
-def test_vibration_has_its_standard_deviation(rig: Bench) -> None:
+def test_vibration_has_its_standard_deviation(bench: Bench) -> None:
     """Over many measurements the error's mean square is 3/(2N) times that of one frame's phase.
 
     16 measurements of 3 frames have some 32 independent errors: their RMS is good to 13 %.
@@ -156,31 +145,31 @@ def test_vibration_has_its_standard_deviation(rig: Bench) -> None:
     small = {"sensor_size": [48, 32], "pixel_um": 13132.8 / 48}
     lamp: dict[str, Any] = {"leds": {"green": {"lumens": BRIGHT / 16, "wavelength_nm": 525}}}
     lamp |= {"size": [228, 285], "centre_px": [113.5, 277.0]}  # fewer mirrors to draw
-    of = stand(rig, **quiet(camera=small, projector=lamp))
-    still = phase(taken(rig, of, fringes), fringes)
-    of = stand(rig, **quiet(camera=small, projector=lamp, vibration_mm=vibration))
-    errors = [turned(phase(taken(rig, of, fringes), fringes) - still) for _ in range(times)]
+    of = stand(bench, **quiet(camera=small, projector=lamp))
+    still = phase(taken(bench, of, fringes), fringes)
+    of = stand(bench, **quiet(camera=small, projector=lamp, vibration_mm=vibration))
+    errors = [turned(phase(taken(bench, of, fringes), fringes) - still) for _ in range(times)]
     per_mm, _ = phase_per_mm(of, fringes.stripes)
     expected = math.sqrt(3 / (2 * steps)) * vibration * rms(per_mm)
     assert rms(np.stack(errors)) == pytest.approx(expected, rel=0.2)
 
 
-def test_without_vibration_frames_differ_by_their_noise_alone(rig: Bench) -> None:
-    of = stand(rig)
-    rig.projector.load(uniform_patterns([200], of.projector.size))
-    rig.projector.show(0)
-    first, second = (rig.shared.irradiance(CameraSettings(EXPOSURE_S), n) for n in range(2))
+def test_without_vibration_frames_differ_by_their_noise_alone(bench: Bench) -> None:
+    of = stand(bench)
+    bench.projector.load(uniform_patterns([200], of.projector.size))
+    bench.projector.show(0)
+    first, second = (bench.shared.irradiance(CameraSettings(EXPOSURE_S), n) for n in range(2))
     np.testing.assert_array_equal(first, second)
 
 
-def test_every_frame_shakes_its_own_way_and_again_the_same_way(rig: Bench) -> None:
+def test_every_frame_shakes_its_own_way_and_again_the_same_way(bench: Bench) -> None:
     def run(seed: int) -> list[Image]:
-        of = stand(rig, seed=seed, vibration_mm=0.5)
-        rig.projector.load(
+        of = stand(bench, seed=seed, vibration_mm=0.5)
+        bench.projector.load(
             make_patterns(Plan(fringes=(fringe(3, 64),)), of.projector.size, of.projector.lattice)
         )
-        rig.projector.show(0)
-        return [rig.camera.snap().image for _ in range(2)]
+        bench.projector.show(0)
+        return [bench.camera.snap().image for _ in range(2)]
 
     first, again, other = run(3), run(3), run(4)
     np.testing.assert_array_equal(first, again)
@@ -197,14 +186,14 @@ ROLLING = {"shutter": {"line_time_s": PERIOD_S / ROWS_A_PERIOD}}
 MIRRORS = {"period_s": PERIOD_S}
 
 
-def share_of_steady(rig: Bench, grey: int, exposure_s: float, shutter: dict[str, Any]) -> Floats:
+def share_of_steady(bench: Bench, grey: int, exposure_s: float, shutter: dict[str, Any]) -> Floats:
     """What reaches the sensor of one grey level over what steady light would bring, (height, width)."""
     pictures = []
     for mirrors in (MIRRORS, {}):
-        of = stand(rig, exposure_s, **quiet(camera=shutter, projector=mirrors))
-        rig.projector.load(uniform_patterns([grey], of.projector.size))
-        rig.projector.show(0)
-        pictures.append(rig.shared.irradiance(CameraSettings(exposure_s), 5).astype(np.float64))
+        of = stand(bench, exposure_s, **quiet(camera=shutter, projector=mirrors))
+        bench.projector.load(uniform_patterns([grey], of.projector.size))
+        bench.projector.show(0)
+        pictures.append(bench.shared.irradiance(CameraSettings(exposure_s), 5).astype(np.float64))
     assert pictures[1].min() > 0.05
     return np.asarray(pictures[0] / pictures[1])
 
@@ -212,19 +201,21 @@ def share_of_steady(rig: Bench, grey: int, exposure_s: float, shutter: dict[str,
 @pytest.mark.parametrize("grey", [60, 128, 255])
 @pytest.mark.parametrize("shutter", [ROLLING, {}], ids=["rolling", "global"])
 @pytest.mark.parametrize("periods", [1, 7])
-def test_whole_periods_are_steady_light(rig: Bench, periods: int, shutter: dict[str, Any], grey: int) -> None:
-    share = share_of_steady(rig, grey, periods * PERIOD_S, shutter)
+def test_whole_periods_are_steady_light(
+    bench: Bench, periods: int, shutter: dict[str, Any], grey: int
+) -> None:
+    share = share_of_steady(bench, grey, periods * PERIOD_S, shutter)
     np.testing.assert_allclose(share, 1.0, atol=1e-5)
 
 
-def test_nearly_whole_periods_are_nearly_steady_light(rig: Bench) -> None:
+def test_nearly_whole_periods_are_nearly_steady_light(bench: Bench) -> None:
     """The sum of the binary planes is the pattern: no jump where the planes begin to be counted apart."""
-    share = share_of_steady(rig, 100, 2 * PERIOD_S * (1 + 1e-7), ROLLING)
+    share = share_of_steady(bench, 100, 2 * PERIOD_S * (1 + 1e-7), ROLLING)
     np.testing.assert_allclose(share, 1.0, atol=1e-5)
 
 
-def test_broken_periods_make_bands_that_repeat_with_the_mirrors(rig: Bench) -> None:
-    share = share_of_steady(rig, 128, 1.5 * PERIOD_S, ROLLING)
+def test_broken_periods_make_bands_that_repeat_with_the_mirrors(bench: Bench) -> None:
+    share = share_of_steady(bench, 128, 1.5 * PERIOD_S, ROLLING)
     assert np.ptp(share, axis=1).max() < 1e-5, "a band is a whole row"
     rows = share.mean(axis=1)
     np.testing.assert_allclose(rows[ROWS_A_PERIOD:], rows[:-ROWS_A_PERIOD], atol=1e-5)
@@ -241,26 +232,26 @@ def test_broken_periods_make_bands_that_repeat_with_the_mirrors(rig: Bench) -> N
 
 @pytest.mark.parametrize("shutter", [ROLLING, {}], ids=["rolling", "global"])
 @pytest.mark.parametrize("periods", [0.3, 1.5, 2.75])
-def test_white_has_no_bands(rig: Bench, periods: float, shutter: dict[str, Any]) -> None:
-    np.testing.assert_allclose(share_of_steady(rig, 255, periods * PERIOD_S, shutter), 1.0, atol=1e-5)
+def test_white_has_no_bands(bench: Bench, periods: float, shutter: dict[str, Any]) -> None:
+    np.testing.assert_allclose(share_of_steady(bench, 255, periods * PERIOD_S, shutter), 1.0, atol=1e-5)
 
 
-def test_a_global_shutter_gets_a_wrong_level_but_no_rows(rig: Bench) -> None:
-    share = share_of_steady(rig, 128, 1.5 * PERIOD_S, {})
+def test_a_global_shutter_gets_a_wrong_level_but_no_rows(bench: Bench) -> None:
+    share = share_of_steady(bench, 128, 1.5 * PERIOD_S, {})
     assert np.ptp(share) < 1e-5
     assert abs(share.mean() - 1) > 0.05
 
 
 @pytest.mark.parametrize("shutter", [ROLLING, {}], ids=["rolling", "global"])
-def test_broken_periods_spoil_the_phase_and_whole_ones_do_not(rig: Bench, shutter: dict[str, Any]) -> None:
+def test_broken_periods_spoil_the_phase_and_whole_ones_do_not(bench: Bench, shutter: dict[str, Any]) -> None:
     fringes = fringe(4)
 
     def found(periods: float, mirrors: dict[str, Any]) -> Floats:
         lumens = {
             "leds": {"green": {"lumens": BRIGHT * EXPOSURE_S / PERIOD_S / periods, "wavelength_nm": 525}}
         }
-        of = stand(rig, periods * PERIOD_S, **quiet(camera=shutter, projector={**mirrors, **lumens}))
-        return phase(taken(rig, of, fringes), fringes)
+        of = stand(bench, periods * PERIOD_S, **quiet(camera=shutter, projector={**mirrors, **lumens}))
+        return phase(taken(bench, of, fringes), fringes)
 
     steady = found(2, {})
     assert rms(turned(found(2, MIRRORS) - steady)) < 1e-3
@@ -283,11 +274,11 @@ def facing(**changes: Any) -> dict[str, Any]:
     return {"items": {"card": card}, "material": {"reflectance": 0.5}, **changes}
 
 
-def grey_level(rig: Bench) -> float:
+def grey_level(bench: Bench) -> float:
     """Of white in the middle of the card, above black."""
-    rig.projector.load(uniform_patterns([255], rig.projector.caps.size))
-    rig.projector.show(0)
-    return float(rig.camera.snap().image[60:70, 90:100].mean() - BLACK)
+    bench.projector.load(uniform_patterns([255], bench.projector.caps.size))
+    bench.projector.show(0)
+    return float(bench.camera.snap().image[60:70, 90:100].mean() - BLACK)
 
 
 def grey_of(lumens: float, wavelength_nm: float, exposure_s: float = EXPOSURE_S, gain_db: float = 0) -> float:
@@ -307,16 +298,16 @@ def grey_of(lumens: float, wavelength_nm: float, exposure_s: float = EXPOSURE_S,
      (0.05, 620, 0.02, 0.0), (0.01, 460, 0.02, 0.0)],
 )  # fmt: skip
 def test_grey_levels_are_those_of_the_chain(
-    rig: Bench, lumens: float, wavelength: float, exposure_s: float, gain_db: float
+    bench: Bench, lumens: float, wavelength: float, exposure_s: float, gain_db: float
 ) -> None:
     leds = {"led": {"lumens": lumens, "wavelength_nm": wavelength}}
-    stand(rig, exposure_s, gain_db, **facing(projector=projector(leds=leds, lit=["led"])))
+    stand(bench, exposure_s, gain_db, **facing(projector=projector(leds=leds, lit=["led"])))
     expected = grey_of(lumens, wavelength, exposure_s, gain_db)
     assert 200 < expected < 4000
-    assert grey_level(rig) == pytest.approx(expected, rel=0.01)
+    assert grey_level(bench) == pytest.approx(expected, rel=0.01)
 
 
-def test_light_of_two_colours_adds_up(rig: Bench) -> None:
+def test_light_of_two_colours_adds_up(bench: Bench) -> None:
     leds = {
         "red": {"lumens": 0.04, "wavelength_nm": 620},
         "green": {"lumens": 0.06, "wavelength_nm": 525},
@@ -324,8 +315,8 @@ def test_light_of_two_colours_adds_up(rig: Bench) -> None:
     }
 
     def of(*lit: str) -> float:
-        stand(rig, **facing(projector=projector(leds=leds, lit=list(lit))))
-        return grey_level(rig)
+        stand(bench, **facing(projector=projector(leds=leds, lit=list(lit))))
+        return grey_level(bench)
 
     both, red, green = of("red", "green"), of("red"), of("green")
     assert both == pytest.approx(red + green, rel=0.005)
@@ -333,18 +324,18 @@ def test_light_of_two_colours_adds_up(rig: Bench) -> None:
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
-def test_photon_transfer_through_the_camera(rig: Bench, gain_db: float) -> None:
+def test_photon_transfer_through_the_camera(bench: Bench, gain_db: float) -> None:
     """Variance against mean of a card under uniform patterns: the slope is the gain, in numbers an electron.
 
     A variance of 24576 differences is good to 0.9 %, eight of them to 0.4 %.
     """
-    of = stand(rig, EXPOSURE_S / 10 ** (gain_db / 20), gain_db)
+    of = stand(bench, EXPOSURE_S / 10 ** (gain_db / 20), gain_db)
     greys = [20, 50, 80, 110, 140, 170, 200, 230]
-    rig.projector.load(uniform_patterns(greys, of.projector.size))
+    bench.projector.load(uniform_patterns(greys, of.projector.size))
     means, variances = [], []
     for i in range(len(greys)):
-        rig.projector.show(i)
-        first, second = (rig.camera.snap().image.astype(np.float64) for _ in range(2))
+        bench.projector.show(i)
+        first, second = (bench.camera.snap().image.astype(np.float64) for _ in range(2))
         assert max(first.max(), second.max()) < 4095
         means.append((first + second).mean() / 2)
         variances.append((first - second).var() / 2)
@@ -355,14 +346,14 @@ def test_photon_transfer_through_the_camera(rig: Bench, gain_db: float) -> None:
 
 
 @pytest.mark.parametrize("binning", [2, 4])
-def test_binning_sums_light_and_noise(rig: Bench, binning: int) -> None:
+def test_binning_sums_light_and_noise(bench: Bench, binning: int) -> None:
     """As bright as without, since wells are binned too; noise falls with the side of the pixel."""
 
     def frames(binning: int) -> tuple[Image, Image]:
-        of = stand(rig, camera={**plain()["camera"], "binning": binning})
-        rig.projector.load(uniform_patterns([200], of.projector.size))
-        rig.projector.show(0)
-        return rig.camera.snap().image, rig.camera.snap().image
+        of = stand(bench, camera={**plain()["camera"], "binning": binning})
+        bench.projector.load(uniform_patterns([200], of.projector.size))
+        bench.projector.show(0)
+        return bench.camera.snap().image, bench.camera.snap().image
 
     fine, coarse = frames(1), frames(binning)
     assert coarse[0].shape == (128 // binning, 192 // binning)
@@ -437,18 +428,18 @@ def test_a_groove_is_linear_by_itself_and_right(
 
 
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
-def test_ambient_light_is_the_same_by_any_way(rig: Bench, path: str) -> None:
+def test_ambient_light_is_the_same_by_any_way(bench: Bench, path: str) -> None:
     """It is on the whole card, whether the projector is dark or not."""
     patterns = uniform_patterns([0, 255], world().projector.size)
     levels = {}
     for ambient in (0.0, 0.25):
-        stand(rig, ambient=ambient, render={"path": path, "subpixels": 1})
-        rig.projector.load(patterns)
+        stand(bench, ambient=ambient, render={"path": path, "subpixels": 1})
+        bench.projector.load(patterns)
         for i in range(2):
-            rig.projector.show(i)
-            levels[ambient, i] = rig.shared.irradiance(CameraSettings(EXPOSURE_S), 0)
-        rig.projector.blank()
-        levels[ambient, 2] = rig.shared.irradiance(CameraSettings(EXPOSURE_S), 0)
+            bench.projector.show(i)
+            levels[ambient, i] = bench.shared.irradiance(CameraSettings(EXPOSURE_S), 0)
+        bench.projector.blank()
+        levels[ambient, 2] = bench.shared.irradiance(CameraSettings(EXPOSURE_S), 0)
     for i in range(3):
         np.testing.assert_allclose(levels[0.25, i] - levels[0.0, i], 0.25 * 0.9, atol=1e-6)
     assert levels[0.0, 2].max() == 0

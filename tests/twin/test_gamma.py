@@ -21,8 +21,7 @@ from fpplab.phase_error import corrected_phase_error, judge, phase_error
 from fpplab.plan import FringeSet, GreyLevels, Plan
 from fpplab.rig import Rig
 from sim.world import World
-from tests.twin.conftest import plain
-from tests.twin.test_devices import write_world
+from tests.twin.conftest import RIG, plain, write_world
 
 EXPOSURE_S = 0.02
 STRIPES = 16.0
@@ -32,14 +31,6 @@ BRIGHT = {"green": {"lumens": 1e4, "wavelength_nm": 525}}
 """With 10 000 lumens on such a sensor shot noise is 0.003 % of full scale."""
 HIDDEN = {"a": 0.65, "b": 0.056, "g": 1.033}
 STRAIGHT = {"a": 1.0, "b": 0.0, "g": 1.0}
-
-RIG = """
-name: small virtual bench
-bench: {backend: "sim.devices:VirtualBench", world: world.yaml}
-camera: {backend: "sim.devices:SimCamera", bits: 12}
-projector: {backend: "sim.devices:SimProjector"}
-fixture: {backend: "sim.devices:SimFixture"}
-"""
 
 
 def data(response: dict[str, float], quiet: bool) -> dict[str, Any]:

@@ -134,3 +134,11 @@ def test_the_light_of_a_white_pattern_is_divided_out_of_a_table() -> None:
     white = (0.5 + 0.02 * column)[None, ..., None].astype(np.float32)
     found = table(np.array([[4.0, 3.0], [20.0, 3.0]]), 0.58).divided_by(white).samples[0, 0, :, 3]
     np.testing.assert_allclose(found, [1.0, 0.0], rtol=1e-6)
+
+
+def test_sharp_mirrors_are_divided_out_alike() -> None:
+    places = np.array([[3.0, 2.0], [3.45, 2.0]])
+    of_white = table(places, 0.5 / 0.64)  # Blender makes mirrors brighter for the dark between them
+    of_white.samples[0, 0, 1, 3] = 0.0
+    found = of_white.divided_by(np.ones((1, 8, 10, 1), np.float32), fill=0.8).samples[0, 0, :, 3]
+    np.testing.assert_allclose(found, [0.5, 0.0], rtol=1e-6)

@@ -171,12 +171,13 @@ def _on(of: World, path: str) -> World:
 LARGE = (1368, 912)
 CAMERA = [-0.45, 0.4, 0.02, -0.015, 0.1]
 PROJECTOR = [0.3, -0.2, -0.008, 0.01, 0.05]
+RATIONAL = [0.5, 0.1, 0.01, -0.008, 0.02, 0.9, 0.3, 0.05]
 
 
-def _distorting(lattice: Lattice) -> World:
+def _distorting(lattice: Lattice, lens: list[float] = PROJECTOR) -> World:
     """Both lenses strongly distorted, the camera with the pixels of a bench."""
     camera = {**plain()["camera"], "sensor_size": LARGE, "pixel_um": 13132.8 / LARGE[0], "distortion": CAMERA}
-    projector = {**plain()["projector"], "distortion": PROJECTOR, "lattice": lattice.value}
+    projector = {**plain()["projector"], "distortion": lens, "lattice": lattice.value}
     return world(camera=camera, projector=projector)
 
 
@@ -216,14 +217,14 @@ def test_points_seen_beside_a_pixel_s_middle_project_there(blender: Blender) -> 
     assert np.abs(_pixel_error(of, points, shift)).max() < 0.002
 
 
-@pytest.mark.parametrize("distortion", [CAMERA, [0.5, 0.5, 0.02, 0.02, 0.5]])
+@pytest.mark.parametrize("distortion", [CAMERA, [0.5, 0.5, 0.02, 0.02, 0.5], RATIONAL])
 def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     blender: Blender, distortion: list[float]
 ) -> None:
     """90 degrees across, where it takes more than a few steps of a fixed point to invert the distortion."""
     camera = {**plain()["camera"], "focal_mm": 8, "distortion": distortion}
     pose = {"rotation_deg": [3, -5, 0], "translation_mm": [0, 0, 450]}
-    of = world(camera=camera, items={"card": {"card_mm": [1500, 1500], "pose": pose}})
+    of = world(camera=camera, items={"card": {"card_mm": [4000, 4000], "pose": pose}})
     scene, _ = build_scene(of, Setup("card"))
     rendered = blender.render(scene, None, [View((0.0, 0.0))], Effort(survey=True), 60)
     points = rendered[0, ..., X : Z + 1].astype(np.float64)
@@ -231,11 +232,14 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     assert np.abs(_pixel_error(of, points, (0.0, 0.0))).max() < 0.002
 
 
+@pytest.mark.parametrize("lens", [PROJECTOR, RATIONAL], ids=["five", "eight"])
 @pytest.mark.parametrize("lattice", list(Lattice))
-def test_light_comes_from_the_mirrors_that_points_project_to(blender: Blender, lattice: Lattice) -> None:
+def test_light_comes_from_the_mirrors_that_points_project_to(
+    blender: Blender, lattice: Lattice, lens: list[float]
+) -> None:
     """A lamp whose first colour is white and whose others grow with the texture's column and row tells by
     its light which mirror each point is lit by; the table of direct light must say the same."""
-    of = _distorting(lattice)
+    of = _distorting(lattice, lens)
     scene, texture = build_scene(of, Setup("card"))
     row, column = np.mgrid[0 : texture.shape[0], 0 : texture.shape[1]] / max(texture.shape)
     ramps = np.stack([np.ones(texture.shape), column, row], axis=-1).astype(np.float32)[None]

@@ -23,8 +23,7 @@ from sim.devices import SimFixture, VirtualBench
 from sim.items import item_mesh, item_poses
 from sim.light import Light, Setup
 from sim.world import MeshItem, World
-from tests.twin.conftest import plain, world
-from tests.twin.test_devices import write_world
+from tests.twin.conftest import plain, world, write_world
 
 CARD = plain()["items"]["card"]
 POSE = {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]}
@@ -60,6 +59,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "name of material": (
         {"items": {"card": {**CARD, "material": "wax"}}, "materials": {"chalk": {}, "soot": {}}},
         "'items.card.material' is 'wax': must be of 'materials' (chalk, soot)",
+    ),
+    "coefficients of a lens": (
+        projector(distortion=[0.1, 0.0, 0.0, 0.0]),
+        "'projector.distortion' is [0.1, 0.0, 0.0, 0.0]: must be 5 coefficients",
+    ),
+    "lens that folds": (
+        {"camera": {**plain()["camera"], "focal_mm": 8, "distortion": [-0.5, 0.0, 0.0, 0.0, 0.0]}},
+        "'distortion' is [-0.5, 0.0, 0.0, 0.0, 0.0]: it folds or has a pole before the image's corner",
     ),
     "path": (
         {"render": {"path": "magic"}},

@@ -21,8 +21,7 @@ from sim.build import Setup, build_scene
 from sim.devices import SimCamera, SimFixture, SimProjector, VirtualBench
 from sim.scene import Effort, View
 from sim.worker import Blender, missing_library
-from tests.twin.conftest import plain, world
-from tests.twin.test_devices import write_world
+from tests.twin.conftest import plain, world, write_world
 
 ROOT = Path(__file__).parents[2]
 

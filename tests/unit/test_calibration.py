@@ -38,6 +38,23 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     assert back.rms_px == CALIBRATION.rms_px
 
 
+def test_eight_coefficients_are_kept_and_no_other_number_is(tmp_path: Path) -> None:
+    path, lens = tmp_path / "c.yaml", (0.5, 0.1, 4e-4, -3e-4, 0.01, 0.9, 0.3, 0.02)
+    wide = Pinhole.from_focal((1200, 900), (700.0, 698.0), (610.0, 440.0), lens)
+    replace(CALIBRATION, camera=wide).save(path)
+    written = yaml.safe_load(path.read_text())
+    assert written["camera"]["distortion"] == [*lens]
+    assert written["projector"]["distortion"] == [0.0] * 5
+    assert Calibration.load(path).camera.distortion.tolist() == [*lens]
+    for count in (0, 4, 6, 7, 9):
+        written["camera"]["distortion"] = [0.01] * count
+        path.write_text(yaml.safe_dump(written))
+        with pytest.raises(
+            ConfigError, match=r"'camera.distortion' is \[.*must be 5 .*k3\), or 8 with k4, k5, k6"
+        ):
+            Calibration.load(path)
+
+
 def test_the_projector_stands_where_the_transform_puts_it() -> None:
     assert CALIBRATION.baseline_mm == pytest.approx(np.sqrt(120.0**2 + 3.0**2 + 12.5**2))
     centre = CALIBRATION.projector_centre
@@ -126,9 +143,10 @@ def test_uncertainty_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     assert back.sigma["T_projector_camera.x"] == pytest.approx(np.sqrt(known.covariance[-3, -3]))
     written = yaml.safe_load(path.read_text())["uncertainty"]["covariance"]
     scale = np.degrees(1.0)
-    assert written[18][18] == pytest.approx(scale**2 * known.covariance[18, 18])
-    assert written[18][0] == pytest.approx(scale * known.covariance[18, 0])
-    assert written[23][23] == pytest.approx(known.covariance[23, 23])
+    turn, shift = PARAMETERS.index("T_projector_camera.rx"), PARAMETERS.index("T_projector_camera.z")
+    assert written[turn][turn] == pytest.approx(scale**2 * known.covariance[turn, turn])
+    assert written[turn][0] == pytest.approx(scale * known.covariance[turn, 0])
+    assert written[shift][shift] == pytest.approx(known.covariance[shift, shift])
 
 
 def test_a_file_without_uncertainty_is_still_a_calibration(tmp_path: Path) -> None:

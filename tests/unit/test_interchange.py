@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from fpplab.calibration import Calibration
 from fpplab.cli import app
-from fpplab.conventions import Lattice
+from fpplab.conventions import Floats, Lattice
 from fpplab.errors import ConfigError
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.interchange import Format, from_opencv, is_opencv, to_opencv
@@ -58,7 +58,7 @@ pinholes = st.builds(
     st.tuples(st.integers(2, 10_000), st.integers(2, 10_000)),
     st.tuples(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6)),
     st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
-    st.tuples(*[st.floats(-100, 100)] * 5),
+    st.one_of(st.tuples(*[st.floats(-100, 100)] * n) for n in (5, 8)),
 )
 poses = st.builds(
     lambda rotation, translation: RigidTransform.from_vectors(np.array(rotation), np.array(translation)),
@@ -89,12 +89,14 @@ def test_there_and_back_is_identity(
 
 
 @FORMATS
-def test_opencv_reads_what_is_written(kind: Format, tmp_path: Path) -> None:
-    calibration = from_opencv([write(tmp_path / "in.yml", STEREO)], **TOLD)
+@pytest.mark.parametrize("d2", [D2, np.append(D2, [0.9, 0.3, 0.02])[None]], ids=["five", "eight"])
+def test_opencv_reads_what_is_written(kind: Format, d2: Floats, tmp_path: Path) -> None:
+    expected = {**STEREO, "D2": d2}
+    calibration = from_opencv([write(tmp_path / "in.yml", expected)], **TOLD)
     path = tmp_path / f"out.{kind}"
     path.write_text(to_opencv(calibration, kind))
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    for name, value in STEREO.items():
+    for name, value in expected.items():
         found = storage.getNode(name).mat()
         assert found.shape == value.shape
         np.testing.assert_allclose(found, value, rtol=0, atol=1e-15)
@@ -145,8 +147,8 @@ def test_other_programs_names_are_known(program: str, suffix: str, tmp_path: Pat
     assert found.projector.lattice is Lattice.DIAMOND
     np.testing.assert_array_equal(found.camera.matrix, K1)
     np.testing.assert_array_equal(found.projector.matrix, K2)
-    np.testing.assert_array_equal(found.camera.distortion, D1.ravel())
-    np.testing.assert_array_equal(found.projector.distortion, D2.ravel())
+    np.testing.assert_array_equal(found.camera.coefficients, D1.ravel())
+    np.testing.assert_array_equal(found.projector.coefficients, D2.ravel())
     np.testing.assert_allclose(found.T_projector_camera.rotation, R, atol=1e-15)
     np.testing.assert_array_equal(found.T_projector_camera.translation, T.ravel())
     assert found.rms_px == ({"camera": 0.25} if program == "SLStudio" else {})
@@ -178,8 +180,8 @@ def test_each_device_may_have_a_file(tmp_path: Path) -> None:
 def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> None:
     entries = {**STEREO, "R": R.astype(np.float32), "D1": D1[:, :4], "D2": np.append(D2, np.zeros(3))[None]}
     found = from_opencv([write(tmp_path / "in.yml", entries)], **TOLD)
-    np.testing.assert_array_equal(found.camera.distortion, [-0.12, 0.2, 1e-3, -8e-4, 0])
-    np.testing.assert_array_equal(found.projector.distortion, D2.ravel())
+    np.testing.assert_array_equal(found.camera.coefficients, [-0.12, 0.2, 1e-3, -8e-4, 0])
+    np.testing.assert_array_equal(found.projector.coefficients, D2.ravel())
     rotation = found.T_projector_camera.rotation
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
 
@@ -197,9 +199,13 @@ def test_single_precision_and_fewer_coefficients_are_taken(tmp_path: Path) -> No
         ({"M2": np.full((3, 3), np.nan)}, "'M2' is not a matrix of finite numbers"),
         ({"M2": "large"}, "'M2' is not a matrix"),
         ({"M2": 3.5}, "'M2' is not a matrix"),
-        ({"D1": np.zeros((1, 3))}, r"'D1' has the shape 1 x 3; expected 4 or 5 coefficients"),
+        ({"D1": np.zeros((1, 3))}, r"'D1' has the shape 1 x 3; expected 4, 5 or 8 coefficients"),
         ({"D1": np.zeros((2, 4))}, r"'D1' has the shape 2 x 4"),
-        ({"D1": np.append(D1, [0, 0, 0.1])[None]}, r"'D1' has 8 coefficients and those beyond the fifth"),
+        ({"D1": np.append(D1, [0, 0.1])[None]}, r"'D1' has the shape 1 x 7"),
+        (
+            {"D1": np.append(D1, [0] * 6 + [0.1])[None]},
+            r"'D1' has 12 coefficients and those beyond the eighth",
+        ),
         ({"D1": np.full((1, 5), 1e3)}, r"camera\.distortion"),
         ({"R": -R}, "'R' is no rotation"),
         ({"R": 1.01 * R}, "'R' is no rotation"),

@@ -23,6 +23,7 @@ PROJECTOR = Pinhole.from_focal(
 PLACE = np.array([-150.0, 6.0, 4.0])
 TURN = RigidTransform.from_vectors(np.array([0.02, -np.arctan2(150.0, 450.0), 0.01]), np.zeros(3))
 CALIBRATION = Calibration(CAMERA, PROJECTOR, RigidTransform(TURN.rotation, -TURN.rotation @ PLACE), {})
+RATIONAL = (0.5, 0.1, 4e-3, -3e-3, 0.01, 0.9, 0.3, 0.02)
 MICRON = 1e-3
 
 
@@ -81,11 +82,35 @@ def test_points_lie_on_the_true_surface_to_a_micron(surface: object, axes: str) 
     assert cloud.size == (W, H)
 
 
-def test_camera_rays_invert_the_distortion_exactly() -> None:
-    a, b = camera_slopes(CAMERA)
-    pixels = CAMERA.project(np.stack([a, b, np.ones_like(a)], axis=-1))
-    v, u = np.mgrid[0:H, 0:W]
-    assert np.abs(pixels - np.stack([u, v], axis=-1)).max() < 1e-8
+def test_rational_lenses_give_the_true_surface_to_a_micron() -> None:
+    """Both wide: half the camera's rays and the projector's are bent by more than a tenth."""
+    camera = Pinhole.from_focal((W, H), (110.0, 111.0), (77.0, 61.0), RATIONAL)
+    projector = Pinhole.from_focal((912, 1140), (700.0, 690.0), (450.0, 600.0), RATIONAL)
+    calibration = replace(CALIBRATION, camera=camera, projector=projector)
+    a, b = camera_slopes(camera)
+    z = 450.0 / (0.3 * a - 0.2 * b + 1.0)
+    truth = np.stack([a * z, b * z, z], axis=-1)
+    seen = projector.project(truth, calibration.T_projector_camera)
+    seen[((seen < -0.5) | (seen > np.array(projector.size) - 0.5)).any(axis=-1)] = np.nan
+    assert np.isfinite(seen[..., 0]).mean() > 0.5
+    # Coordinates are single precision: of 1000 px half a last digit is 3e-5 px, here 10 µm in 450 mm.
+    exact = seen.astype(np.float32)
+    cloud = triangulate(Maps(exact[..., 0], exact[..., 1], np.full((H, W), 0.1, np.float32)), calibration)
+    assert len(cloud) == np.isfinite(exact[..., 0]).sum()
+    u, v = cloud.pixels.T  # type: ignore[union-attr]
+    assert np.abs(cloud.points - truth[v, u]).max() < 30 * MICRON
+    assert cloud.epipolar_px.max() < 1e-4  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("lens", [(-0.25, 0.1, 0.002, -0.001, 0.03), RATIONAL, (-3.0, 0.0, 0.0, 0.0, 0.0)])
+def test_camera_rays_are_those_of_the_model(lens: tuple[float, ...]) -> None:
+    camera = Pinhole.from_focal((W, H), (110.0, 111.0), (77.0, 61.0), lens)
+    v, u = np.mgrid[0:H, 0:W].astype(np.float64)
+    pixels = np.stack([u, v], axis=-1)
+    slopes = np.moveaxis(camera_slopes(camera), 0, -1)
+    np.testing.assert_allclose(slopes, camera.normalise(pixels), rtol=0, atol=1e-9)
+    met = camera.project(np.concatenate([slopes, np.ones((H, W, 1))], axis=-1))
+    assert np.nanmax(np.abs(met - pixels)) < 1e-9
 
 
 def test_pixels_where_the_camera_model_folds_have_no_ray() -> None:
@@ -112,8 +137,8 @@ def test_sigma_is_the_scatter_along_the_ray(axes: str) -> None:
         u, v = cloud.pixels.T  # type: ignore[union-attr]
         offset = (cloud.points - truth[v, u]) * np.sign(cloud.points[:, 2:] - truth[v, u, 2:])
         along = np.linalg.norm(offset, axis=1) * np.sign(cloud.points[:, 2] - truth[v, u, 2])
-        errors.append(along / cloud.sigma_mm)
-        sigmas.append(cloud.sigma_mm)
+        errors.append(along / cloud.sigma_noise_mm)
+        sigmas.append(cloud.sigma_noise_mm)
     assert np.std(np.concatenate(errors)) == pytest.approx(1.0, rel=0.1)
     assert 0.005 < np.median(np.concatenate(sigmas)) < 0.1
 
@@ -131,7 +156,7 @@ def test_the_axis_with_less_noise_counts_more() -> None:
         cloud = triangulate(noisy, CALIBRATION)
         u, v = cloud.pixels.T  # type: ignore[union-attr]
         along = (cloud.points - truth[v, u])[:, 2] * np.linalg.norm(truth[v, u], axis=1) / truth[v, u, 2]
-        assert np.std(along / cloud.sigma_mm) == pytest.approx(1.0, rel=0.1)
+        assert np.std(along / cloud.sigma_noise_mm) == pytest.approx(1.0, rel=0.1)
         scatter[axes] = np.std(along)
     assert scatter["xy"] <= 1.01 * scatter["x"]
 
