@@ -38,6 +38,7 @@ from fpplab.reconstruction import triangulate
 from fpplab.rig import Mounted, Rig
 from fpplab.session import Session
 from fpplab.targets import Target
+from fpplab.uncertainty import coordinate_noise, with_uncertainty
 
 Progress = Callable[[float], None]
 
@@ -95,11 +96,16 @@ def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
 def reconstruct(
     session: Session, calibration: Calibration, progress: Progress = nothing
 ) -> tuple[Decoded, Cloud]:
-    """Decode and triangulate. Raises `CalibrationError` when the calibration is of another rig."""
+    """Decode, triangulate, and say how well each point is known.
+
+    Raises `CalibrationError` when the calibration is of another rig.
+    """
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
-    decoded = decode_session(session, progress)
-    return decoded, triangulate(decoded, calibration, mean_image(session))
+    decoded = decode_session(session, lambda share: progress(0.6 * share))
+    cloud = triangulate(decoded, calibration, mean_image(session))
+    noise = coordinate_noise(decoded)
+    return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
 
 
 def finish_scan(
@@ -149,7 +155,7 @@ def characterise_sessions(
     target: Target,
     progress: Progress = nothing,
     *,
-    level: Level | Literal["auto"] = Level.TANGENTIAL,
+    level: Level | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
     """Camera, projector and the pose between them from one session per pose of a target.

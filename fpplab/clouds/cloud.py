@@ -24,6 +24,8 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj")
 
 Points = NDArray[np.float32]
 
+_SIGMAS = ("sigma_noise_mm", "sigma_calibration_mm", "sigma_form_mm")
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -31,8 +33,13 @@ class Cloud:
 
     points: float32 (N, 3). pixels: int32 (N, 2) as (u, v) of the camera of `size` (width, height)
     that saw them, at most one point per pixel. normals: float32 (N, 3), unit, facing the camera,
-    (0, 0, 0) where unknown. colour: uint8 grey (N,). sigma_mm: float32 (N,), standard deviation
-    along the ray. epipolar_px: float32 (N,), distance from the epipolar curve in projector px.
+    (0, 0, 0) where unknown. colour: uint8 grey (N,). epipolar_px: float32 (N,), distance from the
+    epipolar curve in projector px.
+
+    Standard uncertainties, float32 (N,): sigma_noise_mm, from the fringes' noise, along the ray,
+    independent from point to point. sigma_calibration_mm, from the calibration's covariance, common
+    to all points; sigma_form_mm, what the best rigid motion of the whole cloud leaves of that. These
+    two are root mean square distances (`fpplab.uncertainty`).
 
     Raises `DataError` when the parts do not fit together.
     """
@@ -42,13 +49,15 @@ class Cloud:
     size: tuple[int, int] | None = None
     normals: Points | None = None
     colour: NDArray[np.uint8] | None = None
-    sigma_mm: Points | None = None
+    sigma_noise_mm: Points | None = None
+    sigma_calibration_mm: Points | None = None
+    sigma_form_mm: Points | None = None
     epipolar_px: Points | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
         shapes: dict[str, tuple[int, ...]] = {"points": (n, 3), "pixels": (n, 2), "normals": (n, 3)}
-        shapes |= {"colour": (n,), "sigma_mm": (n,), "epipolar_px": (n,)}
+        shapes |= dict.fromkeys(("colour", *_SIGMAS, "epipolar_px"), (n,))
         for name, shape in shapes.items():
             values = getattr(self, name)
             if values is not None and values.shape != shape:
@@ -66,11 +75,21 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def sigma_mm(self) -> Points | None:
+        """Noise and calibration together, float32 (N,): root mean square distance from the true point.
+
+        None where one of them is not known.
+        """
+        if self.sigma_noise_mm is None or self.sigma_calibration_mm is None:
+            return None
+        return np.hypot(self.sigma_noise_mm, self.sigma_calibration_mm)
+
     def grid(self) -> PixelGrid:
         """The points laid out over the camera's pixels. Raises `DataError` when those are not known."""
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
-        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_mm)
+        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_noise_mm)
 
     def grid_mesh(self) -> tuple[Points, NDArray[np.int32]]:
         """The surface over the pixel grid, cut at jumps: vertices (N, 3), faces (M, 3) facing the camera.
@@ -181,6 +200,11 @@ _XYZ, _NORMAL, _RGB, _PIXEL = (
     ("pixel_u", "pixel_v"),
 )
 _SIZE = "camera_size"
+_SIGMAS_EXPLAINED = (
+    "sigma_noise_mm is independent from point to point, sigma_calibration_mm common to all",
+    "sigma_form_mm is what the best rigid motion of all points leaves of sigma_calibration_mm",
+    "sigma_mm is noise and calibration together: root mean square distance from the true point",
+)
 
 
 def _write_ply(cloud: Cloud, stream: BinaryIO) -> None:
@@ -191,14 +215,17 @@ def _write_ply(cloud: Cloud, stream: BinaryIO) -> None:
             columns |= dict(zip(names, np.asarray(values).T, strict=True))
     if cloud.colour is not None:
         columns |= dict.fromkeys(_RGB, cloud.colour)
-    if cloud.sigma_mm is not None:
-        columns["sigma"] = cloud.sigma_mm
+    for name in (*_SIGMAS, "sigma_mm"):
+        if (sigma := getattr(cloud, name)) is not None:
+            columns[name] = sigma
     if cloud.epipolar_px is not None:
         columns["epipolar"] = cloud.epipolar_px
     table = np.empty(len(cloud), [(name, values.dtype) for name, values in columns.items()])
     for name, values in columns.items():
         table[name] = values
     comments = ["points in mm in the camera's frame"]
+    if cloud.sigma_calibration_mm is not None:
+        comments += _SIGMAS_EXPLAINED
     if cloud.size is not None:
         comments.append(f"{_SIZE} {cloud.size[0]} {cloud.size[1]}")
     ply.write(table, comments, stream)
@@ -218,7 +245,7 @@ def _read_ply(path: Path) -> Cloud:
         size=size,
         normals=_columns(table, _NORMAL, np.float32),
         colour=None if rgb is None else np.rint(rgb.mean(axis=1)).astype(np.uint8),
-        sigma_mm=_column(table, "sigma"),
+        **{name: _column(table, name) for name in _SIGMAS},
         epipolar_px=_column(table, "epipolar"),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fpplab.clouds import Cloud, load_cloud, load_mesh, local_quadric_distance, save_cloud
+from fpplab.clouds import Cloud, load_cloud, load_mesh, local_quadric_distance, ply, save_cloud
 from fpplab.errors import ConfigError, DataError
 
 N, SIZE = 50, (40, 30)
@@ -25,7 +25,9 @@ def a_cloud(**changes: object) -> Cloud:
         "size": SIZE,
         "normals": (normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32),
         "colour": random.integers(0, 256, N).astype(np.uint8),
-        "sigma_mm": random.random(N).astype(np.float32),
+        "sigma_noise_mm": random.random(N).astype(np.float32),
+        "sigma_calibration_mm": random.random(N).astype(np.float32),
+        "sigma_form_mm": random.random(N).astype(np.float32),
         "epipolar_px": random.random(N).astype(np.float32),
     }
     return Cloud(**(parts | changes))  # type: ignore[arg-type]
@@ -41,6 +43,26 @@ def test_everything_known_survives_the_file(tmp_path: Path, suffix: str) -> None
         assert np.array_equal(before, after), field.name
         if field.name != "size":
             assert before.dtype == after.dtype
+
+
+def test_ply_names_the_parts_of_the_uncertainty_and_both_together(tmp_path: Path) -> None:
+    cloud, path = a_cloud(), tmp_path / "cloud.ply"
+    save_cloud(cloud, path)
+    table, comments = ply.read(path)
+    assert np.allclose(table["sigma_mm"] ** 2, cloud.sigma_noise_mm**2 + cloud.sigma_calibration_mm**2)  # type: ignore[operator]
+    assert np.array_equal(table["sigma_form_mm"], cloud.sigma_form_mm)  # type: ignore[arg-type]
+    assert any("sigma_calibration_mm common to all" in text for text in comments)
+
+
+def test_what_the_calibration_does_not_tell_is_absent(tmp_path: Path) -> None:
+    cloud, path = a_cloud(sigma_calibration_mm=None, sigma_form_mm=None), tmp_path / "cloud.ply"
+    assert cloud.sigma_mm is None
+    save_cloud(cloud, path)
+    names = ply.read(path)[0].dtype.names or ()
+    assert [name for name in names if name.startswith("sigma")] == ["sigma_noise_mm"]
+    read = load_cloud(path)
+    assert np.array_equal(read.sigma_noise_mm, cloud.sigma_noise_mm)  # type: ignore[arg-type]
+    assert (read.sigma_calibration_mm, read.sigma_form_mm, read.sigma_mm) == (None, None, None)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npz", ".xyz"])

@@ -55,7 +55,7 @@ def perfect_cloud(mesh: trimesh.Trimesh, noise_mm: float = 0.0, lit: bool = True
     points = points * (1.0 + np.random.default_rng(0).normal(0.0, noise_mm, len(points)) / 450.0)[:, None]
     pixels = np.stack([hit % W, hit // W], axis=1).astype(np.int32)
     sigma = np.full(len(points), noise_mm, np.float32)
-    return Cloud(points.astype(np.float32), pixels, (W, H), sigma_mm=sigma)
+    return Cloud(points.astype(np.float32), pixels, (W, H), sigma_noise_mm=sigma)
 
 
 def brute_force(queries: Array, points: Array) -> Array:
