@@ -75,6 +75,7 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
         write_report(
             out / REPORT,
             "Demonstration on the virtual bench",
+            facts=found.facts(),
             response=(response, levels),
             characterisation=found,
             scans=[s.section for s in scans],

@@ -19,7 +19,7 @@ import psutil
 
 from fpplab import config, console
 from fpplab.artefacts import Steps
-from fpplab.benchmarks import Result
+from fpplab.benchmarks import Result, below
 from fpplab.benchmarks.peak import peak_of
 from fpplab.devices import CameraSettings
 from fpplab.patterns import Pattern, make_patterns
@@ -141,16 +141,10 @@ def _agreements(seen: dict[str, list[Picture]], truth: list[Picture]) -> list[Re
     rms = float(np.sqrt(np.mean(errors["transport"] ** 2)))
     beyond = float(np.mean(errors["transport"] > 1))
     return [
-        Result("twin_linear_error", greatest, "grey level", LINEAR_MAX, _margin(LINEAR_MAX, greatest)),
-        Result("twin_transport_error", rms, "grey level RMS", TRANSPORT_RMS, _margin(TRANSPORT_RMS, rms)),
-        Result(
-            "twin_transport_beyond_1", beyond, "share", TRANSPORT_BEYOND, _margin(TRANSPORT_BEYOND, beyond)
-        ),
+        below("twin_linear_error", greatest, "grey level", LINEAR_MAX),
+        below("twin_transport_error", rms, "grey level RMS", TRANSPORT_RMS),
+        below("twin_transport_beyond_1", beyond, "share", TRANSPORT_BEYOND),
     ]
-
-
-def _margin(allowed: float, found: float) -> float:
-    return allowed / max(found, 1e-9)
 
 
 def _full_size(folder: Path) -> list[Result]:
@@ -170,7 +164,7 @@ def _full_size(folder: Path) -> list[Result]:
     bytes_per_sample = [m / n for m, n in zip(memory, samples, strict=True)]
     whole = memory[-1] / 2**30  # of this process and Blender together
     return [
-        Result("twin_full_size_memory", whole, "GiB", MEMORY_GIB, MEMORY_GIB / whole),
+        below("twin_full_size_memory", whole, "GiB", MEMORY_GIB),
         Result("twin_full_size_again", seconds_again, "s", seconds[-1], seconds[-1] / seconds_again),
         _growth("twin_full_size_time", per_sample, 1e6, "s / M samples"),
         _growth("twin_full_size_bytes", bytes_per_sample, 1, "bytes / sample"),

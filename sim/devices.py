@@ -174,6 +174,11 @@ def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
 class SimCamera(Camera):
     """The world's camera. Frames know the pattern that was on show, or `DARK`."""
 
+    @property
+    def bench(self) -> VirtualBench:
+        """What it looks at, for those who want to know the truth."""
+        return self._bench
+
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._bench = _shared(bench, self.name, options)
 

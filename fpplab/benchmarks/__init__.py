@@ -24,11 +24,18 @@ class Result:
     ratio: float
 
 
+def below(name: str, value: float, unit: str, limit: float) -> Result:
+    """A figure beside what it must not exceed."""
+    return Result(name, value, unit, limit, limit / max(value, 1e-9))
+
+
 REGISTRY = {
     "decode": "fpplab.benchmarks.decode:run",
     "triangulate": "fpplab.benchmarks.triangulate:run",
     "compare": "fpplab.benchmarks.compare:run",
+    "acquire": "drivers.benchmark:run",
     "twin": "sim.benchmark:run",
+    "characterise": "sim.characterisation_benchmark:run",
 }
 
 

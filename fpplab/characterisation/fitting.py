@@ -14,7 +14,7 @@ import numpy as np
 
 from fpplab.calibration import Calibration
 from fpplab.characterisation import coverage, outliers
-from fpplab.characterisation.bundle import Level, Model, Solution, adjust, fit, fit_pose
+from fpplab.characterisation.bundle import Level, Model, Solution, fit, fit_pose, uncertainty
 from fpplab.characterisation.mistakes import misdescribed
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.result import Characterisation, Rejected, Trial
@@ -27,6 +27,12 @@ from fpplab.targets import Target
 LEAST_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
 
+SIMPLEST = next(iter(Level))
+"""More distortion needs evidence: poses that it predicts better."""
+
+LEAST_GAIN = 0.02
+"""Share of the mean square error in poses left out by which more distortion must lessen it."""
+
 WORST_FOCAL = 0.03
 """Greatest relative uncertainty of a focal length that deserves the name of a result."""
 
@@ -35,6 +41,12 @@ SUSPECT_PX = 1.0
 
 BOARD_SIGMA_MM = 0.1
 """How far a printed board's points lie from where they are drawn, where its target file does not say."""
+
+UNJUDGED = (
+    f"{LEAST_POSES} poses leave none to judge the distortion by, so {SIMPLEST} was taken, the simplest "
+    "model; take more poses, or name the model"
+)
+"""What is said when there is nothing to choose the level by."""
 
 Residuals = tuple[Floats, Floats]
 """Of one pose, model minus observation in px, for the camera and the projector, (K, 2) each."""
@@ -48,7 +60,7 @@ def characterise(
     lattice: Lattice = Lattice.SQUARE,
     *,
     left_out: Mapping[str, str] | None = None,
-    level: Level | Literal["auto"] = Level.TANGENTIAL,
+    level: Level | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
     """Both devices and the pose between them, from what `observe` made of each pose.
@@ -56,7 +68,8 @@ def characterise(
     camera_size, projector_size: (width, height) in px. left_out: the poses that could not be
     observed, with a sentence each that names the pose and says why. level: of the distortion; `auto`
     takes the one with the smallest error in poses left out, or the simplest that is as good as that
-    within the standard error of the difference over the poses.
+    within the standard error of the difference over the poses, or within `LEAST_GAIN`. `LEAST_POSES` poses
+    leave none to judge by, and it takes the simplest of all, with a warning.
     refine_board: whether the board's own shape is fitted too, held by `target.tolerance_mm`, or
     `BOARD_SIGMA_MM` without it; None does so when the target has a tolerance.
 
@@ -69,20 +82,19 @@ def characterise(
     model = Model(most, target.points(), _board_sigma(target, refine_board))
     kept, start, apart_px = _settled(observations, target, model, (camera_size, projector_size), missing)
     kept, start, rejected = _without_outliers(kept, start, model)
-    tried = [
-        _tried(kept, start, replace(model, level=one)) for one in (Level if level == "auto" else (level,))
-    ]
-    chosen = _chosen(tried) if level == "auto" else 0
-    trial, solution, _ = tried[chosen]
-    solution, uncertainty = adjust(kept, solution, replace(model, level=trial.level))
-    _determined(solution, uncertainty.sigma)
+    # With few terms the distortion would stand in for tilts that are missing, so all are free here.
+    _determined(start, uncertainty(kept, start, model).sigma)
+    few = level == "auto" and len(kept) <= LEAST_POSES
+    tried = [_tried(kept, start, model, one) for one in _candidates(level, few)]
+    trial, solution, _ = tried[_chosen(tried)]
+    known = uncertainty(kept, solution, replace(model, level=trial.level))
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = Calibration(
         Pinhole(camera_size, matrix_of(solution.camera), solution.camera[4:]),
         Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
         transform(solution.T_projector_camera),
-        _rms_px(list(zip(cameras, projectors, strict=True))),
-        uncertainty,
+        trial.fitted_px,
+        known,
     )
     poses = tuple(transform(p) for p in solution.poses)
     return Characterisation(
@@ -95,11 +107,12 @@ def characterise(
         trial.held_out_px,
         solution.board,
         missing,
-        uncertainty.sigma,
+        known.sigma,
         trial.level,
         tuple(t for t, _, _ in tried),
         tuple(rejected),
-        coverage.warnings(kept, poses, calibration, solution.board),
+        (UNJUDGED,) * few + coverage.warnings(kept, poses, calibration, solution.board),
+        None if model.board_sigma_mm is None else model.drawn,
     )
 
 
@@ -164,14 +177,25 @@ def _without_outliers(
         solution = fit(observations, solution, model)
 
 
+def _candidates(level: Level | Literal["auto"], few: bool) -> tuple[Level, ...]:
+    """The levels to try, the simplest first; `auto` has no choice when the poses are few."""
+    if level == "auto":
+        return (SIMPLEST,) if few else tuple(Level)
+    return (level,)
+
+
 def _tried(
-    observations: Sequence[Observation], start: Solution, model: Model
+    observations: Sequence[Observation], settled: Solution, model: Model, level: Level
 ) -> tuple[Trial, Solution, list[Residuals] | None]:
-    """What a model reaches, its fit, and its residuals in each pose when that was left out."""
-    solution = fit(observations, start, model)
+    """What a level reaches, its fit, and its residuals in each pose when that was left out.
+
+    settled: the fit of `model`, from which that of another level starts.
+    """
+    own = replace(model, level=level)
+    solution = settled if level is model.level else fit(observations, settled, own)
     fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
-    held = _leave_one_out(observations, solution, model)
-    return Trial(model.level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
+    held = _leave_one_out(observations, solution, own)
+    return Trial(level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
 
 
 def _leave_one_out(
@@ -191,16 +215,13 @@ def _leave_one_out(
 
 def _chosen(tried: Sequence[tuple[Trial, Solution, list[Residuals] | None]]) -> int:
     """Which to take, simplest first in `tried`; poses are compared one by one, for some are always worse."""
-    held_out = [held for _, _, held in tried if held]
-    if len(held_out) < len(tried):
-        raise CalibrationError(
-            f"choosing the model needs more than {LEAST_POSES} poses, to leave one out at a time; "
-            "take more, or name the model"
-        )
-    errors = np.array([[_mean_square(pair) for pair in held] for held in held_out])
-    excess = errors - errors[np.argmin(errors.mean(axis=1))]
+    if len(tried) == 1:
+        return 0
+    errors = np.array([[_mean_square(pair) for pair in held] for _, _, held in tried if held])
+    best = errors[np.argmin(errors.mean(axis=1))]
+    excess = errors - best
     doubt = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
-    return int(np.flatnonzero(excess.mean(axis=1) <= doubt)[0])
+    return int(np.flatnonzero(excess.mean(axis=1) <= np.maximum(doubt, LEAST_GAIN * best.mean()))[0])
 
 
 def _mean_square(pair: Residuals) -> float:
@@ -225,14 +246,15 @@ def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> No
 def _determined(solution: Solution, sigma: dict[str, float]) -> None:
     """Refuse focal lengths that the poses leave open: `CalibrationError`."""
     apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
-    why = "the poses do not determine it"
-    if apart_deg < coverage.PARALLEL_DEG:
-        why = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine it"
+    parallel = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine "
+    advice = "add some that are tilted by 20° or more, each time differently"
+    why = f"{parallel}it" if apart_deg < coverage.PARALLEL_DEG else "the poses do not determine it"
     for device in ("camera", "projector"):
         for index, term in enumerate(("fx", "fy")):
             focal, doubt = getattr(solution, device)[index], sigma[f"{device}.{term}"]
             if doubt > WORST_FOCAL * focal:
                 raise CalibrationError(
-                    f"the {device}'s focal length is {focal:.0f} ± {doubt:.0f} px: {why}; "
-                    "add some that are tilted by 20° or more, each time differently"
+                    f"the {device}'s focal length is {focal:.0f} ± {doubt:.0f} px: {why}; {advice}"
                 )
+    if apart_deg < coverage.PARALLEL_DEG:  # the doubt is small only if the distortion is as assumed
+        raise CalibrationError(f"{parallel}the focal lengths; {advice}")

@@ -49,6 +49,7 @@ class Characterisation:
     left_out: why, by name of pose. sigma: standard uncertainty, as `camera.fx` or
     `T_projector_camera.x`, in px, rad or mm; the covariance is the calibration's. level: of the model
     used. trials: of every level tried. rejected: points not used. warnings: what the poses leave open.
+    drawn: where the board's points were drawn, (P, 3) in mm, if its shape was refined.
     """
 
     calibration: Calibration
@@ -65,6 +66,7 @@ class Characterisation:
     trials: tuple[Trial, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     warnings: tuple[str, ...] = ()
+    drawn: Floats | None = None
 
     @property
     def points(self) -> int:

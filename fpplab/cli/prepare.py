@@ -21,23 +21,27 @@ class ModelName(StrEnum):
     K2 = "k2"
     TANGENTIAL = "tangential"
     K3 = "k3"
+    RATIONAL = "rational"
     AUTO = "auto"
 
 
 @app.command()
 def devices(json: Json = False) -> None:
-    """List the cameras, projectors and stages that this computer sees."""
+    """List the cameras, projectors and stages that this computer sees, and what keeps others from showing."""
     from fpplab.rig import load_backend
 
-    found = [asdict(d) for d in load_backend("drivers.discovery:find", "fpplab", "devices")()]
+    found = load_backend("drivers.discovery:find", "fpplab", "devices")()
+    rows = [asdict(d) for d in found.devices]
 
     def words() -> None:
-        if not found:
+        if rows:
+            console.table("Devices", ["kind", "model", "serial", "link"], [list(d.values()) for d in rows])
+        else:
             console.say("No camera, projector or stage is connected; see their power and cables.")
-            return
-        console.table("Devices", ["kind", "model", "serial", "link"], [list(d.values()) for d in found])
+        for sentence in found.missing:
+            console.say(f"missing: {sentence}")
 
-    console.answer({"devices": found}, json, words)
+    console.answer({"devices": rows, "missing": found.missing}, json, words)
 
 
 @app.command()
@@ -129,10 +133,10 @@ def characterise(
         ModelName,
         typer.Option(
             "--model",
-            help="Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (all five); auto: the simplest "
-            "that is as good as any in poses left out.",
+            help="Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (and k3); rational (and k4 k5 k6, "
+            "for wide lenses); auto: the simplest that is as good as any in poses left out.",
         ),
-    ] = ModelName.TANGENTIAL,
+    ] = ModelName.AUTO,
     refine_board: Annotated[
         bool | None,
         typer.Option(

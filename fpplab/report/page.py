@@ -25,7 +25,8 @@ from fpplab.conventions import Axis, Floats, Image, Map
 from fpplab.files import write_text
 from fpplab.gamma import Response
 from fpplab.phase import Decoded, Wrapped
-from fpplab.report import figures
+from fpplab.report import characterisation as devices
+from fpplab.report import figures, uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +136,6 @@ def _template() -> Any:
     return environment.get_template("report.html.j2")
 
 
-def _figure(png: bytes, alt: str, caption: str, wide: bool = False) -> Figure:
-    return Figure.of(png, alt, caption, wide)
-
-
 # Summary
 
 COMPARED = (
@@ -216,7 +213,7 @@ def _roughness(cloud: Cloud) -> str:
 
 
 def _noise(cloud: Cloud) -> str:
-    return _number(None if cloud.sigma_mm is None else 1e3 * float(np.median(cloud.sigma_mm)))
+    return _number(None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm)))
 
 
 def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
@@ -248,7 +245,7 @@ def _characterisation_section(found: Characterisation) -> Section:
         list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
     )
     pictures = [
-        _figure(bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True)
+        Figure.of(bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True)
     ]
     cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
     seen = (
@@ -260,11 +257,17 @@ def _characterisation_section(found: Characterisation) -> Section:
         caption = (
             f"Reprojection errors of the {device}, model minus observation: over its pixels, and together."
         )
-        pictures.append(_figure(drawn, f"Reprojection errors of the {device}", caption, wide=True))
+        pictures.append(Figure.of(drawn, f"Reprojection errors of the {device}", caption, wide=True))
     for device, size, pixels, _ in seen:
         drawn = figures.coverage(pixels, size, device)
         caption = f"Where the board's points lay for the {device}, one colour per pose."
-        pictures.append(_figure(drawn, f"Points of the board over the {device}'s pixels", caption))
+        pictures.append(Figure.of(drawn, f"Points of the board over the {device}'s pixels", caption))
+    pictures.append(
+        Figure.of(devices.epipolar(found), "Epipolar distances by pose", devices.EPIPOLAR, wide=True)
+    )
+    if found.drawn is not None:
+        shape = devices.board_shape(found)
+        pictures.append(Figure.of(shape, "Shape of the board as refined", devices.BOARD, wide=True))
     joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
     text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
     text += f" Baseline {baseline:.2f} mm."
@@ -277,46 +280,58 @@ def _response_section(response: Response, levels: Floats) -> Section:
     values = zip((response.a, response.b, response.g), response.sigma, strict=True)
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
     columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
-    picture = _figure(
-        figures.response_fit(response) if response.regions else figures.response_curve(response, levels),
-        f"Response of projector and camera, with a fitted exponent of {response.g:.3f}",
-        "Left: the levels measured and the fitted response. Right: measured minus fitted.",
-        wide=True,
-    )
     text = "Level seen = a · (level shown)ᵍ + b, levels as shares of full scale."
-    return Section("Response", text, (Table(columns, (row,), "; ".join(response.left_out)),), (picture,))
+    return Section(
+        "Response",
+        text,
+        (Table(columns, (row,), "; ".join(response.left_out)),),
+        (_response_figure(response, levels),),
+    )
+
+
+def _response_figure(response: Response, levels: Floats) -> Figure:
+    alt = f"Response of projector and camera, with a fitted exponent of {response.g:.3f}"
+    if response.regions:
+        caption = (
+            "Left: the levels seen and the fitted response; below, seen minus fitted. "
+            "Right: the exponent of each region, beside that of all together."
+        )
+        return Figure.of(figures.response_fit(response), alt, caption, wide=True)
+    caption = "Left: the levels measured and the fitted response. Right: measured minus fitted."
+    return Figure.of(figures.response_curve(response, levels), alt, caption, wide=True)
 
 
 def _scan_section(scan: ScanSection) -> Section:
     name, decoded, cloud = scan.name, scan.decoded, scan.cloud
     phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
     pictures = [
-        _figure(
+        Figure.of(
             figures.camera_image(scan.frame, scan.bits),
             f"Camera image of the {name} under the finest fringes",
             "One frame of the finest fringe set.",
         ),
-        _figure(
+        Figure.of(
             figures.modulation(decoded.modulation),
             f"Map of the fringes' modulation on the {name}",
             "Modulation: the amplitude of the fringes.",
         ),
-        _figure(
+        Figure.of(
             figures.wrapped_phase(phase),
             f"Map of the wrapped phase of the {name}",
             "Wrapped phase of the finest set.",
         ),
         *_coordinates(scan),
-        _figure(
+        Figure.of(
             figures.relief(cloud),
             f"Shaded relief of the measured {name}",
             f"The measured surface, lit from the upper left: {_count(len(cloud))} points.",
         ),
-        _figure(
+        Figure.of(
             figures.depth(cloud),
             f"Map of the distance of the {name} from the camera",
             "Distance from the camera along its axis.",
         ),
+        *_sigmas(scan),
     ]
     text = (
         f"{scan.images} images; {_percent(float(decoded.valid.mean()))} of the camera's pixels are measured."
@@ -333,7 +348,7 @@ def _coordinates(scan: ScanSection) -> list[Figure]:
         ("y", scan.decoded.v, "rows"),
     )
     return [
-        _figure(
+        Figure.of(
             figures.coordinate(values, axis),
             f"Map of the projector's {name} as seen on the {scan.name}",
             f"Unwrapped: the projector's {name}, with contour lines.",
@@ -343,6 +358,15 @@ def _coordinates(scan: ScanSection) -> list[Figure]:
     ]
 
 
+def _sigmas(scan: ScanSection) -> list[Figure]:
+    cloud = scan.cloud
+    if cloud.sigma_noise_mm is None:
+        return []
+    alt = f"Maps of the standard uncertainty of the points of the {scan.name}"
+    drawn, wide = uncertainty.sigma_maps(cloud), cloud.sigma_mm is not None
+    return [Figure.of(drawn, alt, uncertainty.caption(cloud), wide)]
+
+
 def _error_figure(scan: ScanSection, found: Comparison) -> Figure:
     alt = f"Signed error of the {scan.name}, with its distribution; RMS {_number(found.surface_rms_um)} µm"
     caption = (
@@ -350,7 +374,7 @@ def _error_figure(scan: ScanSection, found: Comparison) -> Figure:
         f"true shape. {_count(found.beside)} points beside it are left out."
     )
     drawn = figures.error_map(scan.cloud, found.distances_mm, found.counted)
-    return _figure(drawn, alt, caption, wide=True)
+    return Figure.of(drawn, alt, caption, wide=True)
 
 
 # Words

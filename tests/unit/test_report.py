@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from dataclasses import replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,10 +20,11 @@ from fpplab.characterisation.observation import Observation
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.errors import DataError
-from fpplab.gamma import Response
+from fpplab.gamma import Level, Region, Response
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.phase import Decoded, Wrapped
 from fpplab.report import ScanSection, figures, write_report
+from fpplab.report.uncertainty import caption, sigma_maps
 
 SIZE = (64, 48)
 
@@ -71,7 +73,7 @@ def cloud() -> Cloud:
     points = np.stack([0.5 * u, 0.5 * v, 400 + 0.01 * u], axis=-1).reshape(-1, 3).astype(np.float32)
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.int32)
     sigma = np.full(len(points), 0.0125, np.float32)
-    return Cloud(points, pixels, SIZE, sigma_mm=sigma)
+    return Cloud(points, pixels, SIZE, sigma_noise_mm=sigma)
 
 
 def comparison(points: int) -> Comparison:
@@ -164,8 +166,8 @@ def test_nothing_leaves_the_file(full: Path) -> None:
 
 def test_every_picture_is_a_png_with_words(full: Path) -> None:
     page = Page(full)
-    # response; poses, two residuals, two coverages; six and seven maps with an error map each
-    assert len(page.images) == 1 + 5 + 7 + 8
+    # response; poses, two residuals, two coverages, epipolar; seven and eight maps with an error map each
+    assert len(page.images) == 1 + 6 + 8 + 9
     for image in page.images:
         assert image["alt"]
         data = base64.b64decode((image["src"] or "").split(",")[1], validate=True)
@@ -213,10 +215,29 @@ def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
     write_report(path, "Scan", scans=[scan(truth=False)])
     page = Page(path)
     assert page.headings[1:] == ["Pyramid"]
-    assert len(page.images) == 6
+    assert len(page.images) == 7
     assert "Roughness in µm" in page.cells
     assert "12.5" in page.cells
     assert "SMCD in µm" not in page.cells
+
+
+def test_the_caption_says_what_moves_the_whole_cloud() -> None:
+    noise = cloud()
+    assert "nothing of its own uncertainty" in caption(noise)
+    both = replace(noise, sigma_calibration_mm=np.full(len(noise), 0.03, np.float32))
+    assert "common to all points" in caption(both)
+    assert "median 32.5 µm" in caption(both)  # √(12.5² + 30²)
+    narrow, wide = (Pixels.open(io.BytesIO(sigma_maps(c))).width for c in (noise, both))
+    assert wide == pytest.approx(2 * narrow, rel=0.02)
+
+
+def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) -> None:
+    bare = replace(cloud(), sigma_noise_mm=None)
+    with pytest.raises(DataError, match="nothing to draw"):
+        sigma_maps(bare)
+    path = tmp_path / "scan.html"
+    write_report(path, "Scan", scans=[replace(scan(truth=False), cloud=bare)])
+    assert len(Page(path).images) == 6
 
 
 def test_only_points_that_count_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,3 +273,17 @@ def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_report(old, "Scan", scans=[broken])
     assert old.read_text() == "old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "report.html"]
+
+
+def test_the_caption_of_a_response_says_what_is_drawn(tmp_path: Path) -> None:
+    fitted, levels = response()
+    parts = {
+        "measured": tuple(Level(shown=x, seen=y, sigma=0.001, residual=0.0) for x, y in levels.tolist()),
+        "regions": tuple(Region(row=0, column=k, a=0.9, b=0.02, g=2.2, sigma_g=0.003) for k in range(3)),
+    }
+    for name, drawn in (("curve", fitted), ("regions", fitted.model_copy(update=parts))):
+        path = tmp_path / f"{name}.html"
+        write_report(path, "Response", response=(drawn, levels))
+        page = path.read_text(encoding="utf-8")
+        assert ("exponent of each region" in page) == (name == "regions")
+        assert ("Right: measured minus fitted" in page) == (name == "curve")

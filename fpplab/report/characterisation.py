@@ -1,0 +1,143 @@
+"""What a characterisation leaves beyond each device's own errors: epipolar distances, the board's shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fpplab.calibration import Calibration
+from fpplab.characterisation import Characterisation, Observation
+from fpplab.conventions import Floats
+from fpplab.errors import DataError
+from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, blank, colour_bar, map_height, pair, picture
+
+BINS = 41
+CROWDED = 8
+"""Poses beyond which their names are written aslant."""
+
+EPIPOLAR = (
+    "Distance in the projector's picture between each of its points and where the camera's point can lie "
+    "there, at whatever depth; no board comes into it. Where the mean of one pose is off, something moved "
+    "while it was captured."
+)
+BOARD = (
+    "The board's shape as refined against the board as drawn; position, turn and scale are taken off. "
+    "Left: out of its plane, positive away from the viewer. Right: within its plane."
+)
+
+
+def epipolar_distances(observation: Observation, calibration: Calibration) -> Floats:
+    """Signed distance of each point from where its camera pixel lies on the projector, (K,) in px.
+
+    A camera pixel is a ray, whose image on the projector is a curve (a line without distortion); the
+    distance is that of the projector's point from it, at the depth at which both rays pass nearest, to the
+    right of the direction in which depth moves it. Unlike the errors of each device it needs no board.
+    """
+    pair_of, projector = calibration.T_projector_camera, calibration.projector
+    slopes = calibration.camera.normalise(observation.camera_px)
+    rays = np.column_stack([slopes, np.ones(len(slopes))])
+    depth = _depths(rays, observation.projector_px, calibration)
+    at, beyond = (projector.project(rays * z[:, None], pair_of) for z in (depth, depth * (1.0 + 1e-4)))
+    along = (beyond - at) / np.linalg.norm(beyond - at, axis=1)[:, None]
+    off = observation.projector_px - at
+    return np.asarray(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
+
+
+def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Floats:
+    """Along the camera's rays (K, 3), where they pass nearest to the projector's, (K,) in mm."""
+    slopes = calibration.projector.normalise(projector_px)
+    turned = np.column_stack([slopes, np.ones(len(slopes))]) @ calibration.T_projector_camera.rotation
+    across = np.cross(rays, turned)
+    away = np.cross(np.broadcast_to(calibration.projector_centre, rays.shape), turned)
+    return np.asarray((away * across).sum(axis=1) / (across**2).sum(axis=1))
+
+
+@picture
+def epipolar(found: Characterisation) -> Figure:
+    """Distances of the projector's points from their epipolar lines in px: all together, and by pose."""
+    poses = [epipolar_distances(o, found.calibration) for o in found.observations]
+    distances = np.concatenate(poses)
+    rms = float(np.sqrt(np.mean(distances**2)))
+    figure, (left, right) = pair(2.9, (1.0, 1.5))
+    reach = max(float(np.percentile(np.abs(distances), 99.5)), 1e-9) * 1.05
+    left.hist(distances, np.linspace(-reach, reach, BINS).tolist(), color=ACCENT)
+    left.axvline(0, color=INK, linewidth=0.8)
+    left.set(xlabel="distance from the epipolar line in px", ylabel="points", xlim=(-reach, reach))
+    beyond = int(np.sum(np.abs(distances) > reach))
+    more = f", {beyond} beyond the frame" if beyond else ""
+    left.set_title(f"RMS {rms:.3g} px, {len(distances)} points{more}", fontsize=8.5)
+    _by_pose(right, [o.name for o in found.observations], poses, reach)
+    return figure
+
+
+def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: float) -> None:
+    """Every point as a dot over its pose, with the pose's mean as a line: what moved shows as an offset."""
+    for place, distances in enumerate(poses):
+        spread = place + 0.3 * np.linspace(-1, 1, len(distances))
+        axes.plot(spread, distances, ".", color=ACCENT, markersize=2.5, alpha=0.6)
+    places = np.arange(len(poses))
+    axes.hlines([d.mean() for d in poses], places - 0.4, places + 0.4, color=SECOND, linewidth=1.6)
+    axes.axhline(0, color="#c4c8cc", linewidth=0.6, zorder=0)
+    aslant = len(names) > CROWDED
+    axes.set_xticks(places, names, rotation=35 if aslant else 0, ha="right" if aslant else "center")
+    axes.set(ylabel="distance in px", xlim=(-0.6, len(names) - 0.4), ylim=(-reach, reach))
+    axes.set_title("by pose, with its mean", fontsize=8.5)
+
+
+def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:
+    """Of the points seen: where they were drawn, (K, 3) in mm, and how far the refined are off, (K, 3) in µm.
+
+    Not counted: how the board is held, and its scale, which no picture can tell from the distance.
+    Raises `DataError` when the board was taken as it is drawn.
+    """
+    if found.drawn is None:
+        raise DataError("the board was taken as it is drawn; there is no shape to show")
+    seen = np.unique(np.concatenate([o.ids for o in found.observations]))
+    drawn = found.drawn[seen]
+    return drawn, 1e3 * (similar(found.board[seen], drawn) - drawn)
+
+
+def similar(points: Floats, onto: Floats) -> Floats:
+    """Points (K, 3) turned, moved and scaled to lie on others as nearly as they can (Umeyama, 1991)."""
+    centre, there = points.mean(axis=0), onto.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((onto - there).T @ (points - centre))
+    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    scale = (sizes * handed).sum() / ((points - centre) ** 2).sum()
+    return np.asarray(scale * (points - centre) @ ((u * handed) @ vt).T + there)
+
+
+@picture
+def board_shape(found: Characterisation) -> Figure:
+    """The refined board: distance from the drawn plane as a map, displacement within it as arrows.
+
+    Raises `DataError` when the board was taken as it is drawn.
+    """
+    place, deviation = board_deviation(found)
+    (x, y), along, height = place[:, :2].T, deviation[:, :2], deviation[:, 2]
+    sides = np.ptp(place[:, :2], axis=0)
+    figure = blank(FULL, map_height((int(sides[1]) + 1, int(sides[0]) + 1), 0.5 * FULL) + 0.4)
+    left, right = cast(Any, figure.subplots(1, 2))
+    limit = max(float(np.abs(height).max()), 1e-9)
+    dots = left.scatter(x, y, c=height, s=90, cmap="RdBu_r", vmin=-limit, vmax=limit, edgecolors=INK,
+                        linewidths=0.3)  # fmt: skip
+    colour_bar(figure, left, dots, "out of the plane in µm")
+    left.set_title(f"out of the plane: RMS {_rms(height):.3g} µm, span {np.ptp(height):.3g} µm", fontsize=8.5)
+    size = _rms(np.linalg.norm(along, axis=1))
+    arrows = right.quiver(x, y, *along.T, angles="xy", scale_units="xy", scale=20 * size / max(sides),
+                          color=ACCENT, width=0.004)  # fmt: skip
+    right.quiverkey(arrows, 0.8, 1.06, size, f"{size:.2g} µm", labelpos="E", coordinates="axes")
+    right.plot(x, y, ".", color=INK, markersize=1.5)
+    right.set_title(f"in the plane: RMS {size:.3g} µm", fontsize=8.5, loc="left")
+    edge = 0.14 * max(sides)
+    for axes in (left, right):
+        axes.set(xlabel="board x in mm", ylabel="board y in mm", aspect="equal")
+        axes.set(xlim=(x.min() - edge, x.max() + edge), ylim=(y.max() + edge, y.min() - edge))
+    return figure
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
