@@ -9,7 +9,18 @@ from importlib import import_module
 from fpplab import console
 from fpplab.cli.app import app
 
-for _commands in ("whole", "prepare", "measure", "look", "accept", "convert", "speed"):  # the order of --help
+# In the order of --help.
+for _commands in (
+    "whole",
+    "prepare",
+    "measure",
+    "look",
+    "accept",
+    "convert",
+    "projector",
+    "emulate",
+    "speed",
+):
     import_module(f"fpplab.cli.{_commands}")
 
 

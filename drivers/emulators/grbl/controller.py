@@ -1,0 +1,383 @@
+"""The controller itself: lines, real-time commands, states and reports."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.emulators.grbl.drive import Drive, Rail
+from drivers.emulators.grbl.gcode import (
+    AXES,
+    MM_PER_INCH,
+    ORIGIN,
+    Dwell,
+    GcodeError,
+    Interpreter,
+    Move,
+    Vector,
+)
+from drivers.emulators.grbl.settings import DEFAULTS, Settings
+
+VERSION, BUILD = "1.1f", "1.1f.20170801"
+RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15
+WCO_EVERY, OVERRIDES_EVERY = (10, 30), (10, 20)
+"""Reports from one with this field to the next, at rest and in motion."""
+
+_COMMENT = re.compile(r"\([^)]*\)?|;.*|\s")
+
+
+class Mode(StrEnum):
+    """The first word of a report."""
+
+    IDLE = "Idle"
+    RUN = "Run"
+    HOLD = "Hold"
+    JOG = "Jog"
+    ALARM = "Alarm"
+    HOME = "Home"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What depends on how GRBL was compiled, or is seen in its source and logs but not in its documentation.
+
+    locks_at_power_up: HOMING_INIT_LOCK. forces_origin: HOMING_FORCE_SET_ORIGIN, zero where homing ends.
+    ok_after_abort: a line that a reset breaks off is still answered `ok`, after the alarm.
+    """
+
+    locks_at_power_up: bool = True
+    forces_origin: bool = False
+    ok_after_abort: bool = True
+
+
+class GrblController:
+    """The controller: `receive` bytes, `poll` for the bytes it says.
+
+    clock: seconds, ever growing. settings: what differs from `DEFAULTS`. For faults see `drive`,
+    `power_cycle`, and `spoil`, which is given every line before it is said.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        settings: dict[int, float] | None = None,
+        rail: Rail | None = None,
+        policy: Policy | None = None,
+    ) -> None:
+        self._clock, self._policy = clock, policy or Policy()
+        self.settings = Settings(DEFAULTS | (settings or {}))
+        self.drive = Drive(self.settings, rail or Rail())
+        self.spoil: Callable[[str], str] = lambda line: line
+        self._said = bytearray()
+        self.power_cycle()
+
+    def receive(self, data: bytes) -> None:
+        """Take what came over the wire; real-time commands are obeyed at once."""
+        for byte in data:
+            self._advance()
+            match byte:
+                case 0x18:
+                    self._reset()
+                case 0x3F:  # ?
+                    self._report()
+                case 0x21:  # !
+                    self._hold()
+                case 0x7E:  # ~
+                    self._resume()
+                case 0x85:
+                    self._cancel_jog()
+                case _ if byte < 0x80 and len(self._waiting) < RX_BYTES - 1:
+                    self._waiting.append(byte)
+            self._read_lines()
+
+    def poll(self) -> bytes:
+        """Let time pass, and return what there is to say."""
+        self._advance()
+        self._read_lines()
+        said = bytes(self._said)
+        self._said.clear()
+        return said
+
+    @property
+    def mode(self) -> Mode:
+        """The state that a report would tell."""
+        return self._mode
+
+    def power_cycle(self) -> None:
+        """Off and on: the carriage stays where it is, but the position is forgotten."""
+        self.drive.forget()
+        self._program = Interpreter()
+        locked = self._policy.locks_at_power_up and self.settings.flag(22)
+        self._mode = Mode.ALARM if locked else Mode.IDLE
+        self._start()
+
+    # --- starting and stopping
+
+    def _start(self) -> None:
+        self._waiting = bytearray()
+        self._queue: deque[Move] = deque()
+        self._dwell: Dwell | None = None
+        self._rested_s = 0.0
+        self._homed_s: float | None = None
+        self._holding = self._critical = False
+        self._wco_in = self._overrides_in = 0
+        self._program.reset()
+        self._say(f"\r\nGrbl {VERSION} ['$' for help]")
+        if self._mode is Mode.ALARM:
+            self._say("[MSG:'$H'|'$X' to unlock]")
+
+    def _reset(self) -> None:
+        broken_off = self._dwell is not None or self._mode is Mode.HOME or self._critical
+        if self._mode is Mode.HOME:
+            self._alarm(6)
+        elif self.drive.motion is not None:
+            self._alarm(3)
+        self._restart(broken_off)
+
+    def _restart(self, broken_off: bool) -> None:
+        if broken_off and self._policy.ok_after_abort:
+            self._say("ok")
+        if self._mode is not Mode.ALARM:
+            self._mode = Mode.IDLE
+        self._start()
+
+    def _alarm(self, code: int) -> None:
+        self.drive.motion = None
+        self._queue.clear()
+        self._mode = Mode.ALARM
+        self._say(f"ALARM:{code}")
+
+    def _lock(self, code: int) -> None:
+        """An alarm after which only a reset is heard."""
+        self._alarm(code)
+        self._critical = True
+        self._say("[MSG:Reset to continue]")
+
+    # --- motion in time
+
+    def _advance(self) -> None:
+        now = self._clock()
+        if self._homed_s is not None and now >= self._homed_s:
+            self._end_homing()
+        while motion := self.drive.motion:
+            if self.drive.follow(now) and self.settings.flag(21):
+                self._lock(1)
+            if self.drive.motion is not motion or now < motion.ends_s:
+                break
+            self.drive.motion = None
+            self._go_on(motion.ends_s)
+        self._end_dwell(now)
+
+    def _go_on(self, at_s: float) -> None:
+        """What follows when a motion has ended."""
+        if self._mode is Mode.HOLD:
+            self._holding = True
+            return
+        while self._queue and self.drive.motion is None:
+            self.drive.begin(self._queue.popleft(), at_s)
+        if self.drive.motion is None:
+            self._mode, self._rested_s = Mode.IDLE, at_s
+
+    def _end_dwell(self, now: float) -> None:
+        if self._dwell and self._mode is Mode.IDLE and now >= self._rested_s + self._dwell.seconds:
+            self._dwell = None
+            self._say("ok")
+
+    def _plan(self, move: Move, mode: Mode) -> None:
+        self._queue.append(move)
+        if self._mode is Mode.IDLE:
+            self._mode = mode
+            self._go_on(self._clock())
+
+    @property
+    def _planned_end(self) -> Vector:
+        if self._queue:
+            return self._queue[-1].target
+        return self.drive.motion.target if self.drive.motion else self.drive.position
+
+    def _leaves_travel(self, target: Vector) -> bool:
+        for i, mm in enumerate(target):
+            travel = self.settings.travel_mm(i)
+            upwards = self._policy.forces_origin and self.settings.homes_down(i)
+            least, most = (0.0, travel) if upwards else (-travel, 0.0)
+            if self.settings.flag(20) and not least <= mm <= most:
+                return True
+        return False
+
+    # --- real-time commands
+
+    def _hold(self) -> None:
+        if self._mode is Mode.IDLE:
+            self._mode, self._holding = Mode.HOLD, True
+        elif self._mode is Mode.RUN:
+            self._mode = Mode.HOLD
+            rest = self.drive.brake(self._clock())
+            if rest:
+                self._queue.appendleft(rest)
+            if self.drive.motion is None:
+                self._go_on(self._clock())
+        else:
+            self._cancel_jog()
+
+    def _cancel_jog(self) -> None:
+        if self._mode is Mode.JOG:
+            self._queue.clear()
+            self.drive.brake(self._clock())
+            if self.drive.motion is None:
+                self._go_on(self._clock())
+
+    def _resume(self) -> None:
+        if self._holding:
+            self._holding, self._mode = False, Mode.RUN
+            self._go_on(self._clock())
+
+    def _report(self) -> None:
+        if self._critical or self._mode is Mode.HOME:
+            return
+        inches, offset = self.settings.flag(13), self._program.offset
+        in_motion = self._mode in (Mode.RUN, Mode.JOG, Mode.HOLD)
+        fields = [f"Hold:{0 if self._holding else 1}" if self._mode is Mode.HOLD else str(self._mode)]
+        if int(self.settings[10]) & 1:
+            fields.append(f"MPos:{_axes(self.drive.position, inches)}")
+        else:
+            x, y, z = (a - b for a, b in zip(self.drive.position, offset, strict=True))
+            fields.append(f"WPos:{_axes((x, y, z), inches)}")
+        if int(self.settings[10]) & 2:
+            fields.append(f"Bf:{PLANNED_MOVES - len(self._queue)},{RX_BYTES - len(self._waiting)}")
+        speed = self.drive.speed_mm_s(self._clock()) * 60 / (MM_PER_INCH if inches else 1.0)
+        fields.append(f"FS:{speed:.0f},0")
+        if self.drive.pressed:
+            fields.append(f"Pn:{AXES[self.drive.axis]}")
+        if self._wco_in == 0:
+            self._wco_in = WCO_EVERY[in_motion]
+            self._overrides_in = max(self._overrides_in, 1)  # never both in one report
+            fields.append(f"WCO:{_axes(offset, inches)}")
+        if self._overrides_in == 0:
+            self._overrides_in = OVERRIDES_EVERY[in_motion]
+            fields.append("Ov:100,100,100")
+        self._wco_in -= 1
+        self._overrides_in -= 1
+        self._say(f"<{'|'.join(fields)}>")
+
+    # --- lines
+
+    def _read_lines(self) -> None:
+        while not self._is_deaf and (end := re.search(rb"[\r\n]", self._waiting)):
+            line = _COMMENT.sub("", self._waiting[: end.start()].decode("ascii")).upper()
+            del self._waiting[: end.end()]
+            try:
+                self._execute(line)
+            except GcodeError as error:
+                self._say(f"error:{error.code}")
+
+    @property
+    def _is_deaf(self) -> bool:
+        """Whether lines wait: real-time commands are obeyed all the same."""
+        full = len(self._queue) >= PLANNED_MOVES
+        return full or self._critical or self._dwell is not None or self._mode in (Mode.HOME, Mode.HOLD)
+
+    def _execute(self, line: str) -> None:
+        if len(line) >= LINE_CHARACTERS:
+            raise GcodeError(11)
+        if line.startswith("$J="):
+            self._jog(line.removeprefix("$J="))
+        elif line == "$H":
+            self._home()
+        elif line.startswith("$"):
+            self._system(line)
+            self._say("ok")
+        elif line and self._mode in (Mode.ALARM, Mode.JOG):
+            raise GcodeError(9)
+        else:
+            self._gcode(line)
+
+    def _gcode(self, line: str) -> None:
+        offset = self._program.offset
+        asked = self._program.execute(line, self._planned_end)
+        if self._program.offset != offset:
+            self._wco_in = 0
+        if isinstance(asked, Dwell):
+            self._dwell, self._rested_s = asked, self._clock()
+            self._end_dwell(self._clock())
+            return
+        if isinstance(asked, Move):
+            if self._leaves_travel(asked.target):
+                self._lock(2)
+                return
+            self._plan(asked, Mode.RUN)
+        self._say("ok")
+
+    def _jog(self, line: str) -> None:
+        if self._mode not in (Mode.IDLE, Mode.JOG):
+            raise GcodeError(8)
+        asked = self._program.jog(line, self._planned_end)
+        if self._leaves_travel(asked.target):
+            raise GcodeError(15)
+        self._plan(asked, Mode.JOG)
+        self._say("ok")
+
+    def _system(self, line: str) -> None:
+        if line == "$$":
+            if self._mode is Mode.RUN:
+                raise GcodeError(8)
+            self._say("\r\n".join(self.settings.told()))
+        elif line == "$G":
+            self._say(self._program.modes())
+        elif line == "$":
+            self._say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+        elif line == "$X":
+            if self._mode is Mode.ALARM:
+                self._mode = Mode.IDLE
+                self._say("[MSG:Caution: Unlocked]")
+        elif self._mode not in (Mode.IDLE, Mode.ALARM):
+            raise GcodeError(8)
+        elif line == "$#":
+            self._tell_offsets()
+        elif line == "$I":
+            self._say(f"[VER:{BUILD}:]")
+            self._say(f"[OPT:V{'Z' if self._policy.forces_origin else ''},{PLANNED_MOVES},{RX_BYTES}]")
+        elif line == "$N":
+            self._say("$N0=\r\n$N1=")
+        else:
+            self.settings.take(line)
+            self._wco_in = 0
+
+    def _tell_offsets(self) -> None:
+        inches = self.settings.flag(13)
+        named = [(f"G{54 + i}", system) for i, system in enumerate(self._program.systems)]
+        for name, vector in [*named, ("G28", ORIGIN), ("G30", ORIGIN), ("G92", self._program.shift)]:
+            self._say(f"[{name}:{_axes(vector, inches)}]")
+        self._say(f"[TLO:{_axes(ORIGIN, inches).split(',')[0]}]")
+        self._say(f"[PRB:{_axes(ORIGIN, inches)}:0]")
+
+    # --- homing
+
+    def _home(self) -> None:
+        if self._mode not in (Mode.IDLE, Mode.ALARM):
+            raise GcodeError(8)
+        if not self.settings.flag(22):
+            raise GcodeError(5)
+        self._mode = Mode.HOME
+        self._homed_s = self._clock() + self.drive.homing()[0]
+
+    def _end_homing(self) -> None:
+        _, carriage_mm, alarm = self.drive.homing()
+        if alarm is not None:
+            self.drive.carriage_mm = carriage_mm
+            self._alarm(alarm)
+            self._restart(broken_off=True)
+            return
+        self._homed_s, self._mode = None, Mode.IDLE
+        self.drive.set_home(carriage_mm, self._policy.forces_origin)
+        self._say("ok")
+
+    def _say(self, line: str) -> None:
+        self._said += self.spoil(line + "\r\n").encode("ascii")
+
+
+def _axes(vector: Vector, inches: bool) -> str:
+    return ",".join(f"{mm / MM_PER_INCH:.4f}" if inches else f"{mm:.3f}" for mm in vector)

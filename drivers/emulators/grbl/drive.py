@@ -1,0 +1,178 @@
+"""Motors and a rail: where the controller believes the carriage to be, and where it really is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.emulators.grbl.gcode import Move, Vector
+from drivers.emulators.grbl.ramps import Brake, Ramp
+from drivers.emulators.grbl.settings import Settings
+
+
+@dataclass(frozen=True)
+class Rail:
+    """The mechanics that the controller knows nothing of.
+
+    The home switch is at 0, and lengths count away from it, in mm. length_mm: where the far end stop is; the
+    near one lies 1 mm behind the switch. start_mm: where the carriage stands at first.
+    """
+
+    axis: int = 0
+    length_mm: float = 205.0
+    start_mm: float = 42.0
+
+    def held(self, mm: float) -> float:
+        """Where the carriage is that is pushed to `mm`: end stops do not give way."""
+        return min(max(mm, -1.0), self.length_mm)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One move under way."""
+
+    origin: Vector
+    target: Vector
+    ramp: Ramp | Brake
+    began_s: float
+
+    @property
+    def ends_s(self) -> float:
+        """When it is at rest."""
+        return self.began_s + self.ramp.duration_s
+
+    def after(self, travelled_mm: float) -> Vector:
+        """Where it is when it has gone so far, mm of the machine."""
+        share = travelled_mm / self.ramp.distance_mm
+        x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
+        return x, y, z
+
+    def at(self, now: float) -> Vector:
+        """Where it is, mm of the machine."""
+        return self.target if now >= self.ends_s else self.after(self.ramp.travelled_mm(now - self.began_s))
+
+
+class Drive:
+    """Counts steps as a controller does; the carriage follows as far as it can.
+
+    carriage_mm: where it really is, away from the switch. switch_works, switch_sticks: faults of the switch.
+    """
+
+    def __init__(self, settings: Settings, rail: Rail) -> None:
+        self._settings, self._rail = settings, rail
+        self._steps = [0, 0, 0]
+        self._crossings: list[tuple[float, Callable[[], None]]] = []
+        self.carriage_mm = rail.start_mm
+        self.switch_works, self.switch_sticks = True, False
+        self.motion: Motion | None = None
+
+    @property
+    def axis(self) -> int:
+        """The rail's: 0, 1 or 2."""
+        return self._rail.axis
+
+    @property
+    def position(self) -> Vector:
+        """Steps counted, in mm of the machine."""
+        x, y, z = (steps / self._settings.steps_per_mm(i) for i, steps in enumerate(self._steps))
+        return x, y, z
+
+    @property
+    def pressed(self) -> bool:
+        """Whether the switch is."""
+        return self.switch_sticks or (self.switch_works and self.carriage_mm <= 0.0)
+
+    def forget(self) -> None:
+        """Stop dead, and count from here."""
+        self.motion, self._steps = None, [0, 0, 0]
+
+    def slip(self, mm: float) -> None:
+        """Lose steps: shift the carriage against the motor, away from the switch."""
+        self.carriage_mm = self._rail.held(self.carriage_mm + mm)
+
+    def when_at(self, mm: float, action: Callable[[], None]) -> None:
+        """Do something once, when a motion passes `mm` of the machine on the rail's axis."""
+        self._crossings.append((mm, action))
+
+    def begin(self, move: Move, at_s: float) -> None:
+        """Set out for a target; nothing happens when it is there."""
+        ways = [abs(b - a) for a, b in zip(self.position, move.target, strict=True)]
+        length = math.dist(self.position, move.target)
+        if length == 0.0:
+            return
+        moving = [(i, way / length) for i, way in enumerate(ways) if way]
+        rate = min(self._settings.rate_mm_s(i) / share for i, share in moving)
+        acceleration = min(self._settings.acceleration_mm_s2(i) / share for i, share in moving)
+        ramp = Ramp(length, min(rate, move.rate_mm_s or rate), acceleration)
+        self.motion = Motion(self.position, move.target, ramp, at_s)
+
+    def brake(self, now: float) -> Move | None:
+        """Slow down to rest, and return what is left to do."""
+        motion = self.motion
+        if motion is None or not isinstance(motion.ramp, Ramp):
+            return None
+        ramp, elapsed = motion.ramp, now - motion.began_s
+        brake = Brake(ramp.speed_mm_s(elapsed), ramp.acceleration_mm_s2)
+        gone = min(ramp.travelled_mm(elapsed) + brake.distance_mm, ramp.distance_mm)
+        slows = brake.distance_mm > 0.0
+        self.motion = Motion(motion.at(now), motion.after(gone), brake, now) if slows else None
+        return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
+
+    def follow(self, now: float) -> bool:
+        """Be where the motion is now; True when that has just pressed the switch."""
+        assert self.motion is not None
+        before, free = self.position[self.axis], not self.pressed
+        target = self.motion.at(now)
+        self._steps = [round(mm * self._settings.steps_per_mm(i)) for i, mm in enumerate(target)]
+        after = self.position[self.axis]
+        self.carriage_mm = self._rail.held(self.carriage_mm + self._away * (after - before))
+        self._cross(before, after)
+        return free and self.pressed
+
+    def speed_mm_s(self, now: float) -> float:
+        """How fast it is."""
+        return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
+
+    def homing(self) -> tuple[float, float, int | None]:
+        """How long a homing cycle takes from here, where it leaves the carriage, and the alarm that ends it.
+
+        Search, pull-off, slow approach and pull-off again, with a pause after each ($24 to $27).
+        """
+        pull_off, seek, slow = self._settings[27], self._settings[25] / 60, self._settings[24] / 60
+        search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
+        if self.switch_sticks:
+            return (
+                self._legs([(0.0, seek), (pull_off, seek)]),
+                self._rail.held(self.carriage_mm + pull_off),
+                8,
+            )
+        if not self.switch_works or way > search:
+            return self._legs([(search, seek)]), self._rail.held(self.carriage_mm - search), 9
+        legs = [(way, seek), (pull_off, seek), (pull_off, slow), (pull_off, seek)]
+        return self._legs(legs), pull_off, None
+
+    def set_home(self, carriage_mm: float, at_zero: bool) -> None:
+        """The end of homing: the position becomes known. at_zero: call it 0, whichever end it is."""
+        down = self._settings.homes_down(self.axis)
+        switch = -self._settings.travel_mm(self.axis) if down else 0.0
+        home = 0.0 if at_zero else switch + self._away * self._settings[27]
+        self._steps[self.axis] = round(home * self._settings.steps_per_mm(self.axis))
+        self.carriage_mm = carriage_mm
+
+    @property
+    def _away(self) -> int:
+        """Sign of the machine axis in the direction away from the switch."""
+        return 1 if self._settings.homes_down(self.axis) else -1
+
+    def _legs(self, legs: list[tuple[float, float]]) -> float:
+        acceleration, pause = self._settings.acceleration_mm_s2(self.axis), self._settings[26] / 1000
+        return sum(Ramp(mm, rate, acceleration).duration_s + pause for mm, rate in legs)
+
+    def _cross(self, before: float, after: float) -> None:
+        if before == after:
+            return
+        passed = [c for c in self._crossings if min(before, after) <= c[0] <= max(before, after)]
+        for crossing in passed:
+            self._crossings.remove(crossing)
+            crossing[1]()

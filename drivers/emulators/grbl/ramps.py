@@ -1,0 +1,82 @@
+"""Motion in time, as a controller with limited acceleration makes it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """From rest to rest along a line: speeds up, goes on at the rate or its nearest, slows down.
+
+    distance_mm: how far, 0 or more. rate_mm_s, acceleration_mm_s2: greatest speed and acceleration, above 0.
+    """
+
+    distance_mm: float
+    rate_mm_s: float
+    acceleration_mm_s2: float
+
+    @property
+    def peak_mm_s(self) -> float:
+        """The speed in the middle: a short way never reaches the rate."""
+        return min(self.rate_mm_s, math.sqrt(self.acceleration_mm_s2 * self.distance_mm))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from rest to rest."""
+        if self.distance_mm == 0.0:
+            return 0.0
+        return self.distance_mm / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2
+
+    def travelled_mm(self, t_s: float) -> float:
+        """How far it is after a time."""
+        if t_s >= self.duration_s:
+            return self.distance_mm
+        a, up_s = self.acceleration_mm_s2, self.peak_mm_s / self.acceleration_mm_s2
+        if t_s < up_s:
+            return a * t_s**2 / 2
+        if t_s < self.duration_s - up_s:
+            return self.peak_mm_s * (t_s - up_s / 2)
+        return self.distance_mm - a * (self.duration_s - t_s) ** 2 / 2
+
+    def speed_mm_s(self, t_s: float) -> float:
+        """How fast it is after a time."""
+        a = self.acceleration_mm_s2
+        return max(0.0, min(self.peak_mm_s, a * t_s, a * (self.duration_s - t_s)))
+
+    def reached_s(self, mm: float) -> float:
+        """When it has gone `mm`, 0 … distance_mm: the inverse of `travelled_mm`."""
+        a, up_mm = self.acceleration_mm_s2, self.peak_mm_s**2 / (2 * self.acceleration_mm_s2)
+        if mm <= up_mm:
+            return math.sqrt(2 * mm / a)
+        if mm <= self.distance_mm - up_mm:
+            return mm / self.peak_mm_s + self.peak_mm_s / (2 * a)
+        return self.duration_s - math.sqrt(2 * max(0.0, self.distance_mm - mm) / a)
+
+
+@dataclass(frozen=True)
+class Brake:
+    """From a speed to rest."""
+
+    from_mm_s: float
+    acceleration_mm_s2: float
+
+    @property
+    def distance_mm(self) -> float:
+        """How far it still goes."""
+        return self.from_mm_s**2 / (2 * self.acceleration_mm_s2)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it still goes."""
+        return self.from_mm_s / self.acceleration_mm_s2
+
+    def travelled_mm(self, t_s: float) -> float:
+        """How far it is after a time."""
+        t_s = min(t_s, self.duration_s)
+        return self.from_mm_s * t_s - self.acceleration_mm_s2 * t_s**2 / 2
+
+    def speed_mm_s(self, t_s: float) -> float:
+        """How fast it is after a time."""
+        return max(0.0, self.from_mm_s - self.acceleration_mm_s2 * t_s)

@@ -1,0 +1,74 @@
+"""The settings of a GRBL 1.1 controller: what `$$` tells and `$x=value` takes."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.emulators.grbl.gcode import GcodeError
+
+DEFAULTS: dict[int, float] = {
+    0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0,
+    20: 1, 21: 1, 22: 1, 23: 0, 24: 60.0, 25: 600.0, 26: 250, 27: 2.0, 30: 1000.0, 31: 0.0, 32: 0,
+    100: 400.0, 101: 400.0, 102: 400.0, 110: 1200.0, 111: 1200.0, 112: 1200.0,
+    120: 100.0, 121: 100.0, 122: 100.0, 130: 200.0, 131: 200.0, 132: 200.0,
+}  # fmt: skip
+"""A rail of 200 mm with a screw of 4 mm and 1600 microsteps a turn."""
+
+_WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
+
+
+class Settings(dict[int, float]):
+    """Values by number, and what they mean for one axis, 0 … 2."""
+
+    def told(self) -> list[str]:
+        """The lines of `$$`."""
+        return [
+            f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self.items()
+        ]
+
+    def take(self, line: str) -> None:
+        """Obey `$x=value`; raise `GcodeError`."""
+        name, equals, text = line[1:].partition("=")
+        if not name.isdecimal() or not equals:
+            raise GcodeError(3)
+        try:
+            number, value = int(name), float(text)
+        except ValueError:
+            raise GcodeError(2) from None
+        if not math.isfinite(value):
+            raise GcodeError(2)
+        if value < 0:
+            raise GcodeError(4)
+        if number not in self:
+            raise GcodeError(3)
+        if number == 0 and value < 3:
+            raise GcodeError(6)
+        if number == 20 and value and not self[22]:
+            raise GcodeError(10)
+        if number == 22 and not value:
+            self[20] = 0
+        self[number] = value if number in _WITH_DECIMALS or number in (30, 31) else math.trunc(value)
+
+    def flag(self, number: int) -> bool:
+        """Whether a setting is on."""
+        return bool(self[number])
+
+    def homes_down(self, axis: int) -> bool:
+        """Whether the switch is at the negative end."""
+        return bool(int(self[23]) >> axis & 1)
+
+    def steps_per_mm(self, axis: int) -> float:
+        """`$100` and its neighbours."""
+        return self[100 + axis]
+
+    def rate_mm_s(self, axis: int) -> float:
+        """Greatest speed, from mm/min."""
+        return self[110 + axis] / 60
+
+    def acceleration_mm_s2(self, axis: int) -> float:
+        """Greatest acceleration."""
+        return self[120 + axis]
+
+    def travel_mm(self, axis: int) -> float:
+        """Greatest travel."""
+        return self[130 + axis]

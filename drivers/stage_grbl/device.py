@@ -1,0 +1,312 @@
+"""A linear stage behind a GRBL 1.1 controller.
+
+stage: {backend: "drivers.stage_grbl:GrblStage", port: /dev/ttyACM0, axis: X}
+
+The stage's zero is where homing ends, and its millimetres count away from the home switch, whichever way the
+controller's own axis points. Moves go by machine coordinates (G53), so that no work offset of another program
+shifts them.
+
+GRBL counts the steps that it sends and has no scale: it cannot know that a motor has stalled or slipped. What
+it can tell is told: alarms and restarts, a move that ends elsewhere than asked, a stage that was moved by
+something else, and a home switch that is pressed where it should be free. For the rest, home again and see
+whether the measurement repeats.
+
+Proven on an emulated controller over a pseudo-terminal alone.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from serial.tools import list_ports
+
+from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, Report
+from drivers.stage_grbl.wire import ANSWER_S, START_S, GrblWire, RestartedError
+from fpplab import config
+from fpplab.config import Document
+from fpplab.devices import DeviceInfo, Stage, StageCaps
+from fpplab.errors import ConfigError, DeviceError, DisconnectedError, ProtocolError, TimeoutError
+
+POLL_S = 0.05
+HOME, AFTER_MOTION = "$H", "G4P0"
+"""The second, a pause of no length, is answered when all motion has ended, a move once it is planned."""
+OFFSET_WITHIN = 30
+"""GRBL tells the work offset at least once in so many reports."""
+DIGIT_MM, DIGIT_INCH = 0.001, 0.0001
+"""The last digit of a position that it tells."""
+MEDDLED = "close other programs that move the stage, then close, open and home it again"
+
+
+class StageOptions(Document):
+    """The stage's section in a rig file.
+
+    port: the serial port; left out, the rig's bench brings one as `stage_port`. axis: the controller's.
+    """
+
+    port: str | None = None
+    axis: Literal["X", "Y", "Z"] = "X"
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What the controller's settings say of the axis.
+
+    usable_mm: how far it goes from where homing ends. away: sign of the machine's axis away from the switch.
+    braking_s, homing_s: the longest times from full speed to rest, of a homing cycle. unit_mm: of positions
+    that it tells. told_mm: half their last digit.
+    """
+
+    step_mm: float
+    usable_mm: float
+    away: int
+    braking_s: float
+    homing_s: float
+    unit_mm: float
+    told_mm: float
+
+    @classmethod
+    def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
+        """From `$$`; raises `KeyError` where a setting is missing, `ZeroDivisionError` where it is 0."""
+        unit_mm, digit = (MM_PER_INCH, DIGIT_INCH) if settings[13] else (1.0, DIGIT_MM)
+        step_mm, pull_off_mm = 1.0 / settings[100 + axis], settings[27]
+        seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000
+        search_s = 1.5 * sum(settings[130 + i] for i in range(len(AXES))) / seek_mm_s
+        pull_offs_s = len(AXES) * (3 * pull_off_mm / slow_mm_s + 4 * pause_s)
+        return cls(
+            step_mm=step_mm,
+            # Homing ends at a whole step; one step less keeps the far end inside GRBL's own limit.
+            usable_mm=settings[130 + axis] - pull_off_mm - step_mm,
+            away=1 if int(settings[23]) >> axis & 1 else -1,
+            braking_s=settings[110 + axis] / 60 / settings[120 + axis],
+            homing_s=2 * (search_s + pull_offs_s) + ANSWER_S,  # twice, for speeding up and slowing down
+            unit_mm=unit_mm,
+            told_mm=unit_mm * digit / 2,
+        )
+
+    @property
+    def tolerance_mm(self) -> float:
+        """How far from a target it may stand: by the step, and the digits that are told and sent."""
+        return self.step_mm / 2 + self.told_mm + 1e-4
+
+
+class GrblStage(Stage):
+    """One axis of a GRBL 1.1 controller, whose homing is compiled for the axes that have a switch."""
+
+    _wire: GrblWire | None = None
+    _mechanics: Mechanics | None = None
+    _moving = False
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._options = config.validate(options, StageOptions, self.name)
+        self._bench = bench
+        self._axis = AXES.index(self._options.axis)
+
+    def _open(self) -> None:
+        self._port = self._options.port or getattr(self._bench, "stage_port", None)
+        if self._port is None:
+            raise ConfigError(f"{self.name}: 'port' is missing; `fpplab devices` lists the serial ports")
+        self._moving, self._mechanics = False, None
+        self._offset: Axes | None = None
+        self._home_mm = 0.0
+        self._rest_mm: float | None = None
+        wire = GrblWire(self.name, self._port)
+        try:
+            self._version = self._reset(wire)
+        except BaseException:
+            wire.close()  # nobody there to be made safe
+            raise
+        self._wire = wire
+        try:
+            self._mechanics = self._read_mechanics(wire.settings("open"))
+        except RestartedError:  # the welcome was one from before the reset, whose own came now
+            self._reset(wire)
+            self._mechanics = self._read_mechanics(wire.settings("open"))
+
+    def _reset(self, wire: GrblWire) -> str:
+        version = wire.reset("open", START_S)
+        if not re.fullmatch(r"1\.1[a-z]?", version):
+            raise DeviceError(self.name, "open", f"speaks GRBL {version}", "put GRBL 1.1 on the controller")
+        return version
+
+    def _read_mechanics(self, settings: dict[int, float]) -> Mechanics:
+        try:
+            mechanics = Mechanics.of(settings, self._axis)
+        except (KeyError, ZeroDivisionError) as error:
+            raise ProtocolError(
+                self.name, "open", f"its settings ($$) are incomplete, or zero ({error})", "correct them"
+            ) from error
+        if mechanics.usable_mm <= 0:
+            travel, pull_off = f"${130 + self._axis}={settings[130 + self._axis]:g}", f"$27={settings[27]:g}"
+            raise DeviceError(
+                self.name, "open", f"the travel {travel} is within the pull-off {pull_off}", "correct them"
+            )
+        if not settings.get(22):
+            raise DeviceError(
+                self.name,
+                "open",
+                "homing is switched off ($22=0), and without it no position is known",
+                f"fit a home switch, and set $22=1 and the travel, ${130 + self._axis}",
+            )
+        return mechanics
+
+    def _close(self) -> None:
+        wire, self._wire = self._wire, None
+        if wire is None:
+            return
+        try:
+            self._stop(wire, "close")
+        except DisconnectedError:
+            if self._moving:  # else it stands, which is safe
+                raise
+        finally:
+            wire.close()
+
+    def _info(self) -> DeviceInfo:
+        serials = [port.serial_number for port in list_ports.comports() if port.device == self._port]
+        serial = next((number for number in serials if number), "")
+        return DeviceInfo("stage", f"GRBL {self._version}", serial, f"serial {self._port}")
+
+    def _caps(self) -> StageCaps:
+        return StageCaps((0.0, self._open_mechanics.usable_mm))
+
+    def _home(self) -> None:
+        wire, self._rest_mm = self._open_wire, None
+        wire.send("home", HOME)
+        self._moving = True
+        wire.await_ok("home", HOME, self._open_mechanics.homing_s)
+        self._moving = False
+        report = self._at_rest("home")
+        self._check_switch("home", report)
+        self._home_mm = self._rest_mm = self._machine_mm("home", report)
+
+    def _move_to(self, mm: float, deadline_s: float) -> None:
+        wire, mechanics = self._open_wire, self._open_mechanics
+        self._at_rest("move_to")
+        target = self._home_mm + mechanics.away * mm
+        self._rest_mm, line = None, f"G90G21G53G0{self._options.axis}{target:.4f}"
+        wire.send("move_to", line)
+        self._moving = True
+        wire.await_ok("move_to", line, ANSWER_S)
+        self._await_rest(mm, deadline_s)
+        self._moving = False
+        report = self._at_rest("move_to")
+        reached = self._machine_mm("move_to", report)
+        if abs(reached - target) > mechanics.tolerance_mm:
+            raise DeviceError(
+                self.name,
+                "move_to",
+                f"stopped at {self._stage_mm(reached):.3f} mm, not at {mm:g} mm",
+                MEDDLED,
+            )
+        self._check_switch("move_to", report)
+        self._rest_mm = reached
+
+    def _await_rest(self, mm: float, deadline_s: float) -> None:
+        wire = self._open_wire
+        wire.send("move_to", AFTER_MOTION)
+        while not wire.answered("move_to", AFTER_MOTION, POLL_S):
+            report = self._status(wire, "move_to")
+            if report.state not in ("Run", "Idle"):  # Idle until it sets out
+                raise DeviceError(
+                    self.name,
+                    "move_to",
+                    f"is in state '{report.state}' and does not move",
+                    "see to its buttons",
+                )
+            if time.monotonic() >= deadline_s:
+                wire.realtime("move_to", HOLD)
+                at_mm = self._stage_mm(self._machine_mm("move_to", report))
+                raise TimeoutError(
+                    self.name,
+                    "move_to",
+                    f"is still at {at_mm:.3f} mm on its way to {mm:g} mm",
+                    "allow more time",
+                )
+
+    def _position_mm(self) -> float:
+        report = self._at_rest("position") if self._homed else self._status(self._open_wire, "position")
+        return self._stage_mm(self._machine_mm("position", report))
+
+    def _halt(self) -> None:
+        self._stop(self._open_wire, "halt")
+        self._rest_mm, self._moving = None, False
+
+    def _stop(self, wire: GrblWire, doing: str) -> None:
+        """Brake, as a reset in motion loses steps; then reset, which drops all plans and also ends homing."""
+        wire.realtime(doing, HOLD)
+        braking_s = self._mechanics.braking_s if self._mechanics else 0.0
+        deadline = time.monotonic() + braking_s + ANSWER_S
+        try:
+            while _moves(self._status(wire, doing)) and time.monotonic() < deadline:
+                time.sleep(POLL_S)
+        except DisconnectedError:
+            raise
+        except DeviceError:
+            pass  # in homing and in alarm it tells nothing, or the bad news again; a reset it obeys
+        wire.reset(doing, START_S)
+
+    def _status(self, wire: GrblWire, doing: str) -> Report:
+        report = wire.status(doing)
+        self._offset = report.offset or self._offset
+        return report
+
+    def _at_rest(self, doing: str) -> Report:
+        """A report of a stage that stands where it was left, or a `DeviceError`."""
+        report = self._status(self._open_wire, doing)
+        if report.state != "Idle":
+            raise DeviceError(
+                self.name,
+                doing,
+                f"is in state '{report.state}', not at rest",
+                "close, open and home it again",
+            )
+        here = self._machine_mm(doing, report)
+        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.told_mm:
+            left, found = self._stage_mm(self._rest_mm), self._stage_mm(here)
+            raise DeviceError(
+                self.name, doing, f"was left at {left:.3f} mm and is at {found:.3f} mm", MEDDLED
+            )
+        return report
+
+    def _check_switch(self, doing: str, report: Report) -> None:
+        if self._options.axis in report.pins:
+            at_mm = self._stage_mm(self._machine_mm(doing, report))
+            raise DeviceError(
+                self.name,
+                doing,
+                f"its home switch is pressed, though it should stand at {at_mm:.3f} mm: steps were lost",
+                "see what holds it up, then close, open and home it again",
+            )
+
+    def _machine_mm(self, doing: str, report: Report) -> float:
+        """Position of a report on the machine's own axis; work positions are put back."""
+        unit_mm = self._open_mechanics.unit_mm
+        if report.machine is not None:
+            return report.machine[self._axis] * unit_mm
+        for _ in range(OFFSET_WITHIN):
+            if report.work is not None and self._offset is not None:
+                return (report.work[self._axis] + self._offset[self._axis]) * unit_mm
+            report = self._status(self._open_wire, doing)
+        raise ProtocolError(self.name, doing, "its reports never hold the work offset", "set $10=1")
+
+    def _stage_mm(self, machine_mm: float) -> float:
+        home_mm, away = self._home_mm, self._open_mechanics.away
+        return machine_mm - home_mm if away > 0 else home_mm - machine_mm
+
+    @property
+    def _open_wire(self) -> GrblWire:
+        assert self._wire is not None
+        return self._wire
+
+    @property
+    def _open_mechanics(self) -> Mechanics:
+        assert self._mechanics is not None
+        return self._mechanics
+
+
+def _moves(report: Report) -> bool:
+    """Whether it is still to come to rest after a hold; `Hold:0` is at rest."""
+    return report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1)

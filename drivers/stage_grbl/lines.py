@@ -1,0 +1,189 @@
+"""What a GRBL 1.1 controller says, line by line, and what its codes mean.
+
+Source: GRBL's interface documentation, `doc/markdown/interface.md` and `doc/csv` of github.com/gnea/grbl.
+Every line is of one kind, told by its beginning: an answer to the one line sent before (`ok`, `error:9`), or
+a message that may come at any time.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+RESET, HOLD, STATUS = b"\x18", b"!", b"?"
+"""Real-time commands: single bytes that are obeyed at once and are not answered by `ok`."""
+
+AXES = "XYZ"
+STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
+MM_PER_INCH = 25.4
+
+Axes = tuple[float, ...]
+"""One number for each axis of the controller, X first; in mm or inches as it is set (`$13`)."""
+
+ERRORS = {
+    1: "a word has no letter",
+    2: "a number is missing or malformed",
+    3: "an unknown $ command",
+    4: "a negative value where none is allowed",
+    5: "homing is switched off ($22=0)",
+    6: "step pulses under 3 µs",
+    7: "its memory could not be read, and holds default settings now",
+    8: "a $ command that needs it to be idle",
+    9: "locked, by an alarm or while it jogs",
+    10: "soft limits need homing ($22=1)",
+    11: "the line is too long",
+    12: "more steps per second than it can make",
+    13: "the safety door is open",
+    14: "the line is too long to be stored",
+    15: "the jog would leave the travel",
+    16: "a malformed jog",
+    17: "laser mode needs a controllable output",
+    20: "an unsupported G-code command",
+    21: "two G-code commands of one group",
+    22: "the feed rate is not set",
+    23: "a whole number is needed",
+    24: "two commands that both need axis words",
+    25: "a word is repeated",
+    26: "axis words are missing",
+    27: "the line number is out of range",
+    28: "a value word is missing",
+    29: "a work coordinate system that it has not",
+    30: "G53 needs G0 or G1",
+    31: "axis words that nothing uses",
+    32: "an arc without axis words in its plane",
+    33: "the target of the motion is invalid",
+    34: "the radius of the arc is invalid",
+    35: "an arc without offsets in its plane",
+    36: "words that nothing uses",
+    37: "the tool offset is for another axis",
+    38: "the tool number is too great",
+}
+
+ALARMS = {
+    1: "a limit switch was hit, and steps were lost in the sudden stop",
+    2: "the target lies outside the travel",
+    3: "it was reset while it moved, and steps were lost in the sudden stop",
+    4: "the probe was not in its initial state",
+    5: "the probe found nothing",
+    6: "homing failed: it was reset meanwhile",
+    7: "homing failed: the safety door was opened",
+    8: "homing failed: the switch stays pressed after the pull-off ($27)",
+    9: "homing failed: no switch was found within 1.5 times the travel ($130 to $132)",
+}
+
+
+@dataclass(frozen=True)
+class Ok:
+    """The line sent was understood; a motion is then planned, not done."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The line sent was not executed; see `ERRORS`."""
+
+    code: int
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """It has locked itself; see `ALARMS`."""
+
+    code: int
+
+
+@dataclass(frozen=True)
+class Welcome:
+    """It has started, or started again."""
+
+    version: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Answer to `?`: the machine's position or the work's; the offset between them is told only at times."""
+
+    state: str
+    substate: int | None
+    machine: Axes | None
+    work: Axes | None
+    offset: Axes | None
+    pins: str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One line of `$$`."""
+
+    number: int
+    value: float
+
+
+@dataclass(frozen=True)
+class Told:
+    """Anything else that the protocol allows: bracketed messages, startup lines."""
+
+    text: str
+
+
+Message = Ok | Refused | Alarm | Welcome | Report | Setting | Told
+
+_WELCOME = re.compile(r"Grbl (\d\S*) \[.*\]")
+_STATE = re.compile(r"([A-Z][a-z]+)(?::(\d))?")
+_SETTING = re.compile(r"\$(\d{1,3})=(\d+\.?\d*)")
+_NUMBERS = re.compile(r"-?\d+\.\d+(?:,-?\d+\.\d+){2,}")
+_TOLD = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
+
+
+def parse(line: str) -> Message:
+    """The meaning of one line without its line end.
+
+    Raises `ValueError` for a line that the protocol does not know.
+    """
+    if line == "ok":
+        return Ok()
+    for beginning, kind in (("error:", Refused), ("ALARM:", Alarm)):
+        if line.startswith(beginning) and line.removeprefix(beginning).isdecimal():
+            return kind(int(line.removeprefix(beginning)))
+    if found := _WELCOME.fullmatch(line):
+        return Welcome(found[1])
+    if found := _SETTING.fullmatch(line):
+        return Setting(int(found[1]), float(found[2]))
+    if line.startswith("<") and line.endswith(">"):
+        return _report(line[1:-1])
+    if _TOLD.fullmatch(line):
+        return Told(line)
+    raise ValueError(f"{line!r} is not a line of GRBL 1.1")
+
+
+def _report(inside: str) -> Report:
+    head, *rest = inside.split("|")
+    state = _STATE.fullmatch(head)
+    fields = dict(field.partition(":")[::2] for field in rest)
+    if state is None or state[1] not in STATES or not rest or rest[0][:5] not in ("MPos:", "WPos:"):
+        raise ValueError(f"'<{inside}>' is not a report of GRBL 1.1")
+    return Report(
+        state[1],
+        int(state[2]) if state[2] else None,
+        _axes(fields.get("MPos")),
+        _axes(fields.get("WPos")),
+        _axes(fields.get("WCO")),
+        fields.get("Pn", ""),
+    )
+
+
+def _axes(text: str | None) -> Axes | None:
+    if text is None:
+        return None
+    if not _NUMBERS.fullmatch(text):
+        raise ValueError(f"{text!r} is not a position")
+    return tuple(float(number) for number in text.split(","))
+
+
+def error_in_words(code: int) -> str:
+    """`error:N` for people."""
+    return f"error:{code}, {ERRORS.get(code, 'which GRBL 1.1 does not document')}"
+
+
+def alarm_in_words(code: int) -> str:
+    """`ALARM:N` for people."""
+    return f"ALARM:{code}, {ALARMS.get(code, 'which GRBL 1.1 does not document')}"

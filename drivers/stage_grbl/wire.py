@@ -1,0 +1,233 @@
+"""The serial line to a GRBL controller: what is sent, and which answer belongs to it.
+
+One line is under way at a time and is waited for, so that GRBL's 128 bytes of buffer never overflow and an
+answer cannot be taken for another's. Silence is never success, and what is not GRBL's is never ignored.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import serial
+
+from drivers.stage_grbl.lines import (
+    RESET,
+    STATUS,
+    Alarm,
+    Message,
+    Ok,
+    Refused,
+    Report,
+    Setting,
+    Welcome,
+    alarm_in_words,
+    error_in_words,
+    parse,
+)
+from fpplab.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
+
+BAUD = 115200
+START_S = 5.0
+"""For a board that restarts when its port is opened, as an Arduino does, boot loader and all."""
+ANSWER_S = 2.0
+"""GRBL reports within 20 ms, but pauses for 0.5 s after an alarm, and while it stores a setting."""
+LONGEST_LINE = 256
+
+
+class RestartedError(DeviceError):
+    """The controller has welcomed us unasked: it was reset or switched off, and counts from anew."""
+
+
+class GrblWire:
+    """An open port. name: the device's, for errors; `doing` is what the device is at, likewise."""
+
+    def __init__(self, name: str, port: str) -> None:
+        """Raises `DeviceError` when the port cannot be opened, or another program holds it."""
+        self._name, self._port = name, port
+        self._received = bytearray()
+        self._answers: deque[Ok | Refused] = deque()
+        self._report: Report | None = None
+        self._settings: dict[int, float] = {}
+        try:
+            self._serial = serial.Serial(port, BAUD, timeout=0, write_timeout=ANSWER_S, exclusive=True)
+        except (OSError, ValueError) as error:
+            raise _not_opened(name, port, error) from error
+
+    def close(self) -> None:
+        """Let go of the port; legal any number of times."""
+        self._serial.close()
+
+    def reset(self, doing: str, timeout_s: float) -> str:
+        """Stop and restart the controller; what it said before is dropped. Returns its version."""
+        self._read(doing, time.monotonic())
+        self._received.clear()  # or a welcome from before would be taken for the answer
+        self._write(doing, RESET)
+        deadline = time.monotonic() + timeout_s
+        while (line := self._line(doing, deadline)) is not None:
+            try:
+                message = parse(line)
+            except ValueError:
+                continue  # half a line from before the reset
+            if isinstance(message, Welcome):
+                self._answers.clear()
+                self._settings.clear()
+                return message.version
+        raise TimeoutError(
+            self._name,
+            doing,
+            f"no GRBL answers at {self._port} within {timeout_s:g} s",
+            "see to power and cable, and that this is the stage's port (`fpplab devices`)",
+        )
+
+    def await_ok(self, doing: str, line: str, timeout_s: float) -> None:
+        """Wait for the `ok` to the line sent."""
+        if not self.answered(doing, line, timeout_s):
+            raise TimeoutError(
+                self._name, doing, f"no answer to '{line}' within {timeout_s:g} s", "see to power and cable"
+            )
+
+    def send(self, doing: str, line: str) -> None:
+        """Send one line; `answered` waits for its answer. Whatever came unasked comes to light before."""
+        while self._take_one(doing, time.monotonic()):
+            pass
+        if self._answers:
+            raise ProtocolError(
+                self._name,
+                doing,
+                f"{self._port} answered what was not asked",
+                "another program uses the port as well: close it",
+            )
+        self._write(doing, line.encode("ascii") + b"\n")
+
+    def answered(self, doing: str, line: str, within_s: float) -> bool:
+        """Whether the answer to the line sent has come; raise `DeviceError` if it was refused."""
+        deadline = time.monotonic() + within_s
+        while not self._answers:
+            if not self._take_one(doing, deadline):
+                return False
+        answer = self._answers.popleft()
+        if isinstance(answer, Refused):
+            raise DeviceError(self._name, doing, f"refused '{line}': {error_in_words(answer.code)}")
+        return True
+
+    def status(self, doing: str) -> Report:
+        """What the controller does, and where it is. It does not tell during homing."""
+        self._report = None
+        self._write(doing, STATUS)
+        deadline = time.monotonic() + ANSWER_S
+        while self._report is None:
+            if not self._take_one(doing, deadline):
+                raise TimeoutError(
+                    self._name, doing, f"no report within {ANSWER_S:g} s", "see to power and cable"
+                )
+        return self._report
+
+    def settings(self, doing: str) -> dict[int, float]:
+        """All of `$$`, by number."""
+        self._settings.clear()
+        self.send(doing, "$$")
+        self.await_ok(doing, "$$", ANSWER_S)
+        return dict(self._settings)
+
+    def realtime(self, doing: str, byte: bytes) -> None:
+        """Send a command that is obeyed at once, and has no answer."""
+        self._write(doing, byte)
+
+    def _take_one(self, doing: str, deadline: float) -> bool:
+        """Take one line to where it belongs; False when none came in time."""
+        line = self._line(doing, deadline)
+        if line is None:
+            return False
+        try:
+            message = parse(line)
+        except ValueError as error:
+            raise ProtocolError(
+                self._name, doing, str(error), "see to the cable, and close other programs that use the port"
+            ) from None
+        self._keep(doing, message)
+        return True
+
+    def _keep(self, doing: str, message: Message) -> None:
+        match message:
+            case Ok() | Refused():
+                self._answers.append(message)
+            case Report():
+                self._report = message
+            case Setting(number, value):
+                self._settings[number] = value
+            case Alarm(code):
+                raise DeviceError(
+                    self._name,
+                    doing,
+                    alarm_in_words(code),
+                    "see that the way is free, then close, open and home it again",
+                )
+            case Welcome():
+                raise RestartedError(
+                    self._name,
+                    doing,
+                    "the controller has restarted, and where the stage stands is lost",
+                    "see to its supply, then close, open and home it again",
+                )
+
+    def _line(self, doing: str, deadline: float) -> str | None:
+        """The next line that is not empty; None when none is complete in time."""
+        while True:
+            while (end := self._received.find(b"\n")) >= 0:
+                line = self._received[:end].decode("ascii", "backslashreplace").strip("\r")
+                del self._received[: end + 1]
+                if line:
+                    return line
+            if len(self._received) > LONGEST_LINE:
+                beginning = bytes(self._received[:20])
+                self._received.clear()
+                raise ProtocolError(
+                    self._name, doing, f"{beginning!r} … has no end", f"set the controller to {BAUD} baud"
+                )
+            if not self._read(doing, deadline):
+                return None
+
+    def _read(self, doing: str, deadline: float) -> bool:
+        """Wait for bytes; False at the deadline. Bytes that are there are read even after it."""
+        try:
+            self._serial.timeout = max(0.0, deadline - time.monotonic())
+            data = self._serial.read(1)
+            data += self._serial.read(self._serial.in_waiting) if data else b""
+        except OSError as error:
+            raise self._gone(doing) from error
+        self._received += data
+        return bool(data)
+
+    def _write(self, doing: str, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException:
+            raise TimeoutError(
+                self._name, doing, f"{self._port} takes nothing more", "see to the cable"
+            ) from None
+        except OSError as error:
+            raise self._gone(doing) from error
+
+    def _gone(self, doing: str) -> DisconnectedError:
+        return DisconnectedError(
+            self._name,
+            doing,
+            f"{self._port} is gone",
+            "see to the cable and the stage's supply, then open it again",
+        )
+
+
+def _not_opened(name: str, port: str, error: Exception) -> DeviceError:
+    reason = str(error).lower()
+    if "permission denied" in reason or "access is denied" in reason:
+        return DeviceError(
+            name, "open", f"{port} may not be used", "see `fpplab devices` for what is missing"
+        )
+    if "lock" in reason or "busy" in reason:
+        return DeviceError(name, "open", f"{port} is in use", "close the other program that holds it")
+    if "no such file" in reason or "cannot find" in reason:
+        return DisconnectedError(
+            name, "open", f"there is no {port}", "plug it in; `fpplab devices` lists the ports"
+        )
+    return DeviceError(name, "open", f"{port} cannot be opened ({error})", "see that it is a serial port")

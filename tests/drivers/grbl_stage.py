@@ -1,0 +1,105 @@
+"""A GRBL stage for tests: the driver, the controller, and the wire between them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from drivers.emulators.grbl import GrblController, Policy, Rail
+from drivers.emulators.terminal import Terminal
+from drivers.stage_grbl import GrblStage
+
+PULL_OFF_MM, STEP_MM = 2.0, 1 / 400
+"""As the emulated controller is set."""
+
+
+class Bench:
+    """A stage on a pseudo-terminal, on a clock that runs faster than the real one."""
+
+    def __init__(
+        self,
+        settings: dict[int, float] | None = None,
+        times: float = 200.0,
+        policy: Policy | None = None,
+        rail: Rail | None = None,
+    ) -> None:
+        self.controller = GrblController(lambda: times * time.monotonic(), settings, rail, policy)
+        self.terminal = Terminal(self.controller)
+        self.said: list[str] = []
+        self.heard = bytearray()
+        receive = self.controller.receive
+        self.controller.receive = lambda data: (self.heard.extend(data), receive(data))[1]  # type: ignore[method-assign]
+
+    def __enter__(self) -> Bench:
+        self.terminal.__enter__()
+        self.stage = GrblStage("stage", {"port": self.terminal.port})
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        try:
+            self.stage.close()
+        finally:
+            self.terminal.__exit__(None, None, None)
+
+    def homed(self) -> GrblStage:
+        """The stage, open and homed."""
+        self.stage.open()
+        self.stage.home()
+        return self.stage
+
+    def at_mm(self, mm: float, action: Callable[[], None]) -> None:
+        """Let something happen when a motion passes `mm` of the stage."""
+        self.controller.drive.when_at(-PULL_OFF_MM - mm, action)
+
+    def type(self, data: bytes) -> None:
+        """What another program sends, which also reads the answers."""
+        with self.terminal.lock:
+            self.controller.receive(data)
+            self.controller.poll()
+
+    def spoil(self, old: str, new: str) -> None:
+        """Damage what the controller says from now on."""
+        self.controller.spoil = lambda line: line.replace(old, new)
+
+
+class VirtualTime:
+    """In place of the module `time`."""
+
+    def __init__(self, clock: list[float]) -> None:
+        self._clock = clock
+
+    def monotonic(self) -> float:
+        return self._clock[0]
+
+    def sleep(self, seconds: float) -> None:
+        self._clock[0] += seconds
+
+
+class DirectLine:
+    """In place of `serial.Serial`: no wire, and time passes only while somebody waits."""
+
+    def __init__(self, controller: GrblController, clock: list[float]) -> None:
+        self._controller, self._clock, self._data = controller, clock, b""
+        self.timeout = 0.0
+
+    def __call__(self, *_: Any, **__: Any) -> DirectLine:
+        return self
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._data)
+
+    def read(self, count: int) -> bytes:
+        self._data += self._controller.poll()
+        if not self._data:
+            self._clock[0] += self.timeout
+            self._data += self._controller.poll()
+        taken, self._data = self._data[:count], self._data[count:]
+        return taken
+
+    def write(self, data: bytes) -> None:
+        self._controller.receive(data)
+
+    def close(self) -> None:
+        """Nothing to let go of."""

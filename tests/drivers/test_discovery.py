@@ -1,0 +1,225 @@
+"""What is found and what is said to be missing, with the libraries' own answers in their place."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import hid
+import pytest
+import usb.core
+from pypylon import pylon
+from serial.tools import list_ports
+
+from drivers import discovery
+from drivers.discovery import BASLER_VENDOR, DLP4500_PRODUCT, DLP4500_VENDOR
+from fpplab.devices import DeviceInfo
+from tests.drivers.grbl_stage import Bench
+
+
+class Computer:
+    """What is plugged into it; the libraries are made to answer accordingly."""
+
+    def __init__(self) -> None:
+        self.usb: list[SimpleNamespace] = []
+        self.pylon: list[SimpleNamespace] = []
+        self.hid: list[dict[str, Any]] = []
+        self.ports: list[SimpleNamespace] = []
+        self.forbidden: set[str] = set()
+
+    def plug_usb(self, vendor: int, product: int, serial: str | None, speed: int) -> None:
+        number = len(self.usb) + 1
+        self.usb.append(
+            SimpleNamespace(
+                idVendor=vendor, idProduct=product, serial_number=serial, bus=1, address=number, speed=speed
+            )
+        )
+
+    def plug_camera(self, serial: str, speed: int = 4, shown: bool = True) -> None:
+        self.plug_usb(BASLER_VENDOR, 0xBA02, serial, speed)
+        if shown:
+            model = "acA5472-17um"
+            self.pylon.append(
+                SimpleNamespace(
+                    GetModelName=lambda: model,
+                    GetSerialNumber=lambda: serial,
+                    GetDeviceClass=lambda: "BaslerUsb",
+                )
+            )
+
+    def plug_projector(self, shown: bool = True) -> None:
+        self.plug_usb(DLP4500_VENDOR, DLP4500_PRODUCT, "LCR3", 3)
+        if shown:
+            for interface in (0, 1):
+                self.hid.append(
+                    {
+                        "interface_number": interface,
+                        "product_string": "DLPC350",
+                        "serial_number": "LCR3",
+                        "path": b"1-2:1.0",
+                    }
+                )
+
+    def plug_stage(self, port: str, serial: str | None = "AB12") -> None:
+        self.ports.append(
+            SimpleNamespace(
+                device=port,
+                description="Arduino Uno",
+                serial_number=serial,
+                vid=0x2341,
+                pid=0x0043,
+                hwid="USB",
+            )
+        )
+
+
+@pytest.fixture
+def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
+    made = Computer()
+    factory = SimpleNamespace(EnumerateDevices=lambda: made.pylon)
+    monkeypatch.setattr(pylon, "TlFactory", SimpleNamespace(GetInstance=lambda: factory))
+    monkeypatch.setattr(hid, "enumerate", lambda vendor, product: made.hid)
+    monkeypatch.setattr(list_ports, "comports", lambda: made.ports)
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter(made.usb))
+    monkeypatch.setattr(discovery, "_may_use", lambda node: str(node) not in made.forbidden)
+    return made
+
+
+def test_nothing_is_found_and_nothing_missed_where_nothing_is(computer: Computer) -> None:
+    assert discovery.find() == discovery.Found([], [])
+
+
+def test_a_whole_bench_is_listed(computer: Computer) -> None:
+    computer.plug_camera("23456789")
+    computer.plug_projector()
+    computer.plug_stage("/dev/ttyACM0")
+    found = discovery.find()
+    assert found.missing == []
+    assert found.devices == [
+        DeviceInfo("camera", "acA5472-17um", "23456789", "BaslerUsb, USB 3, 5 Gbit/s"),
+        DeviceInfo("projector", "DLPC350", "LCR3", "USB 1-2:1.0, USB 2, 480 Mbit/s"),
+        DeviceInfo("stage", "Arduino Uno", "AB12", "serial /dev/ttyACM0 (USB 2341:0043)"),
+    ]
+
+
+def test_a_camera_on_usb_2_is_said(computer: Computer) -> None:
+    computer.plug_camera("23456789", speed=3)
+    assert "camera 23456789: connected by USB 2, 480 Mbit/s; use a USB 3 port" in only(
+        discovery.find().missing
+    )
+
+
+@pytest.mark.parametrize(("node", "kind"), [("001", "camera 23456789"), ("002", "projector LCR3")])
+def test_missing_permissions_on_usb_are_said(node: str, kind: str, computer: Computer) -> None:
+    computer.plug_camera("23456789")
+    computer.plug_projector()
+    computer.forbidden.add(f"/dev/bus/usb/001/{node}")
+    assert only(discovery.find().missing).startswith(
+        f"{kind}: this user may not open it; copy the udev rules"
+    )
+
+
+def test_a_camera_without_its_driver_is_said(computer: Computer) -> None:
+    computer.plug_camera("23456789", shown=False)
+    assert "pylon does not show it" in only(discovery.find().missing)
+
+
+def test_a_camera_whose_serial_number_is_hidden_has_a_place(computer: Computer) -> None:
+
+    class Hidden(SimpleNamespace):
+        @property
+        def serial_number(self) -> str:
+            raise ValueError("The device has no langid")
+
+    computer.usb = [Hidden(idVendor=BASLER_VENDOR, idProduct=1, bus=2, address=7, speed=4)]
+    assert only(discovery.find().missing).startswith("camera at USB 2-7: ")
+
+
+def test_a_projector_that_is_no_hid_device_is_said(computer: Computer) -> None:
+    computer.plug_projector(shown=False)
+    assert "not as the HID device" in only(discovery.find().missing)
+
+
+def test_a_port_that_may_not_be_opened_is_said(computer: Computer) -> None:
+    computer.plug_stage("/dev/ttyACM0")
+    computer.forbidden.add("/dev/ttyACM0")
+    assert "stage on /dev/ttyACM0: this user may not open it; add yourself" in only(discovery.find().missing)
+
+
+def test_an_adapter_without_a_driver_is_said(computer: Computer) -> None:
+    computer.plug_usb(0x1A86, 0x7523, None, 2)
+    assert only(discovery.find().missing) == (
+        "stage at USB 1-1: CH340 is on USB without a serial port; install its driver"
+    )
+
+
+def test_ports_of_the_mainboard_are_left_out(computer: Computer) -> None:
+    computer.plug_stage("/dev/ttyS0")
+    computer.ports[0].hwid = "n/a"
+    assert discovery.find().devices == []
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (usb.core.NoBackendError("No backend available"), "pyusb finds no libusb; install libusb-1.0-0"),
+        (usb.core.USBError("Access denied", errno=13), "libusb fails ([Errno 13] Access denied)"),
+    ],
+)
+def test_unknown_speeds_are_said(
+    error: Exception, words: str, computer: Computer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(find_all: bool) -> None:
+        raise error
+
+    monkeypatch.setattr(usb.core, "find", broken)
+    computer.plug_camera("23456789")
+    found = discovery.find()
+    assert only(found.missing) == f"USB speeds are unknown: {words}"
+    assert only(found.devices).link == "BaslerUsb"
+
+
+@pytest.mark.parametrize("library", ["pypylon", "hid", "usb.core"])
+def test_a_missing_library_hides_its_own_devices_alone(
+    library: str, computer: Computer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = builtins.__import__
+
+    def without(name: str, *rest: Any) -> Any:
+        if name == library:
+            raise ImportError(f"No module named '{library}'", name=library)
+        return load(name, *rest)
+
+    computer.plug_camera("23456789")
+    computer.plug_projector()
+    computer.plug_stage("/dev/ttyACM0")
+    monkeypatch.delitem(sys.modules, library)
+    monkeypatch.setattr(builtins, "__import__", without)
+    found = discovery.find()
+    assert len(found.devices) == (3 if library == "usb.core" else 2)
+    assert "does not load; install it" in only(found.missing)
+
+
+def test_permissions_are_those_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = tmp_path / "001"
+    assert discovery._may_use(node)  # a system without such files
+    node.touch()
+    assert discovery._may_use(node)
+    monkeypatch.setattr(discovery.os, "access", lambda path, mode: False)
+    assert not discovery._may_use(node)
+
+
+def test_looking_sends_nothing_to_a_stage(computer: Computer) -> None:
+    with Bench() as bench:
+        computer.plug_stage(bench.terminal.port)
+        assert len(discovery.find().devices) == 1
+        assert bench.heard == b""
+
+
+def only(items: list[Any]) -> Any:
+    """The one thing there is."""
+    assert len(items) == 1, items
+    return items[0]
