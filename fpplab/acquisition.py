@@ -75,7 +75,7 @@ def _triggered(
     camera: Camera, projector: Projector, patterns: Sequence[Pattern], settings: CameraSettings
 ) -> Iterator[Frame]:
     camera.arm(len(patterns), "hardware")
-    projector.play(settings.exposure_s)
+    projector.play(settings.exposure_s + camera.caps.readout_s)
     for pattern in patterns:
         yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + 5.0), pattern)
 

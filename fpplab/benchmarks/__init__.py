@@ -34,6 +34,7 @@ REGISTRY = {
     "triangulate": "fpplab.benchmarks.triangulate:run",
     "compare": "fpplab.benchmarks.compare:run",
     "acquire": "drivers.benchmark:run",
+    "projector": "drivers.dlp4500.benchmark:run",
     "twin": "sim.benchmark:run",
     "characterise": "sim.characterisation_benchmark:run",
 }

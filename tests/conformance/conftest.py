@@ -18,6 +18,7 @@ from fpplab.devices import Camera, Device, Fixture, Projector, Stage, State
 from fpplab.rig import Rig, RigFile
 from fpplab.session import Session
 from tests.conformance.bench import devices_of, dim_plan
+from tests.conformance.dlp4500 import FLASH, flash
 
 RIGS = Path(__file__).parent / "rigs"
 RECORDED = RIGS / "rig_reference.yaml"
@@ -47,9 +48,10 @@ def _kinds(path: Path) -> list[str]:
 
 @pytest.fixture(scope="session")
 def rigs_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The rig files, with the recording that one of them plays back beside them."""
+    """The rig files, with the recording and the index of a flash that two of them need beside them."""
     folder = tmp_path_factory.mktemp("conformance") / "rigs"
     shutil.copytree(RIGS, folder)
+    (folder / FLASH).write_text(config.dump(flash()[1]), encoding="utf-8")
     with Rig.load(RECORDED) as rig:
         plan = dim_plan(rig)
         acquire(rig, plan, Session.create(folder / "recording", plan, rig.described()))

@@ -34,6 +34,7 @@ from fpplab.errors import TimeoutError
 from fpplab.patterns import Pattern, quantise
 
 CAMERA_SIZE, PROJECTOR_SIZE = (48, 32), (24, 16)
+READOUT_S = 0.004
 EXPOSURE_TICK_S, GAIN_STEP_DB, STAGE_STEP_MM = 1e-5, 0.1, 0.0125
 BLACK, WHITE, NOISE = 0.02, 0.7, 0.002
 REFERENCE_EXPOSURE_S = 0.02
@@ -86,7 +87,8 @@ class ReferenceCamera(Camera):
         return DeviceInfo("camera", "reference", "1", "memory")
 
     def _caps(self) -> CameraCaps:
-        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), ("software", "hardware"))
+        triggers: tuple[Trigger, ...] = ("software", "hardware")
+        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), triggers, READOUT_S)
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         exposure = round(settings.exposure_s / EXPOSURE_TICK_S) * EXPOSURE_TICK_S

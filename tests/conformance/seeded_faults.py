@@ -24,10 +24,6 @@ from tests.conformance.fault_list import FAULTS, Fault
 
 ROOT = Path(__file__).parents[2]
 COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
-RIGS = {
-    "fast": ("rig_reference.yaml", "rig_replay.yaml"),
-    "sim": ("rig_simulated.yaml",),
-}
 SECONDS = 240
 
 
@@ -47,6 +43,35 @@ class Trial:
     name: str
     verdict: Verdict
     evidence: str
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What judges a fault: the conformance suite on the fastest rigs where it shows, and a driver's own."""
+
+    rigs: tuple[str, ...]
+    tests: tuple[str, ...] = ()
+
+
+SUITES = {
+    "sim/": Suite(("rig_simulated.yaml",)),
+    "drivers/basler/": Suite(
+        ("rig_pylon.yaml",), ("test_basler.py", "test_basler_faults.py", "test_basler_features.py")
+    ),
+    "drivers/dlp4500/": Suite(
+        ("rig_dlp4500.yaml",),
+        (
+            "test_dlp4500_packets.py",
+            "test_dlp4500_sequence.py",
+            "test_dlp4500_transport.py",
+            "test_dlp4500_device.py",
+            "test_dlp4500_faults.py",
+        ),
+    ),
+    "drivers/stage_grbl/": Suite(("rig_grbl.yaml",), ("test_stage_grbl.py",)),
+    "": Suite(("rig_reference.yaml", "rig_replay.yaml")),
+}
+"""By where the fault is: the first that fits."""
 
 
 @contextmanager
@@ -72,11 +97,12 @@ def seed(tree: Path, fault: Fault) -> None:
     path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
 
 
-def run_suite(tree: Path, rigs: tuple[str, ...]) -> tuple[Verdict, str]:
-    """The conformance suite of the copy, up to its first failure."""
-    command = [sys.executable, "-m", "pytest", "tests/conformance", "-x", "-q", "-m", "not slow"]
+def run_suite(tree: Path, suite: Suite) -> tuple[Verdict, str]:
+    """The suite on the copy, up to its first failure."""
+    command = [sys.executable, "-m", "pytest", *(f"tests/drivers/{test}" for test in suite.tests)]
+    command += ["tests/conformance", "-x", "-q", "-m", "not slow"]
     command += ["-p", "no:cacheprovider", "--no-header", "--tb=no"]
-    command += [word for rig in rigs for word in ("--rig", f"tests/conformance/rigs/{rig}")]
+    command += [word for rig in suite.rigs for word in ("--rig", f"tests/conformance/rigs/{rig}")]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS, check=False
@@ -88,22 +114,24 @@ def run_suite(tree: Path, rigs: tuple[str, ...]) -> tuple[Verdict, str]:
     return Verdict.SURVIVED if done.returncode == 0 else Verdict.BROKEN, output[-1]
 
 
-def rigs_for(fault: Fault) -> tuple[str, ...]:
-    """The fastest rigs on which a fault can show."""
-    return RIGS["sim" if fault.file.startswith("sim/") else "fast"]
+def suite_for(fault: Fault) -> Suite:
+    """The fastest suite in which a fault can show."""
+    return next(suite for place, suite in SUITES.items() if fault.file.startswith(place))
 
 
 def try_fault(fault: Fault) -> Trial:
     """Seed one fault and let the suite judge."""
     with copy_of_the_tree() as tree:
         seed(tree, fault)
-        return Trial(fault.name, *run_suite(tree, rigs_for(fault)))
+        return Trial(fault.name, *run_suite(tree, suite_for(fault)))
 
 
 def try_none() -> Trial:
     """The suite on an unharmed copy, on every rig."""
     with copy_of_the_tree() as tree:
-        return Trial("no fault at all", *run_suite(tree, RIGS["fast"] + RIGS["sim"]))
+        rigs = tuple(rig for suite in SUITES.values() for rig in suite.rigs)
+        tests = tuple(test for suite in SUITES.values() for test in suite.tests)
+        return Trial("no fault at all", *run_suite(tree, Suite(rigs, tests)))
 
 
 def main(words: list[str]) -> int:

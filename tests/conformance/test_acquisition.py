@@ -224,3 +224,23 @@ def test_a_triggered_plan(rig: Rig, session: Session) -> None:
             assert min(known, key=lambda k: float(np.abs(frame - known[k]).mean())) == i
     assert dark_now(rig, *levels)
     assert rig.projector.state is State.IDLE
+
+
+def test_a_triggered_pattern_stays_up_until_the_last_row_is_read(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rolling shutter exposes its rows one after another: none may see the next pattern."""
+    if not rig.projector.caps.trigger_outputs or "hardware" not in rig.camera.caps.triggers:
+        assert rig.camera.caps.readout_s >= 0
+        return
+    really_play, played = rig.projector._play, []
+
+    def noted(exposure_s: float) -> None:
+        played.append(exposure_s)
+        really_play(exposure_s)
+
+    monkeypatch.setattr(rig.projector, "_play", noted)
+    acquire(rig, session.plan.model_copy(update={"trigger": "triggered"}), session)
+    settings = rig.camera_settings(session.plan.exposure_s)
+    exposure_s = rig.camera.configure(settings).exposure_s
+    assert played == [pytest.approx(exposure_s + rig.camera.caps.readout_s)]

@@ -1,0 +1,331 @@
+"""A Basler camera behind the interface of `fpplab.devices`.
+
+`drivers.basler.options` describes its section in a rig file. Nothing here knows which camera it is: the node
+map is asked what there is.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from pypylon import genicam, pylon
+
+from drivers.basler import features as named
+from drivers.basler.features import US_PER_S, Features
+from drivers.basler.frames import SPARE, BufferPool
+from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions
+from drivers.basler.transport import Pylon
+from fpplab import config
+from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, State, Trigger
+from fpplab.errors import (
+    CapabilityError,
+    ConfigError,
+    DeviceError,
+    DisconnectedError,
+    FrameLossError,
+    SettingError,
+    StateError,
+    TimeoutError,
+)
+from fpplab.files import write_text
+
+NS_PER_S = 1e9
+READY_S = 5.0
+"""How long a camera may take to become ready for its first trigger."""
+SLICE_S = 0.2
+"""How often a wait looks up: for a camera that was unplugged, and for the operator's Ctrl-C."""
+FIRST_BLOCK = {"BaslerGigE": 1}
+"""BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
+NO_BLOCK_ID = (1 << 64) - 1
+"""What pylon reports as BlockID where the camera does not count."""
+IN_USE = ("exclusively opened", "controlled by another application")
+"""What pylon says, over USB and Ethernet, of a camera that another program has."""
+
+FORMATS: dict[int, tuple[str, ...]] = {8: ("Mono8",), 12: ("Mono12", "Mono12p"), 16: ("Mono16",)}
+
+
+class BaslerCamera(Camera):
+    """A camera that pylon sees. `bench.pylon`, where the rig's bench has it, takes pylon's place.
+
+    Frames leave without a copy as long as buffers last (see `drivers.basler.frames`); `index` follows the
+    camera's own count. Rows of a rolling shutter are exposed one after another: `caps.readout_s`.
+    """
+
+    _camera: Any = None
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._options = config.validate(options, BaslerOptions, self.name)
+        self._transport = getattr(bench, "pylon", None) or Pylon()
+
+    def load_features(self, path: Path) -> None:
+        """Set all that a .pfs file holds; the camera must be configured again after it.
+
+        Raises `StateError` while frames are taken, `ConfigError` for a file that does not fit the camera.
+        """
+        self._need(State.IDLE, doing="load_features")
+        text = config.read_text(path)
+        self._forget()
+        with self._guard("load_features"):
+            self._load(text, path)
+            self._make_raw()
+            self._known = self._read_caps()
+
+    def save_features(self, path: Path) -> None:
+        """Write all settings of the camera as a .pfs file. Raises `StateError` while frames are taken."""
+        self._need(State.IDLE, doing="save_features")
+        with self._guard("save_features"):
+            text = pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
+        write_text(path, text)
+
+    def _open(self) -> None:
+        serial, connected = self._options.serial, self._transport.cameras()
+        if serial not in connected:
+            raise DisconnectedError(
+                self.name,
+                "open",
+                f"no camera with the serial number {serial} is connected",
+                f"there is {', '.join(connected) or 'none'}",
+            )
+        self._camera = self._transport.attach(connected[serial])
+        self._camera.Open()
+        self._features = Features(self.name, self._camera)
+        self._first_block = FIRST_BLOCK.get(self._camera.GetDeviceInfo().GetDeviceClass(), 0)
+        self._ticks_per_s = float(self._features.read(named.TICKS_PER_S) or NS_PER_S)
+        if self._options.features is not None:
+            path = Path(self._options.features)
+            self._load(config.read_text(path), path)
+        self._make_raw()
+        self._apply_options()
+        self._known = self._read_caps()
+
+    def _close(self) -> None:
+        camera, self._camera = self._camera, None
+        if camera is None:
+            return
+        try:
+            if not camera.IsCameraDeviceRemoved():
+                camera.StopGrabbing()
+                camera.Close()
+        finally:
+            camera.DestroyDevice()
+
+    def _info(self) -> DeviceInfo:
+        info = self._camera.GetDeviceInfo()
+        return DeviceInfo("camera", info.GetModelName(), info.GetSerialNumber(), info.GetDeviceClass())
+
+    def _caps(self) -> CameraCaps:
+        return self._known
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        self._forget()  # a refusal half way leaves neither the old settings nor the new
+        exposure_us = round(settings.exposure_s * US_PER_S, 6)
+        self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
+        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", within=exposure_us)
+        gain_db = 0.0
+        if self._features.has(named.GAIN_DB):
+            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", within=1.0)
+        self._known = self._read_caps()
+        return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        self._choose_trigger(trigger)
+        # Pulses do not wait for the host; triggers of its own do, and fresh memory costs time.
+        waiting = n if trigger == "hardware" else SPARE
+        self._pool = BufferPool(waiting, self._features.read(named.PAYLOAD_BYTES))
+        self._trigger = trigger
+        self._camera.MaxNumBuffer.SetValue(self._pool.size)
+        self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
+        # Until it is ready, a pulse on the line would be lost without a word.
+        self._await_ready(time.monotonic() + READY_S, "arm")
+
+    def _read(self, timeout_s: float) -> Frame:
+        deadline = time.monotonic() + timeout_s
+        if self._trigger == "software":
+            self._await_ready(deadline, "read")
+            self._camera.ExecuteSoftwareTrigger()
+        result = self._retrieve(deadline, timeout_s)
+        host_time_s = time.time()
+        if not result.GrabSucceeded():
+            self._check_connected("read")
+            said = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x})"
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {self._taken} is damaged: {said}",
+                "see to the cable and the USB controller, and take the frames again",
+            )
+        index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
+        device_time_s = ticks / self._ticks_per_s if ticks else None
+        settings = self._configured("read")
+        return Frame(self._pool.image(result), index, settings, host_time_s, device_time_s)
+
+    def _stop(self) -> None:
+        self._camera.StopGrabbing()
+
+    def _fault(self) -> None:
+        """A camera in fault is disarmed at once: a frame that comes late must find nobody waiting."""
+        super()._fault()
+        if self._camera is not None:
+            with suppress(genicam.GenericException):  # the fault itself is what the operator must see
+                self._camera.StopGrabbing()
+
+    @contextmanager
+    def _guard(self, operation: str) -> Iterator[None]:
+        """As every device's, with pylon's exceptions in the operator's words."""
+        with super()._guard(operation):
+            try:
+                yield
+            except genicam.GenericException as error:
+                raise self._described(operation, str(error)) from error
+
+    def _described(self, operation: str, said: str) -> DeviceError:
+        if any(phrase in said for phrase in IN_USE):
+            return StateError(self.name, operation, "another program has the camera open", "close it there")
+        if self._camera is not None and self._is_gone():
+            return self._disconnected(operation)
+        words = said.split(" : ")[0].strip()
+        return DeviceError(self.name, operation, f"pylon says: {words}", "close it and open it again")
+
+    def _load(self, text: str, path: Path) -> None:
+        try:
+            pylon.FeaturePersistence.LoadFromString(text, self._camera.GetNodeMap(), True)
+        except genicam.GenericException as error:
+            self._check_connected("load_features")
+            words = str(error).split(" : ")[0].strip()
+            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {words}") from error
+
+    def _make_raw(self) -> None:
+        for feature, value in named.RAW:
+            self._features.offer(feature, value)
+        for selector in self._features.choices(named.TRIGGER_SELECTOR):
+            self._features.offer(named.TRIGGER_SELECTOR, selector)
+            self._features.offer(named.TRIGGER_MODE, "Off")
+
+    def _apply_options(self) -> None:
+        options, write = self._options, self._features.write
+        self._set_roi(options.roi)
+        if options.black_level is not None:
+            write(named.BLACK_LEVEL, options.black_level, "open", within=0.5)
+        if options.shutter is not None and self._features.has(named.SHUTTER):
+            names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
+            write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
+
+    def _set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
+        write = self._features.write
+        write(named.OFFSET_X, 0, "open")
+        write(named.OFFSET_Y, 0, "open")
+        whole = (int(self._features.limits(named.WIDTH)[1]), int(self._features.limits(named.HEIGHT)[1]))
+        left, top, width, height = roi or (0, 0, *whole)
+        write(named.WIDTH, width, "open")
+        write(named.HEIGHT, height, "open")
+        write(named.OFFSET_X, left, "open")
+        write(named.OFFSET_Y, top, "open")
+
+    def _read_caps(self) -> CameraCaps:
+        features = self._features
+        shortest, longest = features.limits(named.EXPOSURE_US)
+        return CameraCaps(
+            (features.read(named.WIDTH), features.read(named.HEIGHT)),
+            tuple(bits for bits in FORMATS if self._formats(bits)),
+            (shortest / US_PER_S, longest / US_PER_S),
+            features.limits(named.GAIN_DB) if features.has(named.GAIN_DB) else (0.0, 0.0),
+            self._triggers(),
+            self._readout_s(),
+        )
+
+    def _triggers(self) -> tuple[Trigger, ...]:
+        """None for a camera that cannot tell when it is ready: its first trigger might be lost."""
+        if not self._camera.CanWaitForFrameTriggerReady():
+            return ()
+        sources = self._features.choices(named.TRIGGER_SOURCE)
+        names: dict[Trigger, str] = {"software": "Software", "hardware": self._options.trigger.line}
+        return tuple(trigger for trigger, source in names.items() if source in sources)
+
+    def _readout_s(self) -> float:
+        shutter = self._features.read(named.SHUTTER) or self._options.shutter
+        if shutter in ("Global", "global"):
+            return 0.0
+        readout_us = self._features.read(named.READOUT_US)
+        if readout_us is None and shutter is not None:
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"the shutter is {shutter}, but the camera does not tell its readout time",
+                "use a camera with a global shutter",
+            )
+        return float(readout_us or 0.0) / US_PER_S
+
+    def _formats(self, bits: int) -> list[str]:
+        known = self._features.choices(named.PIXEL_FORMAT)
+        return [name for name in FORMATS[bits] if name in known]
+
+    def _format(self, bits: int) -> str:
+        formats = self._formats(bits)
+        if not self._options.packed or bits != 12:
+            return formats[0]
+        if "Mono12p" not in formats:
+            raise SettingError(self.name, "configure", "packed is true", "this camera has no Mono12p")
+        return "Mono12p"
+
+    def _choose_trigger(self, trigger: Trigger) -> None:
+        features, line = self._features, self._options.trigger
+        hardware = trigger == "hardware"
+        features.write(named.TRIGGER_SELECTOR, "FrameStart", "arm")
+        features.write(named.TRIGGER_MODE, "On", "arm")
+        features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
+        if hardware:
+            features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
+            features.offer(named.LINE_SELECTOR, line.line)
+            features.offer(named.LINE_MODE, "Input")
+        delay_us = line.delay_us if hardware else 0.0
+        if delay_us or features.has(named.TRIGGER_DELAY_US):
+            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", within=1.0)
+
+    def _await_ready(self, deadline: float, doing: str) -> None:
+        """A trigger that comes before the camera is ready is dropped without a word."""
+        while not self._camera.WaitForFrameTriggerReady(_slice_ms(deadline), pylon.TimeoutHandling_Return):
+            self._check_connected(doing)
+            if time.monotonic() >= deadline:
+                raise TimeoutError(
+                    self.name, doing, "it does not become ready for a trigger", "close it and open it again"
+                )
+
+    def _retrieve(self, deadline: float, timeout_s: float) -> Any:
+        while True:
+            result = self._camera.RetrieveResult(_slice_ms(deadline), pylon.TimeoutHandling_Return)
+            if result.IsValid():
+                return result
+            if self._camera.IsCameraDeviceRemoved():
+                raise self._disconnected("read")
+            if not self._camera.IsGrabbing():
+                raise DeviceError(self.name, "read", "pylon stopped grabbing", "close it and open it again")
+            if time.monotonic() >= deadline:
+                break
+        self._check_connected("read")
+        remedy = "see to the trigger cable" if self._trigger == "hardware" else "allow it more time"
+        raise TimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
+
+    def _index(self, block_id: int) -> int:
+        """The frame's number since `arm`, by the camera's own count where it counts."""
+        return self._taken if block_id == NO_BLOCK_ID else block_id - self._first_block
+
+    def _check_connected(self, doing: str) -> None:
+        if self._is_gone():
+            raise self._disconnected(doing)
+
+    def _is_gone(self) -> bool:
+        # pylon's notice of a removal is sometimes missed, so the bus is asked too.
+        return self._camera.IsCameraDeviceRemoved() or self._options.serial not in self._transport.cameras()
+
+    def _disconnected(self, doing: str) -> DisconnectedError:
+        return DisconnectedError(
+            self.name, doing, "the camera was unplugged or switched off", "plug it in and open it again"
+        )
+
+
+def _slice_ms(deadline: float) -> int:
+    return round(1000 * min(max(deadline - time.monotonic(), 0.0), SLICE_S))

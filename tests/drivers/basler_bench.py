@@ -1,0 +1,61 @@
+"""Basler cameras at the end of an emulated cable: what their tests have in common."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from drivers.basler import BaslerCamera
+from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
+from fpplab.conventions import Image, raw_dtype
+from fpplab.devices import CameraSettings, Frame, State
+
+SERIAL = "0815-0000"
+SIZE = (48, 32)
+SETTINGS = CameraSettings(0.02)
+SOON_S, LONG_S = 0.05, 20.0
+
+
+class Counter:
+    """A scene whose brightness counts the exposures: no frame can be taken for another."""
+
+    def __init__(self) -> None:
+        self.exposures = 0
+
+    def __call__(self, settings: CameraSettings) -> Image:
+        self.exposures += 1
+        shade = self.exposures % (1 << settings.bits)
+        image: Image = np.full(SIZE[::-1], shade, raw_dtype(settings.bits))
+        return image
+
+
+def driver(bench: EmulatedPylon, **options: Any) -> BaslerCamera:
+    section = {"serial": SERIAL, "roi": [0, 0, *SIZE], **options}
+    return BaslerCamera("camera", section, SimpleNamespace(pylon=bench))
+
+
+def end(camera: BaslerCamera) -> EmulatedCamera:
+    """The other end of the camera's cable."""
+    found: EmulatedCamera = camera._camera
+    return found
+
+
+def shade(frame: Frame) -> int:
+    assert frame.image.min() == frame.image.max()
+    return int(frame.image[0, 0])
+
+
+def assert_disarmed(camera: BaslerCamera) -> None:
+    assert camera.state is State.FAULT
+    assert not end(camera).IsGrabbing()
+
+
+def assert_mended(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+    """Closed and opened again it takes a frame, and that of now."""
+    camera.close()
+    bench.plug_in()
+    camera.open()
+    camera.configure(SETTINGS)
+    assert shade(camera.snap()) == scene.exposures

@@ -1,0 +1,209 @@
+"""The Basler driver on pylon's own camera emulator: every fault that it can make, and time-outs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.basler import BaslerCamera
+from drivers.emulators.pylon import EmulatedPylon
+from fpplab.devices import State
+from fpplab.errors import (
+    DeviceError,
+    DisconnectedError,
+    FrameLossError,
+    TimeoutError,
+)
+from tests.drivers.basler_bench import (
+    LONG_S,
+    SETTINGS,
+    SOON_S,
+    Counter,
+    assert_disarmed,
+    assert_mended,
+    end,
+)
+
+# Time-outs
+
+
+def test_a_frame_that_comes_too_late_is_taken_by_nobody(
+    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+) -> None:
+    end(camera).expose_for(0.3)
+    camera.arm(2)
+    with pytest.raises(TimeoutError, match=r"no frame came within 0.05 s; allow it more time"):
+        camera.read(SOON_S)
+    assert_disarmed(camera)
+    late = scene.exposures
+    assert_mended(camera, bench, scene)
+    assert scene.exposures > late
+
+
+def test_without_a_pulse_the_cable_is_suspected(camera: BaslerCamera) -> None:
+    camera.arm(1, "hardware")
+    with pytest.raises(TimeoutError, match="see to the trigger cable"):
+        camera.read(SOON_S)
+    assert_disarmed(camera)
+
+
+def test_a_camera_that_does_not_become_ready(camera: BaslerCamera) -> None:
+    camera.arm(2)
+    end(camera).expose_for(1.0)
+    end(camera).instant.TriggerSoftware.Execute()
+    with pytest.raises(TimeoutError, match="does not become ready for a trigger"):
+        camera.read(SOON_S)
+    assert_disarmed(camera)
+
+
+# Faults
+
+
+def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+    camera.arm(4, "hardware")
+    bench.pulse(3)
+    assert camera.read(1.0).index == 0
+    end(camera).lose = 1
+    with pytest.raises(FrameLossError, match="frame 2 arrived instead of frame 1"):
+        camera.read(1.0)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_the_first_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+    camera.arm(4, "hardware")
+    end(camera).lose = 1
+    bench.pulse(2)
+    with pytest.raises(FrameLossError, match="frame 1 arrived instead of frame 0"):
+        camera.read(1.0)
+    assert_disarmed(camera)
+
+
+def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+    camera.arm(2, "hardware")
+    bench.pulse(2)
+    camera.read(1.0)
+    end(camera).lose = 1
+    with pytest.raises(TimeoutError):
+        camera.read(SOON_S)
+    assert_disarmed(camera)
+
+
+def test_an_incomplete_frame(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+    camera.arm(3)
+    camera.read(1.0)
+    end(camera).fail(1)
+    with pytest.raises(FrameLossError, match="frame 1 is damaged: The buffer was incompletely grabbed"):
+        camera.read(1.0)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_a_frame_that_is_no_picture(
+    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(bench, "expose", lambda camera: bench.light.garble())
+        with pytest.raises(FrameLossError, match=r"frame 0 is damaged: .*\(0x7\)"):
+            camera.snap(1.0)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_a_picture_of_another_size(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+    bench.scene = lambda settings: np.zeros((16, 24), np.uint8)
+    with pytest.raises(FrameLossError, match="frame 0 is"):
+        camera.snap(1.0)
+    assert_disarmed(camera)
+    bench.scene = scene
+    assert_mended(camera, bench, scene)
+
+
+def test_pylons_engine_breaks_down(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
+    camera.arm(3)
+    camera.read(1.0)
+    end(camera).break_grabbing("out of transfer memory")
+    with pytest.raises(DeviceError, match="pylon says: out of transfer memory; close it and open it again"):
+        camera.read(1.0)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_pylon_stops_grabbing_by_itself(camera: BaslerCamera) -> None:
+    camera.arm(3, "hardware")
+    end(camera).instant.StopGrabbing()
+    with pytest.raises(DeviceError, match="pylon stopped grabbing"):
+        camera.read(LONG_S)
+    assert_disarmed(camera)
+
+
+USES: dict[str, Callable[[BaslerCamera], object]] = {
+    "configure": lambda camera: camera.configure(SETTINGS),
+    "arm": lambda camera: camera.arm(1),
+    "arm for pulses": lambda camera: camera.arm(1, "hardware"),
+    "snap": lambda camera: camera.snap(1.0),
+    "save_features": lambda camera: camera.save_features(Path("never.pfs")),
+}
+
+
+@pytest.mark.parametrize("use", USES.values(), ids=USES)
+def test_unplugged_between_two_uses(
+    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, use: Callable[[BaslerCamera], object]
+) -> None:
+    camera.snap()
+    bench.unplug()
+    with pytest.raises(DisconnectedError, match="the camera was unplugged or switched off; plug it in"):
+        use(camera)
+    assert camera.state is State.FAULT
+    assert_mended(camera, bench, scene)
+
+
+@pytest.mark.parametrize("trigger", ["software", "hardware"])
+def test_unplugged_between_two_frames(
+    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, trigger: Any
+) -> None:
+    camera.arm(5, trigger)
+    if trigger == "hardware":
+        bench.pulse()
+    camera.read(1.0)
+    bench.unplug()
+    with pytest.raises(DisconnectedError):
+        camera.read(LONG_S)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_unplugged_while_a_frame_is_waited_for(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+    """pylon lets the wait run into its time-out: the driver must not."""
+    camera.arm(1, "hardware")
+    hand = threading.Timer(SOON_S, bench.unplug)
+    hand.start()
+    with pytest.raises(DisconnectedError):
+        camera.read(LONG_S)
+    hand.join()
+    assert_disarmed(camera)
+
+
+def test_unplugged_and_pylon_gives_no_notice(
+    camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
+) -> None:
+    camera.arm(1, "hardware")
+    bench.unplug(noticed=False)
+    with pytest.raises(DisconnectedError):
+        camera.read(SOON_S)
+    assert_disarmed(camera)
+    assert_mended(camera, bench, scene)
+
+
+def test_unplugged_it_can_be_closed_and_does_not_open(camera: BaslerCamera, bench: EmulatedPylon) -> None:
+    camera.arm(5)
+    bench.unplug()
+    camera.close()
+    with pytest.raises(DisconnectedError, match="there is none"):
+        camera.open()
+    assert camera.state is State.CLOSED

@@ -1,0 +1,319 @@
+"""The Basler driver on what pylon's emulator lacks: other features, packed pixels, other counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from pypylon import pylon
+
+from drivers.basler import BaslerCamera
+from drivers.basler.frames import unpack12
+from fpplab.devices import CameraSettings, State
+from fpplab.errors import CapabilityError, ConfigError, FrameLossError, SettingError
+from tests.drivers.node_camera import ACE, SERIAL, NodeCamera, Result, choice, integer, number
+
+Make = Callable[..., BaslerCamera]
+
+
+@pytest.fixture
+def made() -> Iterator[Make]:
+    """Opens the driver on a camera with the given options; closed afterwards."""
+    opened: list[BaslerCamera] = []
+
+    def make(end: NodeCamera, **options: Any) -> BaslerCamera:
+        camera = BaslerCamera("camera", {"serial": SERIAL, **options}, SimpleNamespace(pylon=end))
+        opened.append(camera)
+        camera.open()
+        return camera
+
+    yield make
+    for camera in opened:
+        camera.close()
+
+
+def without(*names: str) -> NodeCamera:
+    return NodeCamera({name: node for name, node in ACE.items() if name not in names})
+
+
+def but(**nodes: Any) -> NodeCamera:
+    return NodeCamera({**ACE, **nodes})
+
+
+def value(end: NodeCamera, name: str) -> Any:
+    return end.map.GetNode(name).GetValue()
+
+
+def packed(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Twelve bits after twelve bits, least significant first, written bit by bit."""
+    bits = (pixels.reshape(-1, 1) >> np.arange(12)) & 1
+    return np.packbits(bits.astype(np.uint8).reshape(-1), bitorder="little")
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.randoms(use_true_random=False))
+def test_packed_pixels_come_out_as_they_went_in(height: int, width: int, random: Any) -> None:
+    pixels = np.array([random.randrange(4096) for _ in range(height * width)], np.uint16)
+    image = unpack12(packed(pixels), height, width)
+    assert image.dtype == np.uint16
+    np.testing.assert_array_equal(image, pixels.reshape(height, width))
+
+
+def test_unpacking_agrees_with_pylons_own() -> None:
+    raw = np.random.default_rng(3).integers(0, 256, 9 * 16 * 3 // 2, np.uint8)
+    source = pylon.PylonImage()
+    source.AttachMemoryView(memoryview(raw.tobytes()), pylon.PixelType_Mono12p, 16, 9, 0)
+    np.testing.assert_array_equal(unpack12(raw, 9, 16), source.GetArray())
+
+
+@pytest.mark.parametrize(("options", "expected"), [({}, "Mono12"), ({"packed": True}, "Mono12p")])
+def test_packed_pixels_are_a_choice(made: Make, options: dict[str, bool], expected: str) -> None:
+    end = NodeCamera()
+    camera = made(end, **options)
+    camera.configure(CameraSettings(0.01, bits=12))
+    assert value(end, "PixelFormat") == expected
+    camera.configure(CameraSettings(0.01, bits=8))
+    assert value(end, "PixelFormat") == "Mono8"
+
+
+def test_packed_pixels_are_used_where_there_are_no_others(made: Make) -> None:
+    end = but(PixelFormat=choice("PixelFormat", "Mono8", "Mono12p"))
+    camera = made(end)
+    assert camera.caps.bits == (8, 12)
+    camera.configure(CameraSettings(0.01, bits=12))
+    assert value(end, "PixelFormat") == "Mono12p"
+
+
+def test_packed_pixels_that_are_not_there_are_refused(made: Make) -> None:
+    camera = made(but(PixelFormat=choice("PixelFormat", "Mono8", "Mono12")), packed=True)
+    with pytest.raises(SettingError, match="has no Mono12p"):
+        camera.configure(CameraSettings(0.01, bits=12))
+
+
+def test_a_packed_frame(made: Make) -> None:
+    end = NodeCamera()
+    pixels = np.random.default_rng(1).integers(0, 4096, (8, 64), np.uint16)
+    end.results.append(Result(packed(pixels), 64, 8, pylon.PixelType_Mono12p, 0, 1_500_000_000))
+    camera = made(end, packed=True)
+    camera.configure(CameraSettings(0.01, bits=12))
+    frame = camera.snap()
+    np.testing.assert_array_equal(frame.image, pixels)
+    assert frame.device_time_s == 1.5
+    assert end.triggers == 1
+
+
+def test_rows_with_a_margin(made: Make) -> None:
+    end = NodeCamera()
+    buffer = np.random.default_rng(1).integers(0, 4096, (8, 66), np.uint16)
+    end.results.append(Result(buffer, 64, 8, pylon.PixelType_Mono12, 0))
+    camera = made(end)
+    camera.configure(CameraSettings(0.01, bits=12))
+    frame = camera.snap()
+    np.testing.assert_array_equal(frame.image, buffer[:, :64])
+    assert frame.device_time_s is None, "a time stamp of 0 is none"
+
+
+def test_a_clock_with_its_own_ticks(made: Make) -> None:
+    end = but(GevTimestampTickFrequency=integer("GevTimestampTickFrequency", 125_000_000, 0, 1 << 40))
+    end.results.append(grey(0, ticks=250_000_000))
+    camera = made(end)
+    camera.configure(CameraSettings(0.01))
+    assert camera.snap().device_time_s == 2.0
+
+
+def grey(block_id: int, width: int = 64, ticks: int = 0) -> Result:
+    return Result(np.zeros((8, width), np.uint8), width, 8, pylon.PixelType_Mono8, block_id, ticks)
+
+
+@pytest.mark.parametrize(
+    ("device_class", "counted"),
+    [("BaslerUsb", [0, 1, 2]), ("BaslerGigE", [1, 2, 3]), ("BaslerUsb", [(1 << 64) - 1] * 3)],
+)
+def test_frames_are_counted_as_the_link_counts(made: Make, device_class: str, counted: list[int]) -> None:
+    end = NodeCamera(device_class=device_class)
+    end.results.extend(grey(block_id) for block_id in counted)
+    camera = made(end)
+    camera.configure(CameraSettings(0.01))
+    camera.arm(3)
+    assert [camera.read(1.0).index for _ in range(3)] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("device_class", "counted"),
+    [("BaslerUsb", [1]), ("BaslerUsb", [0, 2]), ("BaslerUsb", [0, 0]), ("BaslerGigE", [2])],
+)
+def test_a_gap_in_the_count_is_a_lost_frame(made: Make, device_class: str, counted: list[int]) -> None:
+    end = NodeCamera(device_class=device_class)
+    end.results.extend(grey(block_id) for block_id in counted)
+    camera = made(end)
+    camera.configure(CameraSettings(0.01))
+    camera.arm(3)
+    for _ in counted[1:]:
+        camera.read(1.0)
+    with pytest.raises(FrameLossError, match="arrived instead of"):
+        camera.read(1.0)
+    assert camera.state is State.FAULT
+    assert not end.grabbing
+
+
+def test_an_empty_frame_of_a_dying_link_is_refused(made: Make) -> None:
+    end = NodeCamera()
+    end.results.append(Result(np.zeros((1, 64), np.uint8), 64, 1, pylon.PixelType_Mono8, 0))
+    camera = made(end)
+    camera.configure(CameraSettings(0.01))
+    with pytest.raises(FrameLossError, match=r"frame 0 is uint8 \(64, 1\)"):
+        camera.snap()
+
+
+@pytest.mark.parametrize(
+    ("roi", "complaint"),
+    [
+        ([0, 0, 40, 8], "Width is 40; the camera takes 16 to 64 in steps of 16"),
+        ([0, 0, 80, 8], "Width is 80; the camera takes 16 to 64 in steps of 16"),
+        ([0, 0, 16, 3], "Height is 3; the camera takes 2 to 8 in steps of 2"),
+        ([8, 0, 16, 8], "OffsetX is 8; the camera takes 0 to 48 in steps of 16"),
+        ([0, 8, 16, 2], "OffsetY is 8; the camera takes 0 to 6 in steps of 2"),
+    ],
+)
+def test_an_roi_off_the_cameras_grid_is_refused(made: Make, roi: list[int], complaint: str) -> None:
+    with pytest.raises(SettingError, match=complaint):
+        made(NodeCamera(), roi=roi)
+
+
+def test_a_rolling_shutter_is_known(made: Make) -> None:
+    assert made(NodeCamera()).caps.readout_s == pytest.approx(0.054321)
+
+
+@pytest.mark.parametrize(
+    ("shutter", "expected"), [("rolling", "Rolling"), ("global_reset", "GlobalResetRelease")]
+)
+def test_the_shutter_is_set(made: Make, shutter: str, expected: str) -> None:
+    end = NodeCamera()
+    camera = made(end, shutter=shutter)
+    assert value(end, "ShutterMode") == expected
+    assert camera.caps.readout_s == pytest.approx(0.054321), "rows end one after another in both"
+
+
+def test_a_shutter_that_is_not_there_is_refused(made: Make) -> None:
+    with pytest.raises(SettingError, match="ShutterMode is Global; the camera takes one of Rolling"):
+        made(NodeCamera(), shutter="global")
+
+
+@pytest.mark.parametrize(("shutter", "readout_s"), [("global", 0.0), ("rolling", 0.054321), (None, 0.054321)])
+def test_of_a_shutter_that_cannot_be_switched_the_rig_file_tells(
+    made: Make, shutter: str | None, readout_s: float
+) -> None:
+    assert made(without("ShutterMode"), shutter=shutter).caps.readout_s == pytest.approx(readout_s)
+
+
+def test_a_shutter_that_can_be_global_is_at_once(made: Make) -> None:
+    end = but(SensorShutterMode=choice("SensorShutterMode", "Global", "Rolling"))
+    assert made(end).caps.readout_s == 0.0
+
+
+def test_a_rolling_shutter_without_a_readout_time_is_refused(made: Make) -> None:
+    with pytest.raises(CapabilityError, match="does not tell its readout time"):
+        made(without("SensorReadoutTime"))
+
+
+def test_names_before_sfnc_2(made: Make) -> None:
+    nodes = {name: node for name, node in ACE.items() if name not in ("ExposureTime", "SensorReadoutTime")}
+    end = NodeCamera(
+        {
+            **nodes,
+            "ExposureTimeAbs": number("ExposureTimeAbs", 1.0, 50.0, 1e6),
+            "ReadoutTimeAbs": number("ReadoutTimeAbs", 2000.0, 0.0, 1e6),
+        }
+    )
+    camera = made(end)
+    assert camera.caps.exposure_s == (50e-6, 1.0)
+    assert camera.caps.readout_s == pytest.approx(0.002)
+    camera.configure(CameraSettings(0.02))
+    assert value(end, "ExposureTimeAbs") == 20000.0
+
+
+def test_of_two_names_that_of_sfnc_2_counts(made: Make) -> None:
+    end = but(ExposureTimeAbs=number("ExposureTimeAbs", 1.0, 50.0, 1e6))
+    camera = made(end)
+    assert camera.caps.exposure_s == (19e-6, 10.0)
+    camera.configure(CameraSettings(0.02))
+    assert (value(end, "ExposureTime"), value(end, "ExposureTimeAbs")) == (20000.0, 1.0)
+
+
+def test_a_camera_without_gain_takes_none(made: Make) -> None:
+    camera = made(without("Gain"))
+    assert camera.configure(CameraSettings(0.02)).gain_db == 0.0
+    with pytest.raises(SettingError, match="gain_db is 1"):
+        camera.configure(CameraSettings(0.02, gain_db=1.0))
+
+
+def test_what_a_frame_must_not_contain_is_switched_off(made: Make) -> None:
+    end = but(
+        ExposureAuto=choice("ExposureAuto", "Continuous", "Off"),
+        GainAuto=choice("GainAuto", "Continuous", "Once", "Off"),
+        Gamma=number("Gamma", 0.45, 0.0, 4.0),
+    )
+    made(end)
+    assert (value(end, "ExposureAuto"), value(end, "GainAuto"), value(end, "Gamma")) == ("Off", "Off", 1.0)
+
+
+def test_the_black_level_is_set_or_refused(made: Make) -> None:
+    end = NodeCamera()
+    made(end, black_level=4.0)
+    assert value(end, "BlackLevel") == 4.0
+    with pytest.raises(SettingError, match="BlackLevel is 300; the camera takes 0 to 255"):
+        made(NodeCamera(), black_level=300.0)
+    with pytest.raises(CapabilityError, match="BlackLevel cannot be set"):
+        made(without("BlackLevel"), black_level=4.0)
+
+
+def test_the_line_its_edge_and_its_delay(made: Make) -> None:
+    end = NodeCamera()
+    camera = made(end, trigger={"line": "Line3", "edge": "falling", "delay_us": 12.5})
+    camera.configure(CameraSettings(0.01))
+    camera.arm(1, "hardware")
+    names = ("TriggerMode", "TriggerSource", "TriggerActivation", "TriggerDelay")
+    assert [value(end, name) for name in names] == ["On", "Line3", "FallingEdge", 12.5]
+    camera.stop()
+    camera.arm(1, "software")
+    assert [value(end, name) for name in names[1:]] == ["Software", "FallingEdge", 0.0]
+
+
+def test_a_line_that_is_not_there(made: Make) -> None:
+    camera = made(NodeCamera(), trigger={"line": "Line2"})
+    camera.configure(CameraSettings(0.01))
+    assert camera.caps.triggers == ("software",)
+    with pytest.raises(CapabilityError, match="has no hardware trigger"):
+        camera.arm(1, "hardware")
+
+
+def test_a_camera_that_cannot_say_when_it_is_ready_is_not_triggered(made: Make) -> None:
+    end = NodeCamera()
+    end.ready_is_known = False
+    camera = made(end)
+    camera.configure(CameraSettings(0.01))
+    assert camera.caps.triggers == ()
+    with pytest.raises(CapabilityError):
+        camera.arm(1)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({}, "'serial' is missing"),
+        ({"serial": 21734321}, "'serial' is 21734321"),
+        ({"serial": SERIAL, "roi": [0, 0, 64]}, "'roi"),
+        ({"serial": SERIAL, "roi": [-16, 0, 64, 8]}, "'roi"),
+        ({"serial": SERIAL, "trigger": {"edge": "up"}}, "'trigger.edge' is 'up'"),
+        ({"serial": SERIAL, "shutter": "slow"}, "'shutter' is 'slow'"),
+        ({"serial": SERIAL, "sharpness": 3}, "unknown key 'sharpness'"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        BaslerCamera("camera", options)
