@@ -1,0 +1,137 @@
+"""`fpplab dlp4500 status|power|led|test-pattern`: the projector by hand.
+
+Proven on an emulated projector only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Json
+from fpplab.cli.projector import dlp4500
+
+if TYPE_CHECKING:
+    from drivers.dlp4500.controller import Controller
+
+NAME = "projector"
+
+Serial = Annotated[
+    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
+]
+Level = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
+
+
+class Power(StrEnum):
+    """What `power` can do."""
+
+    ON = "on"
+    OFF = "off"
+    RESET = "reset"
+
+
+@contextmanager
+def _board(serial: str | None) -> Iterator[Controller]:
+    """The controller, for as long as a command takes."""
+    from drivers.clock import RealClock
+    from drivers.dlp4500.controller import Controller
+    from drivers.dlp4500.transport import Link, connect, hidapi
+
+    clock = RealClock()
+    wire, _ = connect(hidapi(NAME), NAME, serial)
+    link = Link(wire, clock, NAME)
+    try:
+        link.drain()
+        yield Controller(link, clock, NAME)
+    finally:
+        link.close()
+
+
+@dlp4500.command()
+def status(serial: Serial = None, json: Json = False) -> None:
+    """Say what the projector is doing and what is wrong with it.
+
+    Example: `fpplab dlp4500 status`
+    """
+    with _board(serial) as board:
+        found = board.status()
+        result = {
+            "firmware": board.version(),
+            "tag": board.tag(),
+            "standby": board.is_standby(),
+            "images": board.images_in_flash() if not board.is_standby() else None,
+            "state": found.words,
+            "faults": found.faults,
+        }
+    console.answer(result, json)
+
+
+@dlp4500.command()
+def power(
+    state: Annotated[Power, typer.Argument(help="Wake it, put it to standby, or restart it.")],
+    serial: Serial = None,
+    json: Json = False,
+) -> None:
+    """Wake the projector, put it to standby, or restart it; it is dark in each case.
+
+    Example: `fpplab dlp4500 power off`
+    """
+    with _board(serial) as board:
+        if state is Power.ON:
+            board.wake()
+            board.go_dark()
+        elif state is Power.OFF:
+            board.sleep()
+        else:
+            board.reset()
+    console.answer({"power": state.value}, json)
+
+
+@dlp4500.command()
+def led(
+    red: Level = 0,
+    green: Level = 0,
+    blue: Level = 0,
+    inverted: Annotated[
+        bool,
+        typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off."),
+    ] = True,
+    serial: Serial = None,
+    json: Json = False,
+) -> None:
+    """Switch the LEDs on by hand; those that are not named go off.
+
+    Example: `fpplab dlp4500 led --green 100`
+    """
+    levels = {"red": red, "green": green, "blue": blue}
+    with _board(serial) as board:
+        board.light_leds(levels, inverted)
+    console.answer(levels, json)
+
+
+@dlp4500.command("test-pattern")
+def show_test_pattern(
+    name: Annotated[str, typer.Argument(help="solid, grid, checker …, or off.")],
+    serial: Serial = None,
+    json: Json = False,
+) -> None:
+    """Show one of the projector's own test patterns in white, or none with `off`.
+
+    Example: `fpplab dlp4500 test-pattern grid`
+    """
+    from drivers.dlp4500.protocol import TEST_PATTERNS
+    from fpplab.errors import ConfigError
+
+    if name != "off" and name not in TEST_PATTERNS:
+        raise ConfigError(f"there is no test pattern '{name}'; there are {', '.join(TEST_PATTERNS)} and off")
+    with _board(serial) as board:
+        if name == "off":
+            board.go_dark()
+        else:
+            board.show_test_pattern(name)
+    console.answer({"test_pattern": name}, json)

@@ -1,0 +1,123 @@
+"""`fpplab dlp4500 …`: the projector by itself.
+
+Heavy modules are imported where they are used, so that `--help` is at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Force, Json, Out
+from fpplab.cli.projector import dlp4500
+from fpplab.errors import Cancelled
+
+NAME = "projector"
+
+Serial = Annotated[
+    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
+]
+
+
+@dlp4500.command()
+def build(
+    plan: Annotated[str, typer.Argument(metavar="PLAN", help="Plan file: the patterns to put in.")],
+    base: Annotated[Path, typer.Option("--base", help="The maker's firmware file, or one built before.")],
+    out: Out,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Build a firmware file that holds a plan's patterns, for the projector to show by itself.
+
+    Three patterns of 8 bits go into each image, in green, red and blue, for the diamond lattice of
+    the mirrors and through the plan's response. The images of BASE are left out, its program stays as it is.
+    Beside OUT is left the index, a .yaml, that says which pattern is where: the rig file names it as `flash`.
+
+    Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
+    """
+    from drivers.dlp4500.flash.firmware import Firmware, arranged
+    from drivers.dlp4500.index import FlashIndex, FlashPattern
+    from drivers.dlp4500.sequence import SIZE
+    from fpplab import config
+    from fpplab.conventions import Lattice
+    from fpplab.files import need_suffix, refuse_existing, write_atomic, write_text
+    from fpplab.patterns import make_patterns
+    from fpplab.plan import Plan
+
+    need_suffix(out, ".bin")
+    index = out.with_suffix(".yaml")
+    for file in (out, index):
+        refuse_existing(file, force)
+    chosen = Plan.load(plan)
+    chosen.check_projector(SIZE, plan)
+    firmware = Firmware.load(base)
+    with console.stopwatch() as seconds:
+        patterns = make_patterns(chosen, SIZE, Lattice.DIAMOND)
+        built = firmware.with_patterns(patterns, out)
+        places = zip(patterns, arranged(patterns), strict=True)
+        listed = FlashIndex(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
+    write_atomic(out, lambda stream: stream.write(built.content))
+    write_text(index, config.dump(listed))
+    result = {
+        "firmware": str(out),
+        "index": str(index),
+        "patterns": len(patterns),
+        "images": built.images,
+        "image_bytes": built.splash.size,
+        "seconds": seconds(),
+    }
+    console.answer(result, json)
+
+
+@dlp4500.command()
+def upload(
+    firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
+    serial: Serial = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
+    json: Json = False,
+) -> None:
+    """Write the patterns of a built firmware file into the projector.
+
+    Says what will be erased and asks. Only sectors of images and, when these move, the one of the flash table
+    are written, never the boot loader; each is compared by checksum. After an interruption give the same
+    command again: it goes on.
+
+    Proven on an emulated projector only: have the maker's own tool and firmware at hand.
+
+    Example: `fpplab dlp4500 upload patterns.bin`
+    """
+    from drivers.clock import RealClock
+    from drivers.dlp4500.flash.firmware import Firmware
+    from drivers.dlp4500.flash.loader import programming
+    from drivers.dlp4500.flash.upload import check, perform, prepare, verify
+    from drivers.dlp4500.transport import Link, connect, hidapi
+
+    built, clock = Firmware.load(firmware), RealClock()
+    check(built)
+
+    def connected() -> Link:
+        return Link(connect(hidapi(NAME), NAME, serial)[0], clock, NAME)
+
+    with console.stopwatch() as seconds:
+        with programming(connected, clock, NAME) as loader:
+            work = prepare(built, loader)
+            for sentence in work.words:
+                console.say(sentence)
+            if not (yes or _agreed()):
+                raise Cancelled("cancelled: nothing was erased; --yes does not ask")
+            with console.progress("Writing") as report:
+                perform(built, loader, work, report)
+        with closing(connected()) as link:
+            verify(built, link)
+    console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
+
+
+def _agreed() -> bool:
+    sys.stderr.write("Go on? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -1,0 +1,334 @@
+"""The controller in a bench's words: each order is given, waited for, and looked at.
+
+A sequence is stopped before anything is changed, validated before it starts, and looked at once it has
+started: a valid sequence is not yet a running one. Every wait has an end.
+
+Source: TI's DLPC350 client, GUI and SDK, and what their users report. Nothing here has been near a board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+
+from drivers.clock import Clock
+from drivers.dlp4500 import protocol
+from drivers.dlp4500.protocol import COLOURS, Mailbox, Mode, Run, Source
+from drivers.dlp4500.sequence import Program
+from drivers.dlp4500.status import Status, objections
+from drivers.dlp4500.transport import Link
+from fpplab.errors import DeviceError, ProtocolError, SettingError, TimeoutError
+
+LED_FULL = 255
+TEST_PATTERN_FULL = 1023
+PARALLEL_24_BIT = {"source": 0, "width": 1}
+INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
+BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
+"""The evaluation module's HDMI input."""
+
+MODE_STEP_S, MODE_S = 0.1, 2.0
+STOP_STEP_S, STOP_S = 0.01, 2.0
+VALIDATION_STEP_S, VALIDATION_S = 0.01, 2.0
+LOCK_STEP_S, LOCK_S = 0.1, 1.5
+WAKE_STEP_S, WAKE_S = 0.1, 5.0
+"""How often to look and how long to wait, in s; waking is given as long as its slowest user gives it."""
+SETTLING_S = 5.0
+"""What the GUI waits for after a reset before it opens the device again."""
+
+
+def delay_code(us: float) -> int:
+    """A trigger delay in µs in the controller's steps of 0.1072 µs."""
+    return protocol.ZERO_DELAY + round(us / protocol.DELAY_STEP_US)
+
+
+class Controller:
+    """The DLPC350 behind a link. name: the projector's, for errors.
+
+    Every method may raise what `Link.write` and `Link.read` do.
+    """
+
+    def __init__(self, link: Link, clock: Clock, name: str) -> None:
+        self.link, self._clock, self._name = link, clock, name
+
+    # --- status and power
+
+    def status(self) -> Status:
+        """What the three status commands say."""
+        link = self.link
+        return Status(
+            link.read(protocol.HARDWARE_STATUS),
+            link.read(protocol.SYSTEM_STATUS),
+            link.read(protocol.MAIN_STATUS),
+        )
+
+    def check_health(self) -> None:
+        """Raise `DeviceError` unless the controller came up and passed its memory test."""
+        status = self.status()
+        if not (status.hardware["initialised"] and status.system["memory_test_passed"]):
+            raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
+
+    def version(self, part: str = "application") -> str:
+        """Version of one of `protocol.PARTS`, as 4.4.0."""
+        read = self.link.read(protocol.VERSION)
+        return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
+
+    def tag(self) -> str:
+        """The name that the firmware was given."""
+        return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
+
+    def is_standby(self) -> bool:
+        """Whether it sleeps."""
+        return bool(self.link.read(protocol.POWER)["standby"])
+
+    def wake(self) -> None:
+        """Leave standby; `TimeoutError` when it does not within 5 s."""
+        with suppress(TimeoutError, ProtocolError):  # known to fail while it wakes; the state is read below
+            self.link.write(protocol.POWER, standby=0)
+
+        def awake() -> bool:
+            with suppress(TimeoutError):
+                return not self.is_standby()
+            return False
+
+        self._until(awake, "wake", "still sleeps", WAKE_STEP_S, WAKE_S)
+
+    def sleep(self) -> None:
+        """Go to standby, from video mode as it must be."""
+        self.go_dark()
+        self.show_mode(Mode.VIDEO)
+        self.link.write(protocol.POWER, standby=1)
+        self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
+
+    def reset(self) -> None:
+        """Restart the controller and let go of it: the USB device vanishes, and must be opened again."""
+        self.go_dark()
+        self.link.write(protocol.SOFTWARE_RESET)
+        self.link.close()
+        self._clock.sleep(SETTLING_S)
+
+    # --- light
+
+    def set_led_levels(self, levels: Mapping[str, int], inverted: bool) -> None:
+        """Currents by colour, 0 (off) to 255 (full). inverted: the board takes 255 for off, 0 for full.
+
+        Raises `SettingError` for a level out of range.
+        """
+        for colour in COLOURS:
+            if not 0 <= levels[colour] <= LED_FULL:
+                raise SettingError(
+                    self._name, "LED current", f"{colour} is {levels[colour]}", f"0 to {LED_FULL}"
+                )
+        self.link.write(
+            protocol.LED_CURRENT,
+            **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
+        )
+
+    def light_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
+        """LEDs on by hand at these currents, those at 0 off; arguments and errors as `set_led_levels`."""
+        self.set_led_levels(levels, inverted)
+        self.link.write(
+            protocol.LED_ENABLE, sequenced=0, **{colour: int(levels[colour] > 0) for colour in COLOURS}
+        )
+
+    def leds_off(self) -> None:
+        """No LED on, whatever the sequencer does."""
+        self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=0)
+
+    def go_dark(self) -> None:
+        """LEDs off, then the sequence stopped: each tried twice, the second whatever becomes of the first."""
+        with ExitStack() as both:
+            both.callback(self._insist, self.stop)
+            both.callback(self._insist, self.leds_off)  # which comes first
+
+    @staticmethod
+    def _insist(order: Callable[[], None]) -> None:
+        try:
+            order()
+        except (ProtocolError, TimeoutError):
+            order()
+
+    # --- input and triggers
+
+    def plain(self) -> None:
+        """Show images as they are, not flipped, inverted or frozen, whoever used the projector before."""
+        for command in (protocol.LONG_AXIS_FLIP, protocol.SHORT_AXIS_FLIP, protocol.FREEZE, protocol.INVERT):
+            self.link.write(command, on=0)
+
+    def set_trigger_out_1(self, inverted: bool, rising_us: float, falling_us: float) -> None:
+        """The output that is high as long as a pattern is on; delays of its edges, -20.05 to 2.79 µs."""
+        self.link.write(
+            protocol.TRIGGER_OUT_1,
+            inverted=int(inverted),
+            rising=delay_code(rising_us),
+            falling=delay_code(falling_us),
+        )
+
+    def set_trigger_out_2(self, inverted: bool, rising_us: float) -> None:
+        """The output that pulses once in a run; delay of its edge, -20.05 to 2.79 µs."""
+        self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
+
+    def show_mode(self, mode: Mode) -> None:
+        """Video or pattern mode; waits for the change."""
+        if self._mode() == mode:
+            return
+        if mode is Mode.PATTERN:  # from a test pattern the USB link was lost on the way
+            self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
+        self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
+        self._until(
+            lambda: self._mode() == mode, "display mode", f"is not in {mode.name} mode", MODE_STEP_S, MODE_S
+        )
+
+    def select_video(self) -> None:
+        """Take 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
+
+        To be called before patterns from the video port are prepared. Raises `TimeoutError` without a signal.
+        """
+        self.show_mode(Mode.VIDEO)
+        self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
+        self.link.write(protocol.PORT_CLOCK, clock=0)
+        self.link.write(protocol.PIXEL_FORMAT, format=0)
+        self.link.write(protocol.CHANNEL_SWAP, **BOARD_CHANNEL_SWAP)
+        self._until(self.is_locked, "video", "no signal is locked on the video port", LOCK_STEP_S, LOCK_S)
+
+    def show_test_pattern(self, name: str) -> None:
+        """One of `protocol.TEST_PATTERNS`, white on black, lit by the LEDs at their present currents."""
+        self.go_dark()
+        self.show_mode(Mode.VIDEO)
+        self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
+        self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
+        white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
+        black = dict.fromkeys(("back_red", "back_green", "back_blue"), 0)
+        self.link.write(protocol.TEST_PATTERN_COLOURS, **white, **black)
+        self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
+
+    def is_locked(self) -> bool:
+        """Whether the video port sees a stable signal."""
+        return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
+
+    def images_in_flash(self) -> int:
+        """How many images can be swapped in."""
+        return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
+
+    def load_us(self, image: int) -> int:
+        """How long a flash image takes to load, in µs."""
+        self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
+        ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
+        return -(-1000 * ticks // protocol.TICKS_PER_MS)
+
+    # --- sequences
+
+    def stop(self) -> None:
+        """Stop the sequence; the next start begins at its first pattern."""
+        self.link.write(protocol.SEQUENCE, run=Run.STOP)
+        self._until(
+            lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
+            "stop",
+            "the sequence goes on",
+            STOP_STEP_S,
+            STOP_S,
+        )
+
+    def prepare(self, program: Program) -> None:
+        """Stop, tell everything about the sequence, and have it validated.
+
+        Raises `ProtocolError` with the validation's words.
+        """
+        self.show_mode(Mode.PATTERN)
+        self.stop()
+        self.link.write(protocol.PATTERN_SOURCE, source=program.source)
+        self._configure(program)
+        self.link.write(protocol.TRIGGER_MODE, mode=program.trigger_mode)
+        self._write_patterns(program)
+        if program.source is Source.FLASH:
+            self._write_images(program)
+        self.validate()
+
+    def validate(self) -> None:
+        """Have the controller look at the sequence; any objection, a warning too, is a `ProtocolError`."""
+        self.link.write(protocol.VALIDATE)
+        found = self.link.read(protocol.VALIDATE)
+
+        def done() -> bool:
+            nonlocal found
+            found = self.link.read(protocol.VALIDATE)
+            return not found["busy"]
+
+        if found["busy"]:
+            self._clock.sleep(VALIDATION_STEP_S)
+            self._until(done, "validation", "does not end", VALIDATION_STEP_S, VALIDATION_S)
+        if words := objections(found):
+            raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
+
+    def start(self, program: Program) -> None:
+        """Start what was prepared, lit, and see that it runs; `ProtocolError` when it does not."""
+        begun = self._clock.now()
+        self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
+        self.link.write(protocol.SEQUENCE, run=Run.START)
+        status = self.status()
+        if status.main["running"]:
+            return
+        over = not program.repeat and self._clock.now() - begun >= program.duration_s
+        if status.faults or not over:
+            raise ProtocolError(
+                self._name, "start", "; ".join(["the sequence does not run", *status.faults]), "try it again"
+            )
+
+    def has_forced_swap(self) -> bool:
+        """Whether an image came too late once, and an old one was shown in its place."""
+        return bool(self.link.read(protocol.HARDWARE_STATUS)["forced_swap_error"])
+
+    def _configure(self, program: Program) -> None:
+        counts = {
+            "entries": len(program.entries),
+            "patterns": len(program.entries),  # run once, it ends after so many
+            "images": max(1, len(program.images)),
+            "repeat": int(program.repeat),
+        }
+        if program.variable:
+            self.link.write(protocol.VARIABLE_CONFIG, **counts)
+            return
+        self.link.write(protocol.PATTERN_CONFIG, **counts)
+        self.link.write(protocol.EXPOSURE, exposure_us=program.exposure_us, period_us=program.period_us)
+
+    def _write_patterns(self, program: Program) -> None:
+        if not program.variable:
+            with self._mailbox(Mailbox.PATTERNS):
+                self.link.write(protocol.MAILBOX_ADDRESS, address=0)
+                self.link.write_bytes(protocol.MAILBOX_DATA, program.pattern_table())
+            return
+        times = {"exposure_us": program.exposure_us, "period_us": program.period_us}
+        with self._mailbox(Mailbox.VARIABLE):
+            for i, entry in enumerate(program.entries):
+                self.link.write(protocol.VARIABLE_ADDRESS, address=i)
+                self.link.write(protocol.VARIABLE_DATA, **entry.values(), **times)
+
+    def _write_images(self, program: Program) -> None:
+        address = protocol.VARIABLE_ADDRESS if program.variable else protocol.MAILBOX_ADDRESS
+        with self._mailbox(Mailbox.IMAGES):
+            self.link.write(address, address=0)
+            self.link.write_bytes(protocol.MAILBOX_DATA, program.image_table())
+
+    @contextmanager
+    def _mailbox(self, table: Mailbox) -> Iterator[None]:
+        """A table open for writing, closed again also when writing fails."""
+        self.link.write(protocol.MAILBOX, table=table)
+        try:
+            yield
+            self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
+        except BaseException:
+            with suppress(DeviceError):  # the first failure is what the operator must see
+                self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
+            raise
+
+    def _mode(self) -> int:
+        return self.link.read(protocol.DISPLAY_MODE)["mode"]
+
+    def _until(
+        self, done: Callable[[], bool], operation: str, found: str, step_s: float, most_s: float
+    ) -> None:
+        """Look every `step_s` until it is done; `TimeoutError` with what was `found` after `most_s`."""
+        for _ in range(round(most_s / step_s)):
+            if done():
+                return
+            self._clock.sleep(step_s)
+        raise TimeoutError(self._name, operation, f"{found} after {most_s:g} s", "switch it off and on")

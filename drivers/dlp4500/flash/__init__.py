@@ -1,0 +1,1 @@
+"""The projector's flash: pattern images, the firmware file that holds them, and its upload."""

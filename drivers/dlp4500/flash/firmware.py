@@ -1,0 +1,225 @@
+"""A firmware file of the LightCrafter 4500: what it holds where, and the same with other pattern images.
+
+A file is the flash from its first byte on: the boot loader, a table of blocks, the blocks, and last the
+splash area with the images. Images begin at a sector boundary behind everything else, so that a new set
+of them touches no sector of the program; of the table only the place of the splash area changes, which is all
+that TI's own tools change in it.
+
+Source: TI's DLPC350 client. Read by decoders of ours and of TI; nothing here has been near a board.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from drivers.dlp4500.flash import memory
+from drivers.dlp4500.flash.compression import Compressed, Pixels, compress, repeats_by_lines
+from drivers.dlp4500.sequence import SIZE, Slot
+from fpplab.errors import ConfigError, DataError
+from fpplab.patterns import Pattern
+
+TABLE = 0x20000
+"""Where the table of blocks is."""
+
+TABLE_SECTOR = memory.sector_of(TABLE)
+_SIGNATURE = struct.pack("<I", 0x01234567)
+_BLOCK = struct.Struct("<II")
+_BLOCKS = TABLE + 16
+_BLOCK_COUNT = 56
+_SPLASH_BLOCKS = range(20, 24)
+"""The splash area, and images that the maker's firmware lists one by one: new images replace them all."""
+
+SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size
+"""Where the address of the splash area is."""
+
+_UNUSED = 0xFFFFFFFF
+
+PER_IMAGE = 3
+"""Patterns of 8 bits in an image: in green, red and blue."""
+
+BIT_DEPTH = 8
+MOST_IMAGES = 256
+_SPLASH_SIGNATURE = struct.pack("<II", 0x12345678, 0x87654321)
+_IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MOST_IMAGES * _BLOCK.size
+"""Of the first image, from the beginning of the splash area on."""
+
+_HEADER = struct.Struct("<4sHHIIIIBBBB4x")
+
+
+@dataclass(frozen=True)
+class Block:
+    """Neighbouring bytes of the flash, `offset` from its first."""
+
+    offset: int
+    size: int
+
+    @property
+    def end(self) -> int:
+        """The first byte behind it."""
+        return self.offset + self.size
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """The flash from its first byte on. source: names it in errors."""
+
+    content: bytes
+    source: Path
+
+    @classmethod
+    def load(cls, path: Path) -> Firmware:
+        """Read a firmware file.
+
+        Raises `ConfigError` when there is none, `DataError` when it is no firmware, or cut off.
+        """
+        try:
+            firmware = cls(path.read_bytes(), path)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+        firmware._check()
+        return firmware
+
+    @property
+    def splash(self) -> Block:
+        """The splash area, to the end of the file."""
+        (address,) = struct.unpack_from("<I", self.content, SPLASH_ENTRY)
+        offset = address - memory.ADDRESS
+        return Block(offset, len(self.content) - offset)
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Program and configuration: every block that the table lists but splash."""
+        table = self.content[_BLOCKS : _BLOCKS + _BLOCK_COUNT * _BLOCK.size]
+        listed = [
+            Block(address - memory.ADDRESS, size)
+            for i, (address, size) in enumerate(_BLOCK.iter_unpack(table))
+            if address != _UNUSED and i not in _SPLASH_BLOCKS
+        ]
+        return tuple(sorted(listed, key=lambda block: block.offset))
+
+    @property
+    def behind_program(self) -> int:
+        """The first sector boundary behind every block."""
+        return memory.next_sector_start(max(block.end for block in self.blocks))
+
+    @property
+    def images(self) -> int:
+        """How many images it holds. Raises `DataError` when there is no splash area where the table says."""
+        start = self.splash.offset
+        if not self.content.startswith(_SPLASH_SIGNATURE, start):
+            raise DataError(f"{self.source}: has no images at {start:#x}, where its table says")
+        return int.from_bytes(self.content[start + 8 : start + 12], "little")
+
+    def with_patterns(self, patterns: Sequence[Pattern], source: Path) -> Firmware:
+        """The same program with these patterns as its only images, to be written to `source`.
+
+        Raises `ConfigError` for patterns that are not of 8 bits or the projector's size, for too many of
+        them, and when they do not fit into the flash.
+        """
+        _check(patterns)
+        slots = arranged(patterns)
+        if slots[-1].image >= MOST_IMAGES:
+            raise ConfigError(
+                f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MOST_IMAGES}"
+            )
+        start = self.behind_program
+        splash = splash_area([compress(image) for image in packed(patterns, slots)], memory.ADDRESS + start)
+        if start + len(splash) > memory.SIZE:
+            raise ConfigError(
+                f"{len(patterns)} patterns take {len(splash)} bytes of flash and {memory.SIZE - start} are "
+                "free: show fewer, or such as compress (fringes along one axis)"
+            )
+        content = bytearray(self.content[:start].ljust(start, bytes([memory.ERASED])))
+        struct.pack_into("<I", content, SPLASH_ENTRY, memory.ADDRESS + start)
+        return Firmware(bytes(content) + splash, source)
+
+    def _check(self) -> None:
+        """Raise `DataError` unless this is a firmware, whole, whose program fits into the flash."""
+        table_end = _BLOCKS + _BLOCK_COUNT * _BLOCK.size
+        if len(self.content) < table_end or not self.content.startswith(_SIGNATURE, TABLE):
+            raise DataError(
+                f"{self.source}: is no firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
+            )
+        if len(self.content) > memory.SIZE:
+            raise DataError(f"{self.source}: has {len(self.content)} bytes, the flash {memory.SIZE}")
+        if not self.blocks:
+            raise DataError(f"{self.source}: its flash table lists no program")
+        for block in self.blocks:
+            if block.offset < memory.SECTOR or block.end > len(self.content):
+                raise DataError(
+                    f"{self.source}: its flash table has a block at {block.offset:#x} … {block.end:#x}, "
+                    f"outside {memory.SECTOR:#x} … {len(self.content):#x} of the file: it is cut off"
+                )
+
+
+def arranged(patterns: Sequence[Pattern]) -> list[Slot]:
+    """Where each pattern goes: in its order, three to an image.
+
+    Patterns that repeat by lines and others never share one: a single other one would have it stored at
+    full length.
+    """
+    slots: list[Slot] = []
+    image, number, repeated = -1, PER_IMAGE, False
+    for pattern in patterns:
+        repeats = repeats_by_lines(pattern.image)
+        if number == PER_IMAGE or repeats != repeated:
+            image, number, repeated = image + 1, 0, repeats
+        slots.append(Slot(image, number, BIT_DEPTH))
+        number += 1
+    return slots
+
+
+def packed(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Pixels]:
+    """The images: pattern number 0 in green, 1 in red, 2 in blue, black where there is none.
+
+    Pixels are stored blue, red, green: uint8 (1140, 912, 3).
+    """
+    width, height = SIZE
+    placed = zip(patterns, slots, strict=True)
+    for _, group in groupby(placed, key=lambda pair: pair[1].image):
+        image = np.zeros((height, width, PER_IMAGE), np.uint8)
+        for pattern, slot in group:
+            image[..., PER_IMAGE - 1 - slot.number] = pattern.image
+        yield image
+
+
+def _check(patterns: Sequence[Pattern]) -> None:
+    if not patterns:
+        raise ConfigError("no patterns were given")
+    width, height = SIZE
+    for pattern in patterns:
+        if pattern.bit_depth != BIT_DEPTH:
+            raise ConfigError(
+                f"pattern {pattern.id} has {pattern.bit_depth} bits: flash images are built of 8 bits"
+            )
+        if pattern.image.shape != (height, width):
+            found = " x ".join(map(str, pattern.image.shape[::-1]))
+            raise ConfigError(
+                f"pattern {pattern.id} has {found} mirrors: the projector has {width} x {height}"
+            )
+
+
+def splash_area(images: Sequence[Compressed], address: int) -> bytes:
+    """Signature, count and table of the images, then each with its header, for the controller's `address`."""
+    stored = [_header(image) + image.data for image in images]
+    table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MOST_IMAGES)
+    at = address + _IMAGES_AT
+    for i, image in enumerate(stored):
+        _BLOCK.pack_into(table, i * _BLOCK.size, at, len(image))
+        at += len(image)
+    return b"".join([_SPLASH_SIGNATURE, struct.pack("<I", len(images)), table, *stored])
+
+
+def _header(image: Compressed) -> bytes:
+    width, height = SIZE
+    whole, background, packed_24_bit, byte_order, chroma_order = _UNUSED, 0, 1, 1, 0
+    return _HEADER.pack(
+        b"Splc", width, height, len(image.data), whole, whole, background,
+        packed_24_bit, image.method, byte_order, chroma_order,
+    )  # fmt: skip

@@ -1,0 +1,215 @@
+"""The boot loader: a program of its own that erases, writes and sums the flash, and nothing else.
+
+The projector leaves the USB when it enters and when it leaves the loader, and comes back as the other
+program. The loader cannot read the flash, but the checksum of one byte is that byte.
+
+Source: TI's DLPC350 client and GUI. Proven on an emulated wire only: no board has been written with it yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from drivers.clock import Clock
+from drivers.dlp4500.flash import memory
+from drivers.dlp4500.protocol import VERSION, Command, Field, Raw, Record
+from drivers.dlp4500.transport import Link
+from fpplab.errors import (
+    DeviceError,
+    DisconnectedError,
+    ProtocolError,
+    SettingError,
+    StateError,
+    TimeoutError,
+)
+
+_NUMBER = Record((Field("value", 32),))
+MOST_DATA = 504
+"""Bytes of one data message; two less than fit, for the loader's sake."""
+
+ENTER = Command("enter the boot loader", 0x3001, Record(), acknowledged=False)
+TELL = Command(
+    "boot loader's answer",
+    0x0015,
+    returned=Raw(10, 60),
+    selector=Record((Field("what", 8, (0x00, 0x0C, 0x0D)),)),
+)
+FLASH_TYPE = Command("flash type", 0x002F, Record((Field("algorithm", 8),)))
+ADDRESS = Command("flash address", 0x0029, _NUMBER)
+ERASE = Command("erase sector", 0x0028, Record())
+UPLOAD_SIZE = Command("upload size", 0x002C, _NUMBER)
+DATA = Command("flash data", 0x0025, Raw(1, MOST_DATA), acknowledged=False)
+SUM = Command("start checksum", 0x0026, Record(), acknowledged=False)
+LEAVE = Command("leave the boot loader", 0x0030, Record((Field("how", 8, (2,)),)), acknowledged=False)
+
+_CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
+_BUSY = 0x08
+EVM_FLASH = 0x0020, 0x227E
+"""Manufacturer and device of the flash on the evaluation module, and the algorithm that writes it."""
+EVM_ALGORITHM = 0
+
+POLL_S = 0.01
+BUSY_LIMIT_S = 30.0
+"""Longer than any flash takes for one sector; the sources give no figure."""
+RESTART_LIMIT_S = 15.0
+"""The maker's SDK waits 10 s for the device to come back."""
+RESTART_POLL_S = 0.25
+
+Connect = Callable[[], Link]
+"""Opens the projector, whichever program it runs."""
+
+
+class Loader:
+    """One conversation with the boot loader; offsets count from the first byte of the flash."""
+
+    def __init__(self, link: Link, clock: Clock, name: str) -> None:
+        self.link, self._clock, self.name = link, clock, name
+
+    def identify(self) -> None:
+        """Refuse a flash that is not the evaluation module's: `DeviceError`."""
+        self._wait("identify")  # an interrupted upload may have left it busy
+        found = self._number(_MANUFACTURER), self._number(_DEVICE)
+        if found != EVM_FLASH:
+            raise DeviceError(
+                self.name,
+                "identify",
+                f"the flash is {_words(found)}, not {_words(EVM_FLASH)}",
+                "only the evaluation module's flash can be written",
+            )
+        self.link.write(FLASH_TYPE, algorithm=EVM_ALGORITHM)
+
+    def erase(self, sector: int) -> None:
+        """Set a sector to ones. Raises `SettingError` for the boot sector and beyond the last."""
+        self._check(sector * memory.SECTOR, memory.SECTOR)
+        self.link.write(ADDRESS, value=sector * memory.SECTOR)
+        self.link.write(ERASE)
+        self._wait("erase sector")
+
+    def write(self, offset: int, data: bytes) -> None:
+        """Write to erased flash and compare checksums.
+
+        Raises `SettingError` for the boot sector and beyond the last, `DeviceError` when the sum is another.
+        """
+        self._check(offset, len(data))
+        self.link.write(ADDRESS, value=offset)
+        self.link.write(UPLOAD_SIZE, value=len(data))
+        for start in range(0, len(data), MOST_DATA):
+            self.link.write_bytes(DATA, data[start : start + MOST_DATA])
+        self._wait("flash data")
+        found, wanted = self.checksum(offset, len(data)), memory.checksum(data)
+        if found != wanted:
+            raise DeviceError(
+                self.name,
+                "flash data",
+                f"the checksum of {len(data)} bytes at {offset:#x} is {found:#x}, not {wanted:#x}",
+                "give the same command again; it goes on from there",
+            )
+
+    def checksum(self, offset: int, size: int) -> int:
+        """The sum of `size` bytes at `offset`, 32 bits of it."""
+        self.link.write(ADDRESS, value=offset)
+        self.link.write(UPLOAD_SIZE, value=size)
+        self.link.write(SUM)
+        self._wait("start checksum")
+        return self._number(_CHECKSUM)
+
+    def peek(self, offset: int, size: int) -> bytes:
+        """Read a few bytes, one by one."""
+        return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
+
+    def leave(self) -> None:
+        """Have the projector start again, and let go of it."""
+        try:
+            self.link.write(LEAVE, how=2)
+        finally:
+            self.link.close()
+
+    def _check(self, offset: int, size: int) -> None:
+        if offset < (memory.BOOT_SECTOR + 1) * memory.SECTOR or offset + size > memory.SIZE:
+            raise SettingError(
+                self.name,
+                "write flash",
+                f"{size} bytes at {offset:#x} are in the boot sector or beyond the flash",
+                f"{memory.SECTOR:#x} to {memory.SIZE:#x} can be written",
+            )
+
+    def _number(self, what: int) -> int:
+        answer = self.link.read_bytes(TELL, what=what)
+        low, high = answer[6:10], answer[12:16] if what == _DEVICE else b""
+        return int.from_bytes(low + high, "little")
+
+    def _wait(self, operation: str) -> None:
+        deadline = self._clock.now() + BUSY_LIMIT_S
+        while self.link.read_bytes(TELL, what=_CHECKSUM)[0] & _BUSY:
+            if self._clock.now() > deadline:
+                raise TimeoutError(
+                    self.name,
+                    operation,
+                    f"the flash is still busy after {BUSY_LIMIT_S:g} s",
+                    "switch the projector off and on, and give the same command again",
+                )
+            self._clock.sleep(POLL_S)
+
+
+def _words(part: tuple[int, int]) -> str:
+    return "maker {:#06x} part {:#06x}".format(*part)
+
+
+@contextmanager
+def programming(connect: Connect, clock: Clock, name: str) -> Iterator[Loader]:
+    """The projector in its boot loader, wherever it was before; it starts again at the end.
+
+    Raises `DeviceError` when either program does not come back, or the flash is another.
+    """
+    loader = Loader(_entered(connect, clock, name), clock, name)
+    try:
+        loader.identify()
+        yield loader
+    except BaseException:
+        with suppress(DeviceError):  # the first fault is the one to tell
+            loader.leave()
+        raise
+    loader.leave()
+    _restarted(connect, clock, name, into_program=True).close()
+
+
+def _entered(connect: Connect, clock: Clock, name: str) -> Link:
+    link = connect()
+    if not _runs_program(link):
+        return link
+    try:
+        link.write(ENTER)
+    finally:
+        link.close()
+    return _restarted(connect, clock, name, into_program=False)
+
+
+def _runs_program(link: Link) -> bool:
+    """Whether the projector tells its version, which the loader does not know."""
+    try:
+        link.read(VERSION)
+    except (ProtocolError, TimeoutError):
+        return False
+    return True
+
+
+def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
+    """Open the projector again once it has come back as the other program."""
+    deadline = clock.now() + RESTART_LIMIT_S
+    while clock.now() < deadline:
+        clock.sleep(RESTART_POLL_S)
+        try:
+            link = connect()
+        except DeviceError:  # gone still, or there but not yet ready for use
+            continue
+        with suppress(DisconnectedError):  # it was about to go
+            if _runs_program(link) == into_program:
+                return link
+        link.close()
+    raise StateError(
+        name,
+        "restart",
+        f"does not come back {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
+        "switch the projector off and on, and give the same command again",
+    )

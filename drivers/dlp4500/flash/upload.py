@@ -1,0 +1,187 @@
+"""A built firmware file into the projector: only the sectors that must be, and on after an interruption.
+
+The projector's program is never erased, but for what shares a sector with the flash table; a file that was
+built on another program is refused. While images are written their first sector holds a page of progress in
+their place: a digest of the file, and a mark for each further sector that is written and compared. It is
+written last. So the projector has all images of a file or none, and an upload that was cut off, from
+whichever computer, goes on where it was. The sector with the table is written only when images move, which
+they do once: from where the maker's file has them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+from drivers.dlp4500.flash import memory
+from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Block, Firmware
+from drivers.dlp4500.flash.loader import Loader
+from drivers.dlp4500.protocol import IMAGES_IN_FLASH
+from drivers.dlp4500.transport import Link
+from fpplab.console import Report
+from fpplab.errors import DataError, DeviceError
+
+_SLOT = 16
+"""Bytes of the digest and of each mark on the page of progress."""
+_MARK = bytes(_SLOT)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What an upload has to do.
+
+    images: the sectors of the images. written: those that an earlier upload of the same file has finished;
+    None without one. table: whether the flash table must change.
+    """
+
+    images: range
+    written: frozenset[int] | None
+    table: bool
+
+    @property
+    def sectors(self) -> list[int]:
+        """The sectors to erase and write, in that order; the first of the images makes them valid."""
+        rest = [s for s in self.images[1:] if s not in (self.written or ())]
+        return [*rest, *([TABLE_SECTOR] if self.table else []), self.images[0]]
+
+    @property
+    def words(self) -> list[str]:
+        """What will be erased, for the operator to agree to."""
+        first, last = self.images[0], self.images[-1]
+        sentences = [
+            f"Sectors {first} to {last} ({_range(first, last)}) with the images there now will be erased."
+        ]
+        if self.written is not None:
+            sentences.append(f"Of these {len(self.written)} stay: an earlier upload of this file wrote them.")
+        if self.table:
+            sentences.append(
+                f"Sector {TABLE_SECTOR} ({_range(TABLE_SECTOR, TABLE_SECTOR)}) with the flash table will be "
+                "erased and written back: if power fails just then, only the boot loader starts until the "
+                "same command is given again."
+            )
+        return [*sentences, "The boot loader and the rest of the program stay as they are."]
+
+
+def check(firmware: Firmware) -> range:
+    """The sectors of the images. Raises `DataError` for a file that was not built for upload."""
+    splash, images = firmware.splash, firmware.images
+    if splash.offset % memory.SECTOR or splash.offset < firmware.behind_program or not images:
+        raise DataError(
+            f"{firmware.source}: its images share sectors with its program; upload what "
+            "`fpplab dlp4500 build` makes of it"
+        )
+    return range(memory.sector_of(splash.offset), memory.sector_of(splash.end - 1) + 1)
+
+
+def prepare(firmware: Firmware, loader: Loader) -> Work:
+    """Find out what is to be done, without changing anything.
+
+    Raises `DataError` as `check`, `DeviceError` when the projector has another program than the file.
+    """
+    images = check(firmware)
+    _check_program(firmware, loader)
+    page = _Page(firmware, loader, images)
+    return Work(images, page.written() if page.is_there() else None, _table_differs(firmware, loader))
+
+
+def perform(firmware: Firmware, loader: Loader, work: Work, report: Report) -> None:
+    """Erase, write and compare every sector of `work`. Raises `DeviceError`; the same again then goes on."""
+    page = _Page(firmware, loader, work.images)
+    if work.written is None:
+        page.begin()
+    for done, sector in enumerate(work.sectors):
+        report(done / len(work.sectors))
+        loader.erase(sector)
+        loader.write(sector * memory.SECTOR, _content(firmware, sector))
+        if sector in work.images[1:]:
+            page.mark(sector)
+
+
+def verify(firmware: Firmware, link: Link) -> None:
+    """Have the projector's program count the images. Raises `DeviceError` when there are more or fewer."""
+    found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
+    if found != wanted % MOST_IMAGES:  # 256 do not fit its byte
+        raise DeviceError(
+            link.name,
+            "upload",
+            f"the projector finds {found} images in its flash, not {wanted}",
+            "give the same command again",
+        )
+
+
+class _Page:
+    """The progress of an upload, in the first sector of the images until they are complete."""
+
+    def __init__(self, firmware: Firmware, loader: Loader, images: range) -> None:
+        self._firmware, self._loader, self._images = firmware, loader, images
+        self._offset = images[0] * memory.SECTOR
+        self._digest = hashlib.sha256(firmware.content).digest()[:_SLOT]
+
+    def begin(self) -> None:
+        """Erase the first sector of the images and say whose progress it will hold."""
+        self._loader.erase(self._images[0])
+        self._loader.write(self._offset, self._digest)
+
+    def is_there(self) -> bool:
+        """Whether an upload of this file was interrupted."""
+        return self._loader.peek(self._offset, _SLOT) == self._digest
+
+    def written(self) -> frozenset[int]:
+        """The sectors that are marked, and still sum up to what they should."""
+        return frozenset(s for s in self._images[1:] if self._is_marked(s) and self._holds(s))
+
+    def mark(self, sector: int) -> None:
+        """Note that a sector is complete."""
+        self._loader.write(self._mark_of(sector), _MARK)
+
+    def _mark_of(self, sector: int) -> int:
+        return self._offset + _SLOT * (sector - self._images[0])
+
+    def _is_marked(self, sector: int) -> bool:
+        return self._loader.checksum(self._mark_of(sector), _SLOT) == memory.checksum(_MARK)
+
+    def _holds(self, sector: int) -> bool:
+        return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
+
+
+def _check_program(firmware: Firmware, loader: Loader) -> None:
+    """Refuse a projector whose program differs outside of the table's sector, which may be half written."""
+    for block in firmware.blocks:
+        start = max(block.offset, (TABLE_SECTOR + 1) * memory.SECTOR)
+        rest = Block(start, block.end - start)
+        if rest.size > 0 and not _is_same(firmware, loader, rest):
+            raise DeviceError(
+                loader.name,
+                "upload",
+                f"its program is not that of {firmware.source} at {rest.offset:#x} … {rest.end:#x}",
+                "build on the firmware that the projector runs",
+            )
+
+
+def _table_differs(firmware: Firmware, loader: Loader) -> bool:
+    """Whether the sector of the flash table must be written; sums alone might agree by accident."""
+    entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
+    return loader.peek(SPLASH_ENTRY, 4) != entry or not _is_same(
+        firmware, loader, _part(firmware, TABLE_SECTOR)
+    )
+
+
+def _is_same(firmware: Firmware, loader: Loader, part: Block) -> bool:
+    """Whether the projector's flash sums up to what the file has there."""
+    wanted = memory.checksum(firmware.content[part.offset : part.end])
+    return loader.checksum(part.offset, part.size) == wanted
+
+
+def _part(firmware: Firmware, sector: int) -> Block:
+    """A sector, as far as the file goes."""
+    start = sector * memory.SECTOR
+    return Block(start, min(memory.SECTOR, len(firmware.content) - start))
+
+
+def _content(firmware: Firmware, sector: int) -> bytes:
+    part = _part(firmware, sector)
+    return firmware.content[part.offset : part.end]
+
+
+def _range(first: int, last: int) -> str:
+    return f"{first * memory.SECTOR:#x} … {(last + 1) * memory.SECTOR - 1:#x}"

@@ -1,0 +1,435 @@
+"""Every command that runs a bench: its number, and the fields of its data as pure functions.
+
+A `Record` is fields of bits, lowest first, which is at once the order of bits in a byte and of bytes in a
+number: everything multi-byte is little-endian. Values are checked when packed and when unpacked, so that
+neither a wrong call nor a wrong answer passes.
+
+Source: TI's DLPC350 client (API 4.0), GUI and SDK. Nothing here has been near a board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+Values = dict[str, int]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One number. allowed: its values, by default all that the bits hold. minus: taken off on the wire.
+
+    Without a name it is reserved: zero when packed, ignored when unpacked.
+    """
+
+    name: str
+    bits: int
+    allowed: Sequence[int] = ()
+    minus: int = 0
+
+    def values(self) -> Sequence[int]:
+        """What it may be."""
+        return self.allowed or range(self.minus, (1 << self.bits) + self.minus)
+
+    def check(self, value: int) -> None:
+        """Raise `ValueError` for what it may not be."""
+        allowed = self.values()
+        if value not in allowed:
+            words = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
+            raise ValueError(f"{self.name} is {value}: {words}")
+
+
+@dataclass(frozen=True)
+class Record:
+    """Fields, from the lowest bit of the first byte on."""
+
+    fields: tuple[Field, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return sum(field.bits for field in self.fields) // 8
+
+    @property
+    def named(self) -> list[Field]:
+        """The fields that are not reserved."""
+        return [field for field in self.fields if field.name]
+
+    def pack(self, values: Mapping[str, int]) -> bytes:
+        """The bytes of `values`, which must name each field; `ValueError` otherwise or out of range."""
+        names = {field.name for field in self.named}
+        if names != set(values):
+            raise ValueError(f"the fields are {sorted(names)}, given are {sorted(values)}")
+        word, at = 0, 0
+        for field in self.fields:
+            if field.name:
+                field.check(values[field.name])
+                word |= (values[field.name] - field.minus) << at
+            at += field.bits
+        return word.to_bytes(self.size, "little")
+
+    def unpack(self, data: bytes) -> Values:
+        """The values in `data`; `ValueError` when it has another size or a field is out of range."""
+        if len(data) != self.size:
+            raise ValueError(f"{len(data)} bytes of data: {self.size}")
+        word, found = int.from_bytes(data, "little"), {}
+        for field in self.fields:
+            if field.name:
+                found[field.name] = (word & ((1 << field.bits) - 1)) + field.minus
+                field.check(found[field.name])
+            word >>= field.bits
+        return found
+
+
+@dataclass(frozen=True)
+class Raw:
+    """Bytes that only their reader can tell apart, `least` to `most` of them."""
+
+    least: int
+    most: int
+
+    def check(self, data: bytes) -> None:
+        """Raise `ValueError` for another number of bytes."""
+        if not self.least <= len(data) <= self.most:
+            raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
+
+
+Layout = Record | Raw
+
+
+@dataclass(frozen=True)
+class Command:
+    """written, returned: the data of a write and of the reply to a read; None where there is no such thing.
+
+    selector: what a read request carries. acknowledged: whether a write asks for a reply.
+    """
+
+    name: str
+    number: int
+    written: Layout | None = None
+    returned: Layout | None = None
+    selector: Record = Record()
+    acknowledged: bool = True
+
+
+def _record(*fields: Field) -> Record:
+    return Record(fields)
+
+
+def _gap(bits: int) -> Field:
+    return Field("", bits)
+
+
+def _flag(name: str) -> Record:
+    return _record(Field(name, 1), _gap(7))
+
+
+def _bytes(*names: str) -> Record:
+    return Record(tuple(Field(name, 8) for name in names))
+
+
+def _words(*names: str) -> Record:
+    return Record(tuple(Field(name, 16) for name in names))
+
+
+_TABLE: dict[int, Command] = {}
+
+
+def _known(command: Command) -> Command:
+    _TABLE[command.number] = command
+    return command
+
+
+def _register(name: str, number: int, record: Layout) -> Command:
+    """What can be written and read back in the same layout."""
+    return _known(Command(name, number, record, record))
+
+
+def _told(name: str, number: int, layout: Layout) -> Command:
+    """What can only be read."""
+    return _known(Command(name, number, None, layout))
+
+
+class Mode(IntEnum):
+    """Display modes."""
+
+    VIDEO = 0
+    PATTERN = 1
+
+
+class Run(IntEnum):
+    """States of the sequencer, and the orders to be in them."""
+
+    STOP = 0
+    PAUSE = 1
+    START = 2
+
+
+class Source(IntEnum):
+    """Where patterns come from."""
+
+    VIDEO = 0
+    FLASH = 3
+
+
+class TriggerMode(IntEnum):
+    """What advances a sequence."""
+
+    VSYNC = 0
+    INTERNAL = 1
+    ALTERNATING = 2
+    INTERNAL_VARIABLE = 3
+    VSYNC_VARIABLE = 4
+
+
+class Mailbox(IntEnum):
+    """Which table is open for writing."""
+
+    CLOSED = 0
+    IMAGES = 1
+    PATTERNS = 2
+    VARIABLE = 3
+
+
+class Trigger(IntEnum):
+    """What starts one pattern of a sequence."""
+
+    INTERNAL = 0
+    RISING = 1
+    FALLING = 2
+    NONE = 3
+
+
+MOST_ENTRIES, MOST_IMAGES = 128, 64
+MOST_VARIABLE_ENTRIES, MOST_VARIABLE_IMAGES = 1824, 256
+
+# --- status, identity, power
+
+HARDWARE_STATUS = _told(
+    "hardware status",
+    0x1A0A,
+    _record(
+        Field("initialised", 1),
+        _gap(1),
+        Field("reset_controller_error", 1),
+        Field("forced_swap_error", 1),
+        _gap(2),
+        Field("sequencer_aborted", 1),
+        Field("sequencer_error", 1),
+    ),
+)
+SYSTEM_STATUS = _told("system status", 0x1A0B, _flag("memory_test_passed"))
+MAIN_STATUS = _told(
+    "main status",
+    0x1A0C,
+    _record(Field("parked", 1), Field("running", 1), Field("frozen", 1), Field("gamma", 1), _gap(4)),
+)
+PARTS = ("application", "api", "software_config", "sequence_config")
+VERSION = _told(
+    "version",
+    0x0205,
+    Record(
+        tuple(
+            field
+            for part in PARTS
+            for field in (Field(f"{part}_patch", 16), Field(f"{part}_minor", 8), Field(f"{part}_major", 8))
+        )
+    ),
+)
+FIRMWARE_TAG = _told("firmware tag", 0x1AFF, Raw(1, 32))
+IMAGES_IN_FLASH = _told("images in flash", 0x1A42, _bytes("count"))
+POWER = _known(
+    Command("power", 0x0200, _record(Field("standby", 8, range(2))), _record(Field("standby", 2), _gap(6)))
+)
+SOFTWARE_RESET = _known(Command("software reset", 0x0802, Record(), acknowledged=False))
+MEMORY = _known(
+    Command("memory", 0x1A16, None, _record(Field("value", 32)), selector=_record(Field("address", 32)))
+)
+
+# --- display mode and video input
+
+DISPLAY_MODE = _register("display mode", 0x1A1B, _record(Field("mode", 8, range(2))))
+INPUT_SOURCE = _register(
+    "input source", 0x1A00, _record(Field("source", 3, range(4)), Field("width", 3, range(6)), _gap(2))
+)
+PIXEL_FORMAT = _register("pixel format", 0x1A02, _record(Field("format", 3, range(3)), _gap(5)))
+PORT_CLOCK = _register("port clock", 0x1A03, _record(Field("clock", 3, range(3)), _gap(5)))
+CHANNEL_SWAP = _register(
+    "channel swap", 0x1A37, _record(Field("swap", 3, range(6)), _gap(4), Field("port", 1))
+)
+FPD_MODE = _register(
+    "FPD mode",
+    0x1A04,
+    _record(Field("field", 3, range(3)), Field("polarity_swap", 1), _gap(2), Field("pixel_map", 2)),
+)
+LONG_AXIS_FLIP = _register("long-axis flip", 0x1008, _flag("on"))
+SHORT_AXIS_FLIP = _register("short-axis flip", 0x1009, _flag("on"))
+FREEZE = _register("freeze buffer", 0x100A, _flag("on"))
+AREA = _register(
+    "input and display area",
+    0x1000,
+    _words(
+        *(f"{part}_{what}" for part in ("crop", "display") for what in ("pixel", "line", "pixels", "lines"))
+    ),
+)
+TEST_PATTERNS = (
+    "solid",
+    "horizontal-ramp",
+    "vertical-ramp",
+    "horizontal-lines",
+    "diagonal-lines",
+    "vertical-lines",
+    "grid",
+    "checker",
+    "rgb-ramp",
+    "colour-bars",
+    "step-bars",
+)
+TEST_PATTERN = _register("test pattern", 0x1203, _record(Field("pattern", 8, range(len(TEST_PATTERNS)))))
+TEST_PATTERN_COLOURS = _register(
+    "test pattern colours",
+    0x1204,
+    Record(
+        tuple(
+            Field(f"{ground}_{colour}", 16, range(1024))
+            for ground in ("front", "back")
+            for colour in ("red", "green", "blue")
+        )
+    ),
+)
+LOAD_IMAGE = _register("load flash image", 0x1A39, _bytes("index"))
+IMAGE_LOAD_TIMING = _known(
+    Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(Field("ticks", 32)))
+)
+TICKS_PER_MS = 18667
+VIDEO_SIGNAL = _told(
+    "video signal",
+    0x071C,
+    Record(
+        (
+            Field("lock", 2),
+            _gap(6),
+            Field("horizontal_resolution", 16),
+            Field("vertical_resolution", 16),
+            _gap(8),
+            Field("horizontal_sync_polarity", 8),
+            Field("vertical_sync_polarity", 8),
+            Field("pixel_clock", 32),
+            Field("horizontal_frequency", 16),
+            Field("vertical_frequency", 16),
+            Field("total_pixels", 16),
+            Field("total_lines", 16),
+            Field("active_pixels", 16),
+            Field("active_lines", 16),
+            Field("first_pixel", 16),
+            Field("first_line", 16),
+        )
+    ),
+)
+LOCKED = 2
+GAMMA = _register("gamma", 0x1A0E, _record(Field("table", 1), _gap(6), Field("on", 1)))
+
+# --- LEDs
+
+COLOURS = ("red", "green", "blue")
+LED_ENABLE = _register(
+    "LED enable", 0x1A07, _record(*(Field(c, 1) for c in COLOURS), Field("sequenced", 1), _gap(4))
+)
+LED_CURRENT = _register("LED current", 0x0B01, _bytes(*COLOURS))
+LED_POLARITY = _register("LED polarity", 0x1A05, _flag("inverted"))
+LED_DELAYS = {
+    colour: _register(f"{colour} LED delays", 0x1A1F + i, _bytes("rising", "falling"))
+    for i, colour in enumerate(COLOURS)
+}
+
+# --- triggers
+
+ZERO_DELAY, MOST_TRIGGER_DELAY = 0xBB, 0xD5
+DELAY_STEP_US = 0.1072
+TRIGGER_OUT_1 = _register(
+    "trigger output 1",
+    0x1A1D,
+    _record(
+        Field("inverted", 8, range(2)),
+        Field("rising", 8, range(MOST_TRIGGER_DELAY + 1)),
+        Field("falling", 8, range(MOST_TRIGGER_DELAY + 1)),
+    ),
+)
+TRIGGER_OUT_2 = _register(
+    "trigger output 2",
+    0x1A1E,
+    _record(Field("inverted", 8, range(2)), Field("rising", 8, range(MOST_TRIGGER_DELAY + 1))),
+)
+TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(Field("delay", 32, range(1 << 19))))
+TRIGGER_IN_2 = _register("trigger input 2", 0x1A36, _record(Field("falling", 8, range(2))))
+
+# --- pattern sequence
+
+PATTERN_SOURCE = _register("pattern source", 0x1A22, _record(Field("source", 8, (0, 3))))
+TRIGGER_MODE = _register("trigger mode", 0x1A23, _record(Field("mode", 8, range(5))))
+SEQUENCE = _register("sequence", 0x1A24, _record(Field("run", 2, range(3)), _gap(6)))
+EXPOSURE = _register("exposure", 0x1A29, _record(Field("exposure_us", 32), Field("period_us", 32)))
+INVERT = _register("invert data", 0x1A30, _flag("on"))
+PATTERN_CONFIG = _register(
+    "pattern configuration",
+    0x1A31,
+    _record(
+        Field("entries", 8, range(1, MOST_ENTRIES + 1), minus=1),
+        Field("repeat", 8, range(2)),
+        Field("patterns", 8, range(1, 257), minus=1),
+        Field("images", 8, range(1, MOST_IMAGES + 1), minus=1),
+    ),
+)
+VARIABLE_CONFIG = _register(
+    "variable-exposure configuration",
+    0x1A40,
+    _record(
+        Field("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
+        Field("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
+        Field("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), minus=1),
+        Field("repeat", 8, range(2)),
+    ),
+)
+MAILBOX_ADDRESS = _register("mailbox address", 0x1A32, _record(Field("address", 8, range(MOST_ENTRIES))))
+MAILBOX = _register("mailbox", 0x1A33, _record(Field("table", 8, range(4))))
+MAILBOX_DATA = _register("mailbox data", 0x1A34, Raw(1, 3 * MOST_ENTRIES))
+VARIABLE_ADDRESS = _register(
+    "variable-exposure address", 0x1A3F, _record(Field("address", 16, range(MOST_VARIABLE_ENTRIES)))
+)
+
+_ENTRY_BITS = (
+    Field("trigger", 2),
+    Field("pattern", 6),
+    Field("depth", 4),
+    *(Field(colour, 1) for colour in COLOURS),
+    _gap(1),
+    Field("invert", 1),
+    Field("black_after", 1),
+    Field("swap", 1),
+    Field("share_trigger", 1),
+    _gap(4),
+)
+ENTRY = Record(_ENTRY_BITS)
+"""One entry of the pattern table, 3 bytes.
+
+Unlike a command's, the fields take whatever the bits hold: what is wrong with them the validation says.
+"""
+VARIABLE_DATA = _register(
+    "variable-exposure data",
+    0x1A3E,
+    _record(*_ENTRY_BITS, _gap(8), Field("exposure_us", 32), Field("period_us", 32)),
+)
+VALIDATION = _record(
+    Field("exposure_invalid", 1),
+    Field("pattern_invalid", 1),
+    Field("trigger_overlap", 1),
+    Field("black_missing", 1),
+    Field("gap_too_short", 1),
+    _gap(2),
+    Field("busy", 1),
+)
+VALIDATE = _known(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
+
+COMMANDS: Mapping[int, Command] = _TABLE
+"""By number."""

@@ -1,0 +1,23 @@
+"""The DLPC350 of a LightCrafter 4500 in software: its commands, its sequencer, and its end of the USB wire.
+
+Documented behaviour, apart from what `Policy` names; it proves drivers, it is no evidence about a board.
+"""
+
+from drivers.emulators.dlpc350.firmware import Dlpc350, Video
+from drivers.emulators.dlpc350.light import FlashImage, Light
+from drivers.emulators.dlpc350.loader import FlashedDlpc350
+from drivers.emulators.dlpc350.policy import Policy
+from drivers.emulators.dlpc350.sequencer import Pulse
+from drivers.emulators.dlpc350.usb import EmulatedHid, Fault
+
+__all__ = [
+    "Dlpc350",
+    "EmulatedHid",
+    "Fault",
+    "FlashImage",
+    "FlashedDlpc350",
+    "Light",
+    "Policy",
+    "Pulse",
+    "Video",
+]

@@ -1,0 +1,455 @@
+"""A DLPC350 as it looks from its USB end: messages in, answers out, light and trigger pulses beside them.
+
+It does what the maker's client, GUI and SDK show of the firmware; where they are silent it follows a named
+`Policy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.dlp4500 import protocol
+from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, Message
+from drivers.dlp4500.protocol import (
+    COLOURS,
+    COMMANDS,
+    DELAY_STEP_US,
+    MOST_IMAGES,
+    MOST_VARIABLE_IMAGES,
+    Command,
+    Mailbox,
+    Mode,
+    Raw,
+    Record,
+    Run,
+    Source,
+    TriggerMode,
+    Values,
+)
+from drivers.dlp4500.sequence import SIZE, SOLID
+from drivers.emulators.dlpc350.light import FlashImage, Light
+from drivers.emulators.dlpc350.policy import Policy
+from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG, power_on
+from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, Tables, delay_s
+from drivers.emulators.dlpc350.tables import PatternTables
+from drivers.emulators.dlpc350.validation import examine
+
+_VARIABLE_MODES = (TriggerMode.INTERNAL_VARIABLE, TriggerMode.VSYNC_VARIABLE)
+
+
+class Refused(Exception):  # noqa: N818 - a message of the wire, no fault of the program
+    """What is answered with the error bit."""
+
+
+@dataclass
+class Video:
+    """What is on the video port: locked frames, every `vsync_s` another."""
+
+    frames: Sequence[FlashImage]
+    vsync_s: float = 1 / 60
+    locked: bool = True
+
+
+def _dark() -> FlashImage:
+    return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+
+
+class Dlpc350:
+    """The controller. images: what its flash holds. on_pulse: told of every trigger pulse.
+
+    on_restart: told how long the USB device stays away. executed: the numbers of the commands that it did.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        images: Sequence[FlashImage],
+        policy: Policy | None = None,
+        on_pulse: Callable[[Pulse], None] = lambda pulse: None,
+    ) -> None:
+        self.clock, self.images, self.policy = clock, images, policy or Policy()
+        self.on_pulse = on_pulse
+        self.on_restart: Callable[[float], None] = lambda seconds: None
+        self.load_s = [self.policy.image_load_s] * len(images)
+        self.video: Video | None = None
+        self.executed: list[int] = []
+        self._readers = self._make_readers()
+        self._writers = self._make_writers()
+        self.restart()
+
+    def restart(self) -> None:
+        """As after switching it on."""
+        self.sequencer = Sequencer(self._tell)
+        self._registers = power_on()
+        self.asleep, self._awake_at_s = False, 0.0
+        self._mode, self._next_mode = Mode.VIDEO, (Mode.VIDEO, 0.0)
+        self._aborted, self._dirty = False, True
+        self._busy_polls = 0
+        self._verdict = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
+        self._timing = 0
+        self._tables = PatternTables()
+
+    # --- what the world sees
+
+    def _tell(self, pulse: Pulse) -> None:
+        self.on_pulse(pulse)
+
+    def advance(self) -> None:
+        """Do everything that was due until now."""
+        now = self.clock.now()
+        mode, at_s = self._next_mode
+        if mode is not self._mode and now >= at_s:
+            self._mode = mode
+        self.sequencer.advance(now)
+
+    def light(self) -> Light | None:
+        """What leaves the lens at this moment; None when it is dark.
+
+        In video mode the content of the port is not followed: it counts as white.
+        """
+        self.advance()
+        return self.light_at(self.clock.now())
+
+    def light_at(self, time_s: float) -> Light | None:
+        """What leaves the lens at a time from the last event on: for whom a pulse has just reached."""
+        if self.asleep:
+            return None
+        enabled = self._registers[protocol.LED_ENABLE.number]
+        if self._mode is Mode.VIDEO:
+            return self._lit(Light(_dark(), 1, SOLID, True, self._levels(enabled, COLOURS), None))
+        shown = self.sequencer.lit(time_s, self.policy.keeps_the_last_pattern)
+        if shown is None:
+            return None
+        inverted = bool(shown.entry["invert"]) != bool(self._registers[protocol.INVERT.number]["on"])
+        levels = self._levels(enabled, tuple(colour for colour in COLOURS if shown.entry[colour]))
+        content, entry = self._content(shown.image), shown.entry
+        return self._lit(Light(content, entry["depth"], entry["pattern"], inverted, levels, shown.image))
+
+    def trigger_in(self, number: int, rising: bool) -> None:
+        """An edge on trigger input 1 or 2."""
+        self.sequencer.trigger_in(number, rising, self.clock.now())
+
+    def _levels(self, enabled: Values, sequenced: tuple[str, ...]) -> dict[str, float]:
+        """Of the LEDs that are on, by their own switches or as the sequencer has it."""
+        on = sequenced if enabled["sequenced"] else tuple(c for c in COLOURS if enabled[c])
+        return {colour: self._led_level(colour) for colour in on}
+
+    @staticmethod
+    def _lit(light: Light) -> Light | None:
+        return light if any(light.levels.values()) else None
+
+    def _led_level(self, colour: str) -> float:
+        """0 to 1: on this board 255 is off, unless the polarity is turned."""
+        current = self._registers[protocol.LED_CURRENT.number][colour] / 255.0
+        return current if self._registers[protocol.LED_POLARITY.number]["inverted"] else 1.0 - current
+
+    def _content(self, image: int) -> FlashImage:
+        if self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH:
+            return self.images[image] if image < len(self.images) else _dark()
+        return self.video.frames[image % len(self.video.frames)] if self.video else _dark()
+
+    # --- messages
+
+    def answer(self, message: Message) -> Message | None:
+        """Do what a message asks; the reply, if it is to have one."""
+        self.advance()
+        if message.flags & DESTINATION and not self.policy.answers_other_destinations:
+            return None
+        number = int.from_bytes(message.payload[:2], "little")
+        flags, data = message.flags, b""
+        try:
+            data = self._execute(message, number)
+            self.executed.append(number)
+        except (Refused, ValueError):
+            flags |= ERROR
+        if not message.flags & REPLY_WANTED:
+            return None
+        waking = number == protocol.POWER.number and not message.flags & READ and self._awake_at_s > 0
+        if waking and self.policy.loses_wake_acknowledgement:
+            return None
+        return self.reply(message, flags, data)
+
+    def refusal(self, message: Message) -> Message | None:
+        """The answer to a message that is not obeyed."""
+        wanted = message.flags & REPLY_WANTED
+        return self.reply(message, message.flags | ERROR, b"") if wanted else None
+
+    def reply(self, message: Message, flags: int, data: bytes) -> Message:
+        """An answer to `message`."""
+        return Message(flags, message.sequence if self.policy.echoes_sequence else 0, data)
+
+    def _execute(self, message: Message, number: int) -> bytes:
+        command = COMMANDS.get(number)
+        if command is None or len(message.payload) < 2 or message.flags & DESTINATION:
+            raise Refused
+        if self.is_asleep() and number not in ANSWERED_ASLEEP:
+            raise Refused
+        if message.flags & READ:
+            return self._read(command, message.payload[2:])
+        self._write(command, message.payload[2:])
+        return b""
+
+    def is_asleep(self) -> bool:
+        """Whether it is in standby, or on its way out of it."""
+        return self.asleep or self.clock.now() < self._awake_at_s
+
+    # --- reading
+
+    def _read(self, command: Command, data: bytes) -> bytes:
+        command.selector.unpack(data)
+        if command is protocol.MAILBOX_DATA:
+            return self._table_bytes()
+        if command is protocol.VARIABLE_DATA:
+            return self._variable_bytes()
+        if command is protocol.FIRMWARE_TAG:
+            return TAG
+        if not isinstance(command.returned, Record):
+            raise Refused
+        return command.returned.pack(self._values(command))
+
+    def _make_readers(self) -> dict[int, Callable[[], Values]]:
+        """What is not simply a register, by command number."""
+        readers: dict[Command, Callable[[], Values]] = {
+            protocol.HARDWARE_STATUS: self._hardware_status,
+            protocol.SYSTEM_STATUS: lambda: {"memory_test_passed": 1},
+            protocol.MAIN_STATUS: self._main_status,
+            protocol.VERSION: lambda: {
+                f"{part}_{field}": value for part in protocol.PARTS for field, value in FIRMWARE.items()
+            },
+            protocol.IMAGES_IN_FLASH: lambda: {"count": len(self.images) % 256},
+            protocol.POWER: lambda: {"standby": int(self.is_asleep())},
+            protocol.DISPLAY_MODE: lambda: {"mode": self._mode},
+            protocol.SEQUENCE: lambda: {"run": self.sequencer.state},
+            protocol.IMAGE_LOAD_TIMING: lambda: {"ticks": self._timing},
+            protocol.VIDEO_SIGNAL: self._video_signal,
+            protocol.VALIDATE: self._validation,
+        }
+        return {command.number: reader for command, reader in readers.items()}
+
+    def _values(self, command: Command) -> Values:
+        if command.number in self._readers:
+            return self._readers[command.number]()
+        if command.number not in self._registers:
+            raise Refused
+        return self._registers[command.number]
+
+    def _hardware_status(self) -> Values:
+        return {
+            "initialised": 1,
+            "reset_controller_error": 0,
+            "forced_swap_error": int(self.sequencer.forced_swap),
+            "sequencer_aborted": int(self._aborted),
+            "sequencer_error": 0,
+        }
+
+    def _main_status(self) -> Values:
+        frozen = self._registers[protocol.FREEZE.number]["on"]
+        gamma = self._registers[protocol.GAMMA.number]["on"]
+        return {
+            "parked": int(self.asleep),
+            "running": int(self.sequencer.running),
+            "frozen": frozen,
+            "gamma": gamma,
+        }
+
+    def _video_signal(self) -> Values:
+        assert isinstance(protocol.VIDEO_SIGNAL.returned, Record)
+        found = dict.fromkeys((field.name for field in protocol.VIDEO_SIGNAL.returned.named), 0)
+        if self.video is not None and self.video.locked:
+            width, height = SIZE
+            found |= {
+                "lock": protocol.LOCKED,
+                "horizontal_resolution": width,
+                "vertical_resolution": height,
+                "active_pixels": width,
+                "active_lines": height,
+            }
+        return found
+
+    def _validation(self) -> Values:
+        if self._busy_polls:
+            self._busy_polls -= 1
+            return dict.fromkeys(self._verdict, 0) | {"busy": 1}
+        return self._verdict
+
+    def _table_bytes(self) -> bytes:
+        entries, images = self._counts()
+        if self._open() is Mailbox.PATTERNS:
+            return self._tables.pattern_bytes(entries)
+        if self._open() is Mailbox.IMAGES:
+            return self._tables.image_bytes(images)
+        raise Refused
+
+    def _variable_bytes(self) -> bytes:
+        address = self._registers[protocol.VARIABLE_ADDRESS.number]["address"]
+        if self._open() is not Mailbox.VARIABLE or address not in self._tables.variable:
+            raise Refused
+        assert isinstance(protocol.VARIABLE_DATA.returned, Record)
+        return protocol.VARIABLE_DATA.returned.pack(self._tables.variable[address])
+
+    # --- writing
+
+    def _write(self, command: Command, data: bytes) -> None:
+        if command.written is None:
+            raise Refused
+        running = self.sequencer.state is not Run.STOP
+        if command.number in SEQUENCE_COMMANDS:
+            if running and self.policy.refuses_changes_while_running:
+                raise Refused
+            self._dirty = True
+        if isinstance(command.written, Raw):
+            command.written.check(data)
+            self._fill(data)
+            return
+        values = command.written.unpack(data)
+        writer = self._writers.get(command.number)
+        if writer is not None:
+            writer(values)
+        else:
+            self._registers[command.number] = values
+
+    def _make_writers(self) -> dict[int, Callable[[Values], None]]:
+        """What does more than fill a register, by command number."""
+        writers: dict[Command, Callable[[Values], None]] = {
+            protocol.POWER: self._set_power,
+            protocol.SOFTWARE_RESET: lambda values: self._reset(),
+            protocol.DISPLAY_MODE: self._set_mode,
+            protocol.SEQUENCE: self._set_run,
+            protocol.IMAGE_LOAD_TIMING: self._time_images,
+            protocol.VARIABLE_DATA: self._fill_variable,
+            protocol.VALIDATE: lambda values: self._validate(),
+        }
+        return {command.number: writer for command, writer in writers.items()}
+
+    def _set_power(self, values: Values) -> None:
+        if values["standby"]:
+            if self._mode is Mode.PATTERN and not self.policy.sleeps_in_pattern_mode:
+                raise Refused
+            self.asleep, self._awake_at_s = True, 0.0
+        elif self.asleep:
+            self.asleep, self._awake_at_s = False, self.clock.now() + self.policy.wake_s
+
+    def _reset(self) -> None:
+        self.restart()
+        self.on_restart(self.policy.reset_s)
+
+    def _set_mode(self, values: Values) -> None:
+        mode = Mode(values["mode"])
+        if mode is not self._next_mode[0]:
+            self.sequencer.stop()
+            self._dirty = True
+            self._next_mode = (mode, self.clock.now() + self.policy.mode_change_s)
+
+    def _set_run(self, values: Values) -> None:
+        order, now = Run(values["run"]), self.clock.now()
+        if order is Run.STOP:
+            self.sequencer.stop()
+        elif order is Run.PAUSE:
+            self.sequencer.pause()
+        elif self._open() is not Mailbox.CLOSED:
+            raise Refused
+        elif self._mode is Mode.PATTERN and not self._busy_polls and not self.sequencer.running:
+            self._start(now)
+
+    def _start(self, now: float) -> None:
+        tables = self._sequence()
+        video = tables.mode in (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
+        no_signal = video and (self.video is None or not self.video.locked)
+        unfit = not tables.entries or any(period <= 0 for _, period in tables.times)
+        self._aborted = (self._dirty and self.policy.needs_validation) or no_signal or unfit
+        if not self._aborted:
+            self.sequencer.start(tables, now)
+
+    def _time_images(self, values: Values) -> None:
+        first, count = values["first"], values["count"]
+        if not count or first + count > len(self.images):
+            raise Refused
+        self._timing = round(sum(self.load_s[first : first + count]) * 1e3 * protocol.TICKS_PER_MS)
+
+    def _open(self) -> Mailbox:
+        return Mailbox(self._registers[protocol.MAILBOX.number]["table"])
+
+    def _is_variable(self) -> bool:
+        return self._registers[protocol.TRIGGER_MODE.number]["mode"] in _VARIABLE_MODES
+
+    def _fill(self, data: bytes) -> None:
+        """Mailbox data from the address on."""
+        short, long = (
+            self._registers[command.number]["address"]
+            for command in (protocol.MAILBOX_ADDRESS, protocol.VARIABLE_ADDRESS)
+        )
+        if self._open() is Mailbox.PATTERNS:
+            self._tables.fill_patterns(short, data)
+        elif self._open() is Mailbox.IMAGES and self._is_variable():
+            self._tables.fill_images(long, data, MOST_VARIABLE_IMAGES)
+        elif self._open() is Mailbox.IMAGES:
+            self._tables.fill_images(short, data, MOST_IMAGES)
+        else:
+            raise Refused
+
+    def _fill_variable(self, values: Values) -> None:
+        if self._open() is not Mailbox.VARIABLE:
+            raise Refused
+        self._tables.fill_variable(self._registers[protocol.VARIABLE_ADDRESS.number]["address"], values)
+
+    # --- the sequence
+
+    def _counts(self) -> tuple[int, int]:
+        """Declared entries and images."""
+        config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
+        values = self._registers[config.number]
+        return values["entries"], values["images"]
+
+    def _entries(self) -> list[Values]:
+        return self._tables.entries(self._is_variable(), self._counts()[0])
+
+    def _times_us(self) -> list[tuple[int, int]]:
+        if self._is_variable():
+            return [(entry["exposure_us"], entry["period_us"]) for entry in self._entries()]
+        times = self._registers[protocol.EXPOSURE.number]
+        return [(times["exposure_us"], times["period_us"])] * len(self._entries())
+
+    def _images(self) -> list[int]:
+        return self._tables.images_shown(self._counts()[1])
+
+    def _is_from_flash(self) -> bool:
+        return self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH
+
+    def _validate(self) -> None:
+        if self._open() is not Mailbox.CLOSED:
+            raise Refused
+        flash = self._is_from_flash()
+        found = examine(
+            self._entries(),
+            self._times_us(),
+            self._images(),
+            self._counts(),
+            len(self.images) if flash else None,
+            None if flash else 1e6 * (self.video.vsync_s if self.video else 0.0),
+            self.policy.accepts_a_gap_of_230_us,
+        )
+        self._verdict = found | {"busy": 0}
+        self._busy_polls = self.policy.validation_polls
+        self._dirty = bool(found["exposure_invalid"] or found["pattern_invalid"])
+
+    def _sequence(self) -> Tables:
+        config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
+        declared = self._registers[config.number]
+        first = self._registers[protocol.TRIGGER_OUT_1.number]
+        second = self._registers[protocol.TRIGGER_OUT_2.number]
+        return Tables(
+            mode=TriggerMode(self._registers[protocol.TRIGGER_MODE.number]["mode"]),
+            entries=self._entries(),
+            times=[(1e-6 * exposure, 1e-6 * period) for exposure, period in self._times_us()],
+            images=self._images() if self._is_from_flash() else [],
+            load_s=[self.load_s[i] if i < len(self.load_s) else 0.0 for i in range(MOST_VARIABLE_IMAGES)],
+            patterns=declared["patterns"],
+            repeat=bool(declared["repeat"]),
+            edges_s=(delay_s(first["rising"]), delay_s(first["falling"]), delay_s(second["rising"])),
+            vsync_s=self.video.vsync_s if self.video else 0.0,
+            input_delay_s=self._registers[protocol.TRIGGER_IN_1.number]["delay"] * DELAY_STEP_US * 1e-6,
+        )

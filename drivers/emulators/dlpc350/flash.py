@@ -1,0 +1,138 @@
+"""The flash of the emulated projector, and its own reading of what is stored there.
+
+It shares no code with the builder of images, so that each proves the other. Layout as TI's client reads it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIZE, SECTOR = 0x2000000, 0x20000
+SEEN_AT = 0xF9000000
+TABLE = 0x20000
+SPLASH_ADDRESS = TABLE + 176
+NONE = 0xFFFFFFFF
+_HEADER = struct.Struct("<4sHHIIIIBBBB4x")
+
+
+class Flash:
+    """Bytes that writing can only clear bits of, until their sector is erased to ones."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content = bytearray(content.ljust(SIZE, b"\xff"))
+
+    def erase(self, sector: int) -> None:
+        """Set a sector to ones."""
+        self.content[sector * SECTOR : (sector + 1) * SECTOR] = b"\xff" * SECTOR
+
+    def half_erase(self, sector: int) -> None:
+        """What is left when power fails meanwhile: neither the old content nor ones."""
+        part = slice(sector * SECTOR, (sector + 1) * SECTOR)
+        self.content[part] = np.random.default_rng(sector).bytes(SECTOR)
+
+    def write(self, offset: int, data: bytes) -> None:
+        """Clear bits."""
+        part = slice(offset, offset + len(data))
+        old = np.frombuffer(bytes(self.content[part]), np.uint8)
+        self.content[part] = (old & np.frombuffer(data, np.uint8)).tobytes()
+
+    def checksum(self, offset: int, size: int) -> int:
+        """The sum of bytes, 32 bits of it."""
+        part = np.frombuffer(bytes(self.content[offset : offset + size]), np.uint8)
+        return int(part.sum(dtype=np.uint64)) & 0xFFFFFFFF
+
+    def program(self) -> list[bytes] | None:
+        """Every block of program and configuration that the table lists, or None without a table."""
+        if self.content[TABLE : TABLE + 4] != bytes.fromhex("67452301"):
+            return None
+        listed = [struct.unpack_from("<II", self.content, TABLE + 16 + 8 * i) for i in range(56)]
+        blocks = [entry for i, entry in enumerate(listed) if not 20 <= i < 24 and entry[0] != NONE]
+        return [bytes(self.content[at - SEEN_AT : at - SEEN_AT + size]) for at, size in blocks]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredImage:
+    """compression: as in the header. stored: bytes without it. planes: uint8 (height, width, 3), G R B."""
+
+    compression: int
+    stored: int
+    planes: NDArray[np.uint8]
+
+
+def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
+    """The images that the flash table points to. Raises `ValueError` where they break the format."""
+    (splash,) = struct.unpack_from("<I", flash, SPLASH_ADDRESS)
+    start = splash - SEEN_AT
+    if flash[start : start + 8] != bytes.fromhex("7856341221436587"):
+        raise ValueError(f"no images at {start:#x}")
+    (count,) = struct.unpack_from("<I", flash, start + 8)
+    table = [struct.unpack_from("<II", flash, start + 12 + 8 * i) for i in range(256)]
+    if any(entry != (NONE, NONE) for entry in table[count:]):
+        raise ValueError(f"the table of {count} images goes on")
+    found, end = [], start + 2060
+    for address, size in table[:count]:
+        if address - SEEN_AT != end:
+            raise ValueError(f"an image at {address:#x}, and the one before ends at {end:#x}")
+        end += size
+        found.append(_image(bytes(flash[end - size : end])))
+    return found
+
+
+def _image(blob: bytes) -> StoredImage:
+    magic, width, height, stored, *constant, pixel_format, compression, order, chroma = _HEADER.unpack_from(
+        blob
+    )
+    if (magic, *constant, pixel_format, order, chroma) != (b"Splc", NONE, NONE, 0, 1, 1, 0):
+        raise ValueError(f"a header of an image that says {blob[: _HEADER.size].hex()}")
+    if len(blob) != _HEADER.size + stored:
+        raise ValueError(f"an image of {len(blob)} bytes, and {stored} by its header")
+    pixels = pixels_of(compression, blob[_HEADER.size :], width, height)
+    return StoredImage(compression, stored, pixels[..., ::-1])
+
+
+def pixels_of(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
+    """Pixels as they are stored, uint8 (height, width, 3): blue, red, green. Raises `ValueError`."""
+    if compression == 1:
+        flat = _from_runs(data, width, height)
+    elif compression == 4:
+        flat = (data * -(-height // 4))[: width * height * 3]
+    elif compression == 0:
+        flat = data
+    else:
+        raise ValueError(f"compression {compression}")
+    return np.frombuffer(flat, np.uint8).reshape(height, width, 3)
+
+
+def _from_runs(data: bytes, width: int, height: int) -> bytes:
+    rows: list[bytes] = []
+    row, at = b"", 0
+    while True:
+        control, at = data[at], at + 1
+        if control:
+            row += data[at : at + 3] * control
+            at += 3
+            continue
+        literal, at = data[at], at + 1
+        if literal >= 2:
+            row += data[at : at + 3 * literal]
+            at += 3 * literal
+        elif literal == 0:
+            if len(row) != 3 * width:
+                raise ValueError(f"row {len(rows)} has {len(row)} bytes for {width} pixels")
+            rows.append(row)
+            row, at = b"", _behind_zeros(data, at, 4)
+        else:
+            if row or len(rows) != height or _behind_zeros(data, at, 16) != len(data):
+                raise ValueError(f"the image ends after {len(rows)} of {height} rows, at {at} of {len(data)}")
+            return b"".join(rows)
+
+
+def _behind_zeros(data: bytes, at: int, multiple: int) -> int:
+    end = at + -at % multiple
+    if any(data[at:end]):
+        raise ValueError(f"no zeros at {at}")
+    return end

@@ -1,0 +1,66 @@
+"""What can be written and read back, what it is after switching on, and when it may be changed."""
+
+from __future__ import annotations
+
+from drivers.dlp4500 import protocol
+from drivers.dlp4500.protocol import COMMANDS, Command, Record, Source, TriggerMode, Values
+
+SEQUENCE_COMMANDS = {
+    command.number
+    for command in (
+        protocol.PATTERN_SOURCE,
+        protocol.TRIGGER_MODE,
+        protocol.EXPOSURE,
+        protocol.INVERT,
+        protocol.PATTERN_CONFIG,
+        protocol.VARIABLE_CONFIG,
+        protocol.TRIGGER_OUT_1,
+        protocol.TRIGGER_OUT_2,
+        protocol.TRIGGER_IN_1,
+        protocol.TRIGGER_IN_2,
+        protocol.MAILBOX,
+        protocol.MAILBOX_ADDRESS,
+        protocol.MAILBOX_DATA,
+        protocol.VARIABLE_ADDRESS,
+        protocol.VARIABLE_DATA,
+    )
+}
+"""Not to be changed while a sequence runs; any of them makes a validation worth nothing."""
+ANSWERED_ASLEEP = {
+    command.number
+    for command in (
+        protocol.HARDWARE_STATUS,
+        protocol.SYSTEM_STATUS,
+        protocol.MAIN_STATUS,
+        protocol.VERSION,
+        protocol.FIRMWARE_TAG,
+        protocol.POWER,
+        protocol.SOFTWARE_RESET,
+    )
+}
+"""What a controller in standby still knows."""
+FIRMWARE = {"major": 4, "minor": 4, "patch": 0}
+TAG = b"LCr4500 emulator"
+POWER_ON: dict[Command, Values] = {
+    protocol.INPUT_SOURCE: {"source": 0, "width": 1},
+    protocol.CHANNEL_SWAP: {"swap": 4, "port": 0},
+    protocol.TRIGGER_OUT_1: {"inverted": 0, "rising": 0xBB, "falling": 0xBB},
+    protocol.TRIGGER_OUT_2: {"inverted": 0, "rising": 0xBB},
+    protocol.LED_CURRENT: {"red": 0x97, "green": 0x78, "blue": 0x7D},
+    protocol.LED_ENABLE: {"red": 0, "green": 0, "blue": 0, "sequenced": 1},
+    protocol.EXPOSURE: {"exposure_us": 500_000, "period_us": 500_000},
+    protocol.PATTERN_SOURCE: {"source": Source.FLASH},
+    protocol.TRIGGER_MODE: {"mode": TriggerMode.INTERNAL},
+    protocol.PATTERN_CONFIG: {"entries": 3, "repeat": 1, "patterns": 3, "images": 1},
+}
+"""The board's ini; whatever is not named is zero, or the least it may be."""
+
+
+def power_on() -> dict[int, Values]:
+    """The registers by command number."""
+    registers = {}
+    for command in COMMANDS.values():
+        if isinstance(command.written, Record) and command.written == command.returned:
+            least = {field.name: field.values()[0] for field in command.written.named}
+            registers[command.number] = POWER_ON.get(command, least)
+    return registers

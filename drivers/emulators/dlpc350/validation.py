@@ -1,0 +1,88 @@
+"""What the controller objects to in a sequence. Which cause sets which bit is in part an assumption."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from drivers.dlp4500.protocol import Trigger, Values
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, planes
+
+LEAST_GAP_US = 230
+
+
+def examine(
+    entries: Sequence[Values],
+    times_us: Sequence[tuple[int, int]],
+    images: Sequence[int],
+    counts: tuple[int, int],
+    flash_images: int | None,
+    vsync_us: float | None,
+    accepts_gap: bool,
+) -> Values:
+    """The fields of `protocol.VALIDATION`, apart from busy.
+
+    entries, times_us, images: what the tables hold. counts: entries and images that were declared.
+    flash_images: how many there are, None for the video port. vsync_us: period of the video frames, None for
+    flash.
+    """
+    return {
+        "exposure_invalid": int(
+            any(exposure > period for exposure, period in times_us)
+            or _too_short(entries, times_us)
+            or (vsync_us is not None and _beyond_frame(entries, times_us, vsync_us))
+        ),
+        "pattern_invalid": int(
+            len(entries) < counts[0]
+            or any(not _exists(entry) for entry in entries)
+            or (flash_images is not None and not _images_fit(entries, images, counts[1], flash_images))
+        ),
+        "trigger_overlap": int(any(a["black_after"] and b["share_trigger"] for a, b in pairwise(entries))),
+        "black_missing": int(
+            any(
+                b["trigger"] in (Trigger.RISING, Trigger.FALLING) and not a["black_after"]
+                for a, b in pairwise(entries)
+            )
+            and vsync_us is None
+        ),
+        "gap_too_short": int(
+            any(_gap_too_short(period - exposure, accepts_gap) for exposure, period in times_us)
+        ),
+    }
+
+
+def _gap_too_short(gap_us: int, accepts_gap: bool) -> bool:
+    return 0 < gap_us < LEAST_GAP_US or (gap_us == LEAST_GAP_US and not accepts_gap)
+
+
+def _exists(entry: Values) -> bool:
+    try:
+        planes(entry["depth"], entry["pattern"])
+    except ValueError:
+        return False
+    return True
+
+
+def _images_fit(entries: Sequence[Values], images: Sequence[int], declared: int, flash_images: int) -> bool:
+    swaps = sum(bool(entry["swap"]) or i == 0 for i, entry in enumerate(entries))
+    return len(images) >= declared == swaps and all(image < flash_images for image in images)
+
+
+def _groups(entries: Sequence[Values], field: str) -> list[range]:
+    """Runs of entries of which all but the first have `field` set."""
+    starts = [i for i, entry in enumerate(entries) if not (entry[field] and i)]
+    return [range(a, b) for a, b in zip(starts, [*starts[1:], len(entries)], strict=True)]
+
+
+def _too_short(entries: Sequence[Values], times_us: Sequence[tuple[int, int]]) -> bool:
+    return any(
+        times_us[group[0]][0] < len(group) * max(LEAST_EXPOSURE_US.get(entries[i]["depth"], 0) for i in group)
+        for group in _groups(entries, "share_trigger")
+        if len(group)
+    )
+
+
+def _beyond_frame(entries: Sequence[Values], times_us: Sequence[tuple[int, int]], vsync_us: float) -> bool:
+    starts = [i for i, entry in enumerate(entries) if entry["trigger"] != Trigger.NONE or i == 0]
+    frames = zip(starts, [*starts[1:], len(entries)], strict=True)
+    return any(sum(exposure for exposure, _ in times_us[a:b]) > vsync_us for a, b in frames)

@@ -1,0 +1,86 @@
+"""A projector whose flash can be written, and whose power can fail at any message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.clock import Clock, SteppedClock
+from drivers.dlp4500.flash.firmware import Firmware
+from drivers.dlp4500.flash.loader import programming
+from drivers.dlp4500.flash.upload import perform, prepare, verify
+from drivers.dlp4500.framing import Message
+from drivers.dlp4500.transport import Link, connect
+from drivers.emulators.dlpc350 import EmulatedHid, FlashedDlpc350, Policy
+
+ENTER, ERASE, DATA, LEAVE = 0x3001, 0x0028, 0x0025, 0x0030
+ADDRESS = 0x0029
+SECTOR = 0x20000
+
+
+class FailingBoard(FlashedDlpc350):
+    """Loses power in the middle of message number `fails_at`, of which half the data are taken.
+
+    messages: the commands so far. erased: the sectors.
+    """
+
+    hid: EmulatedHid
+
+    def __init__(self, clock: Clock, content: bytes, policy: Policy | None) -> None:
+        self.fails_at: int | None = None
+        self.messages: list[int] = []
+        self.erased: list[int] = []
+        self._address = 0
+        super().__init__(clock, content, policy)
+
+    def answer(self, message: Message) -> Message | None:
+        number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
+        self.messages.append(number)
+        if number == ADDRESS:
+            self._address = int.from_bytes(data, "little")
+        if number == ERASE:
+            self.erased.append(self._address // SECTOR)
+        if len(self.messages) - 1 != self.fails_at:
+            return super().answer(message)
+        half = message.payload[: 2 + len(data) // 2] if number == DATA else message.payload
+        super().answer(Message(message.flags, message.sequence, half))
+        self.lose_power()
+        self.hid.vanish(self.policy.reset_s)
+        return None
+
+
+class Bench:
+    """The board on its wire."""
+
+    def __init__(self, content: bytes, policy: Policy | None = None, clock: Clock | None = None) -> None:
+        self.clock = clock or SteppedClock()
+        self.board = FailingBoard(self.clock, content, policy)
+        self.hid = self.board.hid = EmulatedHid(self.board)
+        self.board.on_restart = self.hid.vanish
+
+    def link(self) -> Link:
+        """Open it, whichever program it runs."""
+        return Link(connect(self.hid, "projector", None)[0], self.clock, "projector")
+
+    def upload(self, firmware: Firmware) -> list[str]:
+        """As the command does it; the words for the operator."""
+        with programming(self.link, self.clock, "projector") as loader:
+            work = prepare(firmware, loader)
+            perform(firmware, loader, work, lambda share: None)
+        verify(firmware, self.link())
+        return work.words
+
+    def flash(self) -> NDArray[np.uint8]:
+        """All of it, as it is now."""
+        return np.frombuffer(self.board.flash.content, np.uint8).copy()
+
+    def runs_program(self) -> bool:
+        """Whether it would be of use now, and not only to be written."""
+        return self.board.loader is None
+
+
+def firmware(content: bytes) -> Firmware:
+    """A file that was read."""
+    return Firmware(content, Path("patterns.bin"))

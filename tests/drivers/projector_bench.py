@@ -1,0 +1,84 @@
+"""A LightCrafter 4500 on an emulated wire, with patterns in its flash, for the tests of its driver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clock import SteppedClock
+from drivers.dlp4500 import Dlp4500
+from drivers.dlp4500.index import FlashIndex, FlashPattern, shown_image
+from drivers.dlp4500.sequence import SIZE, planes
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, FlashImage, Policy, Pulse
+from fpplab import config
+from fpplab.patterns import Pattern
+
+WIDTH, HEIGHT = SIZE
+
+
+def put(image: FlashImage, pattern: Pattern, number: int) -> None:
+    """Write a pattern into the planes of its number."""
+    values = np.rint(shown_image(pattern) / 255.0 * ((1 << pattern.bit_depth) - 1)).astype(np.uint8)
+    for bit, plane in enumerate(planes(pattern.bit_depth, number)):
+        image[..., plane // 8] |= ((values >> bit) & 1) << (plane % 8)
+
+
+def packed(patterns: Sequence[Pattern]) -> tuple[list[FlashImage], FlashIndex]:
+    """Flash images that hold the patterns: three of 8 bits to an image, one of another depth."""
+    images: list[FlashImage] = []
+    entries: list[FlashPattern] = []
+    room = 0
+    for pattern in patterns:
+        if pattern.bit_depth != 8 or not room:
+            images.append(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+            room = 3 if pattern.bit_depth == 8 else 1
+        number = 3 - room if pattern.bit_depth == 8 else 0
+        put(images[-1], pattern, number)
+        entries.append(FlashPattern.of(pattern, len(images) - 1, number))
+        room -= 1
+    return images, FlashIndex(patterns=tuple(entries))
+
+
+def flat(name: str, grey: int, bits: int = 8) -> Pattern:
+    """An even grey."""
+    return Pattern(name, np.full((HEIGHT, WIDTH), grey, np.uint8), bits)
+
+
+def greys(count: int, bits: int = 8) -> list[Pattern]:
+    """Even greys of which no two are alike, from nearly black to white."""
+    return [flat(f"grey-{i:02d}", round(255 * (i + 1) / count), bits) for i in range(count)]
+
+
+@dataclass
+class Bench:
+    """The projector, what drives it, and every pulse that it gave."""
+
+    patterns: Sequence[Pattern]
+    folder: Path
+    policy: Policy = field(default_factory=Policy)
+    faults: Mapping[int, Fault] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.clock = SteppedClock()
+        images, index = packed(self.patterns)
+        self.pulses: list[Pulse] = []
+        self.controller = Dlpc350(self.clock, images, self.policy, self.pulses.append)
+        self.hid = EmulatedHid(self.controller, faults=self.faults)
+        self.flash = self.folder / "flash.yaml"
+        self.flash.write_text(config.dump(index), encoding="utf-8")
+
+    def projector(self, **options: Any) -> Dlp4500:
+        """The driver, not open yet."""
+        return Dlp4500("projector", {"flash": str(self.flash), **options}, self)
+
+    def grey(self) -> int:
+        """The grey that leaves the lens now; -1 in the dark."""
+        light = self.controller.light()
+        return int(light.grey[0, 0]) if light is not None else -1
+
+    def is_dark(self) -> bool:
+        return self.controller.light() is None

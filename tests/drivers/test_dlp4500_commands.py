@@ -1,0 +1,96 @@
+"""`fpplab dlp4500 status|power|led|test-pattern` on an emulated projector."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from drivers.clock import SteppedClock
+from drivers.dlp4500 import protocol
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid
+from fpplab.cli import app
+from fpplab.errors import ConfigError, DisconnectedError
+from tests.drivers.dlpc350_host import FLASH
+
+
+@pytest.fixture
+def hid(monkeypatch: pytest.MonkeyPatch) -> EmulatedHid:
+    """One projector, in a time of its own."""
+    found = EmulatedHid(Dlpc350(SteppedClock(), FLASH))
+    monkeypatch.setattr("drivers.dlp4500.transport.hidapi", lambda name: found)
+    monkeypatch.setattr("drivers.clock.RealClock", lambda: found.controller.clock)
+    return found
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(app, ["dlp4500", *words, "--json"])
+
+
+def said(*words: str) -> dict[str, Any]:
+    result = run(*words)
+    assert result.exit_code == 0, result.output
+    found: dict[str, Any] = json.loads(result.stdout)
+    return found
+
+
+def test_status(hid: EmulatedHid) -> None:
+    found = said("status")
+    assert found == {
+        "firmware": "4.4.0",
+        "tag": "LCr4500 emulator",
+        "standby": False,
+        "images": 4,
+        "state": ["mirrors not parked", "sequence stopped", "frame buffer free", "gamma correction off"],
+        "faults": [],
+    }
+
+
+def test_status_of_one_that_sleeps(hid: EmulatedHid) -> None:
+    hid.controller.asleep = True
+    found = said("status")
+    assert found["standby"] is True
+    assert found["images"] is None
+    assert found["state"][0] == "mirrors parked"
+
+
+def test_power(hid: EmulatedHid) -> None:
+    assert said("power", "off") == {"power": "off"}
+    assert hid.controller.is_asleep()
+    assert said("power", "on") == {"power": "on"}
+    assert not hid.controller.is_asleep()
+    assert hid.controller.light() is None
+    assert said("power", "reset") == {"power": "reset"}
+    assert hid.is_plugged, "the command ends when it can be opened again"
+    assert said("status")["firmware"] == "4.4.0"
+
+
+def test_leds_by_hand(hid: EmulatedHid) -> None:
+    said("led", "--green", "51", "--blue", "255")
+    light = hid.controller.light()
+    assert light is not None
+    assert light.levels == {"green": pytest.approx(0.2), "blue": 1.0}
+    said("led", "--red", "255", "--not-inverted")
+    assert hid.controller._registers[protocol.LED_CURRENT.number] == {"red": 255, "green": 0, "blue": 0}
+    said("led")
+    assert hid.controller.light() is None
+
+
+def test_test_patterns(hid: EmulatedHid) -> None:
+    for number, name in enumerate(protocol.TEST_PATTERNS):
+        said("test-pattern", name)
+        assert hid.controller._registers[protocol.TEST_PATTERN.number] == {"pattern": number}
+    assert hid.controller._registers[protocol.INPUT_SOURCE.number]["source"] == 1
+    assert hid.controller.light() is not None
+    said("test-pattern", "off")
+    assert hid.controller.light() is None
+
+
+def test_what_is_not_there(hid: EmulatedHid) -> None:
+    assert isinstance(run("test-pattern", "cat").exception, ConfigError)
+    assert isinstance(run("status", "--serial", "other").exception, DisconnectedError)
+    hid.unplug()
+    assert isinstance(run("power", "off").exception, DisconnectedError)
