@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from tests.conformance.fault_list import FAULTS, Fault
-from tests.conformance.seeded_faults import Verdict, try_fault, try_none
+from tests.conformance.fault import Fault
+from tests.conformance.fault_list import FAULTS
+from tests.conformance.seeded_faults import SUITES, Verdict, try_fault, try_none
 
 pytestmark = pytest.mark.slow
 
 
-def test_an_unharmed_copy_passes() -> None:
-    trial = try_none()
+@pytest.mark.parametrize("place", SUITES)
+def test_an_unharmed_copy_passes(place: str) -> None:
+    trial = try_none(place)
     assert trial.verdict is Verdict.SURVIVED, trial.evidence
 
 

@@ -1,0 +1,325 @@
+"""Faults in the drivers of real hardware."""
+
+from __future__ import annotations
+
+from tests.conformance.fault import Fault
+
+BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS = (
+    f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options")
+)
+STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
+DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE = (
+    f"drivers/dlp4500/{name}.py" for name in ("transport", "controller", "sequence", "device")
+)
+
+DRIVER_OF_BASLER = [
+    Fault(
+        "basler: triggered before it is ready",
+        BASLER,
+        '            self._await_ready(deadline, "read")\n',
+        "",
+    ),
+    Fault(
+        "basler: armed before it is ready",
+        BASLER,
+        '        self._await_ready(time.monotonic() + READY_S, "arm")\n',
+        "",
+    ),
+    Fault(
+        "basler: still armed in fault",
+        BASLER,
+        "                self._camera.StopGrabbing()\n\n",
+        "                self._camera.IsGrabbing()\n\n",
+    ),
+    Fault("basler: damaged frames pass", BASLER, "if not result.GrabSucceeded():", "if result is None:"),
+    Fault(
+        "basler: the host counts",
+        BASLER,
+        "self._taken if block_id == NO_BLOCK_ID else block_id - self._first_block",
+        "self._taken",
+    ),
+    Fault("basler: every link counts from 0", BASLER, 'FIRST_BLOCK = {"BaslerGigE": 1}', "FIRST_BLOCK = {}"),
+    Fault(
+        "basler: only pylon's notice counts",
+        BASLER,
+        " or self._options.serial not in self._transport.cameras()",
+        "",
+    ),
+    Fault(
+        "basler: the first camera will do",
+        BASLER,
+        "attach(connected[serial])",
+        "attach(next(iter(connected.values())))",
+    ),
+    Fault(
+        "basler: a camera in use is a mystery",
+        BASLER,
+        'IN_USE = ("exclusively opened", "controlled by another application")',
+        "IN_USE = ()",
+    ),
+    Fault(
+        "basler: the readout takes no time",
+        BASLER,
+        "return float(readout_us or 0.0) / US_PER_S",
+        "return 0.0",
+    ),
+    Fault(
+        "basler: settings from a file while it is armed",
+        BASLER,
+        'self._need(State.IDLE, doing="load_features")',
+        'self._need(State.IDLE, State.ARMED, doing="load_features")',
+    ),
+    Fault(
+        "basler: still configured after a file",
+        BASLER,
+        '        self._forget()\n        with self._guard("load_features"):',
+        '        with self._guard("load_features"):',
+    ),
+    Fault(
+        "basler: the line's delay for every trigger",
+        BASLER,
+        "delay_us = line.delay_us if hardware else 0.0",
+        "delay_us = line.delay_us",
+    ),
+    Fault(
+        "basler: what is out of range is clamped",
+        BASLER_FEATURES,
+        "        if refusal := _refusal(node, value):",
+        "        if not isinstance(value, str):\n"
+        "            value = min(max(value, node.GetMin()), node.GetMax())\n"
+        "        if refusal := _refusal(node, value):",
+    ),
+    Fault("basler: the exposure stays automatic", BASLER_FEATURES, '    (("ExposureAuto",), "Off"),\n', ""),
+    Fault(
+        "basler: old names first",
+        BASLER_FEATURES,
+        '("ExposureTime", "ExposureTimeAbs")',
+        '("ExposureTimeAbs", "ExposureTime")',
+    ),
+    Fault("basler: pylon fills a frame again", BASLER_FRAMES, "        self._result = result\n", ""),
+    Fault(
+        "basler: every buffer is given away",
+        BASLER_FRAMES,
+        "if len(self._lent) >=",
+        "if len(self._lent) > 1000 +",
+    ),
+    Fault("basler: rows have no margin", BASLER_FRAMES, " + result.GetPaddingX()", ""),
+    Fault(
+        "basler: halves of packed pixels swapped",
+        BASLER_FRAMES,
+        "low + (middle & 0x0F)",
+        "low + (middle >> 4)",
+    ),
+    Fault(
+        "basler: the other edge",
+        BASLER_OPTIONS,
+        '"rising": "RisingEdge", "falling": "FallingEdge"',
+        '"rising": "FallingEdge", "falling": "RisingEdge"',
+    ),
+]
+
+DRIVER_OF_GRBL = [
+    Fault("grbl: an alarm is ignored", STAGE_WIRE, "case Alarm(code):", "case Alarm(code) if code < 0:"),
+    Fault("grbl: a restart is ignored", STAGE_WIRE, "case Welcome():", "case Welcome(''):"),
+    Fault("grbl: a refusal is ignored", STAGE_WIRE, "if isinstance(answer, Refused):", "if answer is None:"),
+    Fault(
+        "grbl: noise is ignored",
+        STAGE_WIRE,
+        "        except ValueError as error:\n            raise ProtocolError(",
+        "        except ValueError as error:\n            return True\n            raise ProtocolError(",
+    ),
+    Fault(
+        "grbl: an answer to another program counts",
+        STAGE_WIRE,
+        "        if self._answers:\n            raise",
+        "        if self._answers is None:\n            raise",
+    ),
+    Fault(
+        "grbl: silence is success",
+        STAGE_WIRE,
+        "if not self.answered(doing, line, timeout_s):",
+        "if self.answered(doing, line, timeout_s) is None:",
+    ),
+    Fault("grbl: the port is shared", STAGE_WIRE, "exclusive=True", "exclusive=False"),
+    Fault(
+        "grbl: unplugging is not understood",
+        STAGE_WIRE,
+        "except OSError as error:\n            raise self._gone(doing) from error\n        self._r",
+        "except ZeroDivisionError as error:\n            raise self._gone(doing) from error\n        self._r",
+    ),
+    Fault(
+        "grbl: planned is arrived",
+        STAGE,
+        'while not wire.answered("move_to", AFTER_MOTION, POLL_S):',
+        'while wire.answered("move_to", AFTER_MOTION, POLL_S) is None:',
+    ),
+    Fault("grbl: reset without braking", STAGE, "        wire.realtime(doing, HOLD)\n", ""),
+    Fault(
+        "grbl: stopped elsewhere",
+        STAGE,
+        "if abs(reached - target) > mechanics.tolerance_mm:",
+        "if abs(reached - target) > 1e9:",
+    ),
+    Fault(
+        "grbl: moved by another program",
+        STAGE,
+        "abs(here - self._rest_mm) > self._open_mechanics.told_mm:",
+        "abs(here - self._rest_mm) > 1e9:",
+    ),
+    Fault(
+        "grbl: the switch is not looked at",
+        STAGE,
+        "if self._options.axis in report.pins:",
+        "if not report:",
+    ),
+    Fault("grbl: any state is rest", STAGE, 'if report.state != "Idle":', "if not report.state:"),
+    Fault(
+        "grbl: inches for millimetres",
+        STAGE,
+        "return report.machine[self._axis] * unit_mm",
+        "return report.machine[self._axis]",
+    ),
+    Fault("grbl: the work offset is forgotten", STAGE, " + self._offset[self._axis])", ")"),
+    Fault("grbl: the wrong way", STAGE, "away=1 if int(", "away=-1 if int("),
+    Fault("grbl: work coordinates", STAGE, "G90G21G53G0", "G90G21G0"),
+    Fault("grbl: units as left behind", STAGE, "G90G21G53G0", "G90G53G0"),
+    Fault("grbl: left moving", STAGE, '            self._stop(wire, "close")\n', "            pass\n"),
+    Fault("grbl: any version", STAGE, 're.fullmatch(r"1\\.1[a-z]?", version)', "version"),
+    Fault("grbl: no homing", STAGE, "if not settings.get(22):", "if settings.get(22) is None:"),
+    Fault(
+        "grbl: travel up to the switch",
+        STAGE,
+        "usable_mm=settings[130 + axis] - pull_off_mm - step_mm,",
+        "usable_mm=settings[130 + axis],",
+    ),
+    Fault(
+        "grbl: home is not zero",
+        STAGE,
+        "self._home_mm = self._rest_mm = self._machine",
+        "self._rest_mm = self._machine",
+    ),
+    Fault("grbl: gone while it moved", STAGE, "            if self._moving:", "            if wire is None:"),
+    Fault(
+        "grbl: an old welcome is the answer",
+        STAGE,
+        "except RestartedError:",
+        "except ZeroDivisionError:",
+    ),
+]
+
+DRIVER_OF_DLP4500 = [
+    Fault("dlp4500: refusals pass", DLP_LINK, "if reply.failed:", "if False:"),
+    Fault(
+        "dlp4500: silence is an answer",
+        DLP_LINK,
+        "        if not report:\n            raise TimeoutError(",
+        "        if not report:\n            return bytes(64)\n            raise TimeoutError(",
+    ),
+    Fault("dlp4500: any answer will do", DLP_LINK, "head.sequence == sequence and ", ""),
+    Fault("dlp4500: all requests are alike", DLP_LINK, "sequence = self.requests % 256", "sequence = 0"),
+    Fault(
+        "dlp4500: what is gone is silent",
+        DLP_LINK,
+        "        if sent < 0:\n            raise self._gone(operation)\n",
+        "",
+    ),
+    Fault("dlp4500: the first interface", DLP_LINK, 'd["interface_number"] in (-1, INTERFACE) and ', ""),
+    Fault(
+        "dlp4500: changed while it runs",
+        DLP_CONTROLLER,
+        "        self.show_mode(Mode.PATTERN)\n        self.stop()\n",
+        "        self.show_mode(Mode.PATTERN)\n",
+    ),
+    Fault(
+        "dlp4500: started without validation",
+        DLP_CONTROLLER,
+        "            self._write_images(program)\n        self.validate()\n",
+        "            self._write_images(program)\n",
+    ),
+    Fault(
+        "dlp4500: the verdict is not read",
+        DLP_CONTROLLER,
+        "if words := objections(found):",
+        "if (words := objections(found)) and not words:",
+    ),
+    Fault(
+        "dlp4500: a busy validation is a good one",
+        DLP_CONTROLLER,
+        'if found["busy"]:',
+        'if found["busy"] > 1:',
+    ),
+    Fault(
+        "dlp4500: started is running",
+        DLP_CONTROLLER,
+        'if status.main["running"]:',
+        'if "running" in status.main:',
+    ),
+    Fault(
+        "dlp4500: LEDs the wrong way round",
+        DLP_CONTROLLER,
+        "LED_FULL - levels[colour] if inverted else levels[colour]",
+        "levels[colour]",
+    ),
+    Fault(
+        "dlp4500: dark by stopping alone",
+        DLP_CONTROLLER,
+        "            both.callback(self._insist, self.leds_off)  # which comes first\n",
+        "",
+    ),
+    Fault(
+        "dlp4500: dark is tried once",
+        DLP_CONTROLLER,
+        "        except (ProtocolError, TimeoutError):\n            order()\n",
+        "        except ZeroDivisionError:\n            order()\n",
+    ),
+    Fault(
+        "dlp4500: the mailbox stays open",
+        DLP_CONTROLLER,
+        "            yield\n            self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)\n",
+        "            yield\n",
+    ),
+    Fault(
+        "dlp4500: a run of another length",
+        DLP_CONTROLLER,
+        '"patterns": len(program.entries),',
+        '"patterns": min(3, len(program.entries)),',
+    ),
+    Fault(
+        "dlp4500: two images in their order",
+        DLP_SEQUENCE,
+        "reversed(self.images) if len(self.images) == 2 else self.images",
+        "self.images",
+    ),
+    Fault("dlp4500: a gap of 230", DLP_SEQUENCE, "LEAST_GAP_US = 231", "LEAST_GAP_US = 230"),
+    Fault("dlp4500: images are not waited for", DLP_SEQUENCE, "return max(waits)", "return 0"),
+    Fault(
+        "dlp4500: one image for all",
+        DLP_SEQUENCE,
+        "swap = not images or slot.image != images[-1]",
+        "swap = not images",
+    ),
+    Fault(
+        "dlp4500: patterns by their names",
+        "drivers/dlp4500/index.py",
+        "(p.bits, p.sha256) == (bits, sha256)",
+        "p.id == name",
+    ),
+    Fault(
+        "dlp4500: opens as it was left",
+        DLP_DEVICE,
+        "        controller.go_dark()\n        controller.show_mode(Mode.PATTERN)\n",
+        "        controller.show_mode(Mode.PATTERN)\n",
+    ),
+    Fault(
+        "dlp4500: lit after a failure",
+        DLP_DEVICE,
+        "                self._board.go_dark()\n            except DeviceError",
+        "                self._board.status()\n            except DeviceError",
+    ),
+    Fault(
+        "dlp4500: closing is not dark",
+        DLP_DEVICE,
+        "        try:\n            controller.go_dark()\n        finally:\n",
+        "        try:\n            controller.status()\n        finally:\n",
+    ),
+]
