@@ -102,8 +102,9 @@ class EmulatedPylon(Pylon):
 
     def pulse(self, times: int = 1) -> None:
         """Pulses on Line1 of the camera that was opened last, from whatever thread they come."""
-        for _ in range(times if self._open else 0):
-            next(reversed(self._open.values())).pulse()
+        for _ in range(times):
+            for camera in list(self._open.values())[-1:]:
+                camera.pulse()
 
     def unplug(self, noticed: bool = True) -> None:
         """Pull the cable. noticed: whether pylon's notice of it comes through, which is sometimes missed."""
@@ -141,6 +142,10 @@ class EmulatedPylon(Pylon):
         """Another program may have it now."""
         self._open.pop(camera.serial, None)
 
+    def has_open(self, camera: EmulatedCamera) -> bool:
+        """Whether a program has it."""
+        return self._open.get(camera.serial) is camera
+
     def expose(self, camera: EmulatedCamera) -> None:
         """Let the light of this moment fall on the sensor."""
         if self.scene is not None:
@@ -167,6 +172,11 @@ class EmulatedCamera:
         self._features = Features(self.serial, self.instant)
         self._bench.opened(self)
 
+    def Close(self) -> None:
+        """As pylon's."""
+        self._bench.closed(self)
+        self.instant.Close()
+
     def DestroyDevice(self) -> None:
         """As pylon's."""
         self._bench.closed(self)
@@ -187,7 +197,14 @@ class EmulatedCamera:
         return result
 
     def pulse(self) -> None:
-        """A pulse on Line1: one frame, if the camera waits for it."""
+        """A pulse on Line1: one frame, if the camera waits for it; a camera being closed takes no notice."""
+        try:
+            self._pulse()
+        except genicam.GenericException:
+            if self._bench.has_open(self):
+                raise
+
+    def _pulse(self) -> None:
         armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
         if self.pulled or not armed or not self.instant.IsGrabbing():
             return
