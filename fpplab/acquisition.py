@@ -17,6 +17,9 @@ from fpplab.plan import Plan
 from fpplab.rig import Rig
 from fpplab.session import Session
 
+PATIENCE_S = 10.0
+"""How long beyond its exposure a frame may take."""
+
 Observer = Callable[[Frame], None]
 """Sees each frame once it is on disk: a progress bar, a viewer."""
 
@@ -57,18 +60,22 @@ def expose(
         if plan is not None and plan.trigger == "triggered":
             yield from _triggered(camera, projector, patterns, settings)
         else:
-            yield from _stepped(camera, projector, patterns, plan.settle_s if plan else 0.0)
+            yield from _stepped(camera, projector, patterns, settings, plan.settle_s if plan else 0.0)
     finally:
         rig.make_dark()
 
 
 def _stepped(
-    camera: Camera, projector: Projector, patterns: Sequence[Pattern], settle_s: float
+    camera: Camera,
+    projector: Projector,
+    patterns: Sequence[Pattern],
+    settings: CameraSettings,
+    settle_s: float,
 ) -> Iterator[Frame]:
     for i, pattern in enumerate(patterns):
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states
-        yield _in_step(camera, camera.snap(), pattern)
+        yield _in_step(camera, camera.snap(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
 
 
 def _triggered(
@@ -77,7 +84,7 @@ def _triggered(
     camera.arm(len(patterns), "hardware")
     projector.play(settings.exposure_s + camera.caps.readout_s)
     for pattern in patterns:
-        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + 5.0), pattern)
+        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
 
 
 def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
