@@ -103,7 +103,6 @@ def _linear_and_exact(stage: Any, effort: Effort) -> None:
     settings.light_sampling_threshold = 0.0  # or dim light is dropped at random
     settings.sample_clamp_direct = settings.sample_clamp_indirect = 0.0
     settings.use_light_tree = False
-    settings.use_auto_tile = False  # which is twice as slow beyond 2048 px, and saves nothing here
 
 
 def _restrict(stage: Any, scene: Scene) -> None:
