@@ -89,7 +89,11 @@ def is_opencv(path: Path) -> bool:
 
     Raises `ConfigError` when it cannot be read.
     """
-    return config.read_text(path).lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml"))
+    return _begins_as_opencv(config.read_text(path))
+
+
+def _begins_as_opencv(text: str) -> bool:
+    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml"))
 
 
 def to_opencv(calibration: Calibration, kind: Format) -> str:
@@ -169,7 +173,7 @@ def _gathered(paths: Sequence[Path]) -> _Entries:
 def _read(path: Path) -> dict[str, Any]:
     """The entries at the top of a FileStorage file: matrices, numbers, words and lists of numbers."""
     text = config.read_text(path)
-    if not is_opencv(path):
+    if not _begins_as_opencv(text):
         raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0 or <?xml")
     level = cv2.setLogLevel(0)  # OpenCV would print what the sentence below says
     try:

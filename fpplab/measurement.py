@@ -26,7 +26,7 @@ from fpplab.characterisation import (
     out_of_step,
 )
 from fpplab.clouds import Cloud, save_cloud
-from fpplab.conventions import Floats, Image
+from fpplab.conventions import Floats, Image, raw_per_grey
 from fpplab.devices import Frame
 from fpplab.errors import CalibrationError
 from fpplab.gamma import Response
@@ -80,12 +80,15 @@ def take(
 
 def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
     """Projector coordinates of every camera pixel. Raises `DataError`, `ConfigError`."""
-    size, _ = session.projector()
-    session.plan.check_projector(size, session.path)
-    frames = session.stack(progress=lambda share: progress(0.5 * share))
-    decoded = _decode(session, frames)
+    decoded = _decode(session, _frames(session, lambda share: progress(0.5 * share)))
     progress(1.0)
     return decoded
+
+
+def _frames(session: Session, progress: Progress = nothing) -> Sequence[Image]:
+    """All frames, of a plan that the session's projector can show."""
+    session.plan.check_projector(session.projector()[0], session.path)
+    return session.stack(progress=progress)
 
 
 def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
@@ -126,7 +129,7 @@ def mean_image(session: Session) -> NDArray[np.uint8]:
     total = np.zeros((height, width), np.float32)
     for frame in frames:
         total += frame
-    levels = np.rint(total / (len(frames) * (1 << (bits - 8))))
+    levels = np.rint(total / (len(frames) * raw_per_grey(bits)))
     mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
     return mean
 
@@ -192,8 +195,7 @@ def characterise_sessions(
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
     name = session.path.name
-    session.plan.check_projector(session.projector()[0], session.path)
-    frames = session.stack()
+    frames = _frames(session)
     if lag := out_of_step(frames, session.plan):
         raise CalibrationError(
             f"{name}: the frames are out of step with the plan by one: frame 1 shows pattern {1 - lag}; "

@@ -180,23 +180,22 @@ class BaslerCamera(Camera):
             try:
                 yield
             except genicam.GenericException as error:
-                raise self._described(operation, str(error)) from error
+                raise self._described(operation, error) from error
 
-    def _described(self, operation: str, said: str) -> DeviceError:
+    def _described(self, operation: str, error: genicam.GenericException) -> DeviceError:
+        said = str(error)
         if any(phrase in said for phrase in IN_USE):
             return StateError(self.name, operation, "another program has the camera open", "close it there")
         if self._camera is not None and self._is_gone():
             return self._disconnected(operation)
-        words = said.split(" : ")[0].strip()
-        return DeviceError(self.name, operation, f"pylon says: {words}", "close it and open it again")
+        return DeviceError(self.name, operation, f"pylon says: {_words(error)}", "close it and open it again")
 
     def _load(self, text: str, path: Path) -> None:
         try:
             pylon.FeaturePersistence.LoadFromString(text, self._camera.GetNodeMap(), True)
         except genicam.GenericException as error:
             self._check_connected("load_features")
-            words = str(error).split(" : ")[0].strip()
-            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {words}") from error
+            raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_words(error)}") from error
 
     def _make_raw(self) -> None:
         for feature, value in named.RAW:
@@ -325,6 +324,11 @@ class BaslerCamera(Camera):
         return DisconnectedError(
             self.name, doing, "the camera was unplugged or switched off", "plug it in and open it again"
         )
+
+
+def _words(error: genicam.GenericException) -> str:
+    """What pylon says, without its kind and place in the source."""
+    return str(error).split(" : ")[0].strip()
 
 
 def _slice_ms(deadline: float) -> int:
