@@ -6,12 +6,13 @@ Proven on an emulated projector only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.dlp4500.commands import NAME, Serial, connected
 from fpplab import console
 from fpplab.cli.app import Json
 from fpplab.cli.projector import dlp4500
@@ -19,11 +20,6 @@ from fpplab.cli.projector import dlp4500
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller
 
-NAME = "projector"
-
-Serial = Annotated[
-    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
-]
 Level = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
 
 
@@ -40,16 +36,10 @@ def _board(serial: str | None) -> Iterator[Controller]:
     """The controller, for as long as a command takes."""
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
-    from drivers.dlp4500.transport import Link, connect, hidapi
 
-    clock = RealClock()
-    wire, _ = connect(hidapi(NAME), NAME, serial)
-    link = Link(wire, clock, NAME)
-    try:
+    with closing(connected(serial)) as link:
         link.drain()
-        yield Controller(link, clock, NAME)
-    finally:
-        link.close()
+        yield Controller(link, RealClock(), NAME)
 
 
 @dlp4500.command()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,11 +17,22 @@ from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.projector import dlp4500
 from fpplab.errors import Cancelled
 
+if TYPE_CHECKING:
+    from drivers.dlp4500.transport import Link
+
 NAME = "projector"
 
 Serial = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
 ]
+
+
+def connected(serial: str | None) -> Link:
+    """A conversation with the projector of that serial number, or the only one. Raises `DeviceError`."""
+    from drivers.clock import RealClock
+    from drivers.dlp4500.transport import Link, connect, hidapi
+
+    return Link(connect(hidapi(NAME), NAME, serial)[0], RealClock(), NAME)
 
 
 @dlp4500.command()
@@ -95,16 +106,11 @@ def upload(
     from drivers.dlp4500.flash.firmware import Firmware
     from drivers.dlp4500.flash.loader import programming
     from drivers.dlp4500.flash.upload import check, perform, prepare, verify
-    from drivers.dlp4500.transport import Link, connect, hidapi
 
-    built, clock = Firmware.load(firmware), RealClock()
+    built = Firmware.load(firmware)
     check(built)
-
-    def connected() -> Link:
-        return Link(connect(hidapi(NAME), NAME, serial)[0], clock, NAME)
-
     with console.stopwatch() as seconds:
-        with programming(connected, clock, NAME) as loader:
+        with programming(lambda: connected(serial), RealClock(), NAME) as loader:
             work = prepare(built, loader)
             for sentence in work.words:
                 console.say(sentence)
@@ -112,7 +118,7 @@ def upload(
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
                 perform(built, loader, work, report)
-        with closing(connected()) as link:
+        with closing(connected(serial)) as link:
             verify(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
 
