@@ -278,7 +278,7 @@ def test_frames_out_of_step_by_one_are_noticed(name: str, size: tuple[int, int])
 def test_a_session_out_of_step_is_refused_by_name() -> None:
     plan = Plan.load("plan_board")
     late = frames_of(plan, (912, 1140))
-    session = SimpleNamespace(path=Path("pose_04"), plan=plan, stack=lambda: [late[-1], *late[:-1]],
+    session = SimpleNamespace(path=Path("pose_04"), plan=plan, stack=lambda progress: [late[-1], *late[:-1]],
                               projector=lambda: ((912, 1140), None))  # fmt: skip
     with pytest.raises(
         CalibrationError, match=r"pose_04: the frames are out of step .* frame 1 shows pattern 0"
