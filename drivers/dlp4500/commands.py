@@ -52,7 +52,7 @@ def build(
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
     """
     from drivers.dlp4500.flash.firmware import Firmware, arranged
-    from drivers.dlp4500.index import FlashIndex, FlashPattern
+    from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
     from fpplab import config
     from fpplab.conventions import Lattice
@@ -70,8 +70,7 @@ def build(
     with console.stopwatch() as seconds:
         patterns = make_patterns(chosen, SIZE, Lattice.DIAMOND)
         built = firmware.with_patterns(patterns, out)
-        places = zip(patterns, arranged(patterns), strict=True)
-        listed = FlashIndex(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
+        listed = FlashIndex.of(patterns, arranged(patterns))
     write_atomic(out, lambda stream: stream.write(built.content))
     write_text(index, config.dump(listed))
     result = {

@@ -30,6 +30,7 @@ MODE_STEP_S, MODE_S = 0.1, 2.0
 STOP_STEP_S, STOP_S = 0.01, 2.0
 VALIDATION_STEP_S, VALIDATION_S = 0.01, 2.0
 LOCK_STEP_S, LOCK_S = 0.1, 1.5
+END_STEP_S, END_S = 0.005, 1.0
 WAKE_STEP_S, WAKE_S = 0.1, 5.0
 """How often to look and how long to wait, in s; waking is given as long as its slowest user gives it."""
 SETTLING_S = 5.0
@@ -140,6 +141,18 @@ class Controller:
             both.callback(self._insist, self.stop)
             both.callback(self._insist, self.leds_off)  # which comes first
 
+    @contextmanager
+    def dark_on_failure(self) -> Iterator[None]:
+        """A failure within leaves the projector dark at once."""
+        try:
+            yield
+        except BaseException as error:
+            try:
+                self.go_dark()
+            except DeviceError as still_lit:
+                error.add_note(f"and it could not be made dark: {still_lit}")
+            raise
+
     @staticmethod
     def _insist(order: Callable[[], None]) -> None:
         try:
@@ -228,6 +241,15 @@ class Controller:
             STOP_S,
         )
 
+    def run(self, program: Program) -> None:
+        """Prepare and start.
+
+        No light but from the start on: should the cable be lost before, nobody could put it out.
+        """
+        self.leds_off()
+        self.prepare(program)
+        self.start(program)
+
     def prepare(self, program: Program) -> None:
         """Stop, tell everything about the sequence, and have it validated.
 
@@ -272,6 +294,16 @@ class Controller:
             raise ProtocolError(
                 self._name, "start", "; ".join(["the sequence does not run", *status.faults]), "try it again"
             )
+
+    def await_end(self, program: Program) -> None:
+        """Wait until a run that is not repeated has ended; it may wait for a frame before it begins."""
+        self._until(
+            lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
+            "play",
+            "the sequence goes on",
+            END_STEP_S,
+            END_S + program.duration_s,
+        )
 
     def has_forced_swap(self) -> bool:
         """Whether an image came too late once, and an old one was shown in its place."""

@@ -1,8 +1,8 @@
-"""The LightCrafter 4500 as a projector of a rig, with its patterns in flash.
+"""The LightCrafter 4500 as a projector of a rig, with its patterns in flash or from the video port.
 
     projector:
       backend: "drivers.dlp4500:Dlp4500"
-      flash: flash_index.yaml
+      flash: flash_index.yaml              # or video: {display: 1}
       led_levels: {red: 104, green: 135, blue: 130}
       trigger_out_1: {rising_us: 0, falling_us: 0}
 
@@ -11,33 +11,27 @@ Proven on an emulated wire only: no board has been driven with it yet.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from itertools import pairwise
-from typing import Annotated, Any, Literal
+from math import ceil
+from typing import Annotated, Any, Literal, Protocol, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from drivers.clock import Clock, RealClock
 from drivers.dlp4500.controller import Controller
-from drivers.dlp4500.index import FlashIndex, checksum, shown_image
-from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES, Mode
-from drivers.dlp4500.sequence import (
-    LEAST_EXPOSURE_US,
-    PRELOADED_IMAGES,
-    SIZE,
-    Program,
-    Slot,
-    flash_program,
-    still,
-)
+from drivers.dlp4500.display import Display, SdlDisplay
+from drivers.dlp4500.in_flash import InFlash
+from drivers.dlp4500.index import shown_image
+from drivers.dlp4500.on_video import OnVideo
+from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, SIZE
 from drivers.dlp4500.transport import Hid, Link, connect, hidapi
 from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Lattice
 from fpplab.devices import DeviceInfo, Projector, ProjectorCaps
-from fpplab.errors import CapabilityError, ConfigError, DeviceError, SettingError, SyncError
 from fpplab.patterns import Pattern
 
 Level = Annotated[int, Field(ge=0, le=255)]
@@ -65,15 +59,23 @@ class PatternTriggerOut(TriggerOut):
     falling_us: Delay = 0.0
 
 
+class VideoPort(Document):
+    """What is plugged into the video port. display: number or name of the computer's display."""
+
+    display: Annotated[int, Field(ge=0)] | str
+
+
 class Options(Document):
     """The projector's section in a rig file.
 
-    flash: the index of what is in flash. serial: where several are connected. leds: those that light the
-    patterns. led_inverted: the board takes 255 for off, as the evaluation module does. checks_echo: answers
-    must bear the number of their question; to be turned off for a board that does not do so.
+    flash: the index of what is in flash; video: the display that sends patterns; one of both. serial: where
+    several are connected. leds: those that light the patterns. led_inverted: the board takes 255 for off, as
+    the evaluation module does. checks_echo: answers must bear the number of their question; to be turned off
+    for a board that does not do so.
     """
 
-    flash: str
+    flash: str | None = None
+    video: VideoPort | None = None
     serial: str | None = None
     leds: Annotated[tuple[Literal["red", "green", "blue"], ...], Field(min_length=1)] = (
         "red",
@@ -86,24 +88,56 @@ class Options(Document):
     trigger_out_2: TriggerOut = TriggerOut()
     checks_echo: bool = True
 
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.flash is None and self.video is None:
+            raise ValueError("'flash' or 'video' is missing: where the patterns are")
+        if self.flash is not None and self.video is not None:
+            raise ValueError("'flash' and 'video' are both there: patterns are in one of them")
+        return self
+
+
+class Storage(Protocol):
+    """Where the patterns are, and how they get onto the mirrors."""
+
+    @property
+    def depths(self) -> set[int]:
+        """The bit depths that can be shown; known once open."""
+
+    def open(self, board: Controller) -> None:
+        """Make ready, from the dark, and put the projector into pattern mode."""
+
+    def close(self) -> None:
+        """Let go of it; legal at any time, any number of times."""
+
+    def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
+        """Take patterns as they will be shown, or refuse them and keep those before."""
+
+    def show(self, board: Controller, i: int) -> None:
+        """Show one until told otherwise."""
+
+    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+        """Show all once, with darkness behind each; returns once that has begun, or is over."""
+
+    def check_played(self, board: Controller) -> None:
+        """After the end: raise `SyncError` unless all was shown that was to be."""
+
 
 class Dlp4500(Projector):
-    """A LightCrafter 4500 that shows what is in its flash.
+    """A LightCrafter 4500 that shows what is in its flash, or what a display sends it.
 
-    It opens the device through hidapi, or through what the rig's bench gives as `hid` and `clock`.
+    It opens the device through hidapi and the display through SDL, or what the rig's bench gives as `hid`,
+    `display` and `clock`.
     """
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._options = config.validate(options, Options, self.name)
-        self._index = config.load(self._options.flash, FlashIndex)
         self._hid: Hid | None = getattr(bench, "hid", None)
         self._clock: Clock = getattr(bench, "clock", None) or RealClock()
+        self._storage = self._make_storage(getattr(bench, "display", None))
         self._controller: Controller | None = None
 
     def _open(self) -> None:
-        self._slots: list[Slot] = []
-        self._load_us: dict[int, int] = {}
-        self._played = self._forced_before = False
         options = self._options
         wire, self._serial = connect(self._hid or hidapi(self.name), self.name, options.serial)
         link = Link(wire, self._clock, self.name, options.checks_echo)
@@ -113,8 +147,7 @@ class Dlp4500(Projector):
             controller.wake()
         controller.check_health()
         controller.go_dark()
-        controller.show_mode(Mode.PATTERN)
-        self._check_flash(controller)
+        self._storage.open(controller)
         controller.plain()
         controller.set_led_levels(options.led_levels.model_dump(), options.led_inverted)
         first, second = options.trigger_out_1, options.trigger_out_2
@@ -123,103 +156,48 @@ class Dlp4500(Projector):
 
     def _close(self) -> None:
         controller, self._controller = self._controller, None
-        if controller is None:
-            return
-        try:
-            controller.go_dark()
-        finally:
-            controller.link.close()
+        with ExitStack() as ends:  # each whatever becomes of those before
+            ends.callback(self._storage.close)
+            if controller is not None:
+                ends.callback(controller.link.close)
+                controller.go_dark()
 
     def _info(self) -> DeviceInfo:
-        with self._dark_on_failure() as board:
+        board = self._board
+        with board.dark_on_failure():
             model = f"DLP LightCrafter 4500, firmware {board.version()} {board.tag()}"
         return DeviceInfo("projector", model.strip(), self._serial, "USB HID")
 
     def _caps(self) -> ProjectorCaps:
-        depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._index.depths)}
+        depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
         return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES)
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]
-        slots = [self._find(pattern) for pattern in shown]
-        changes = 1 + sum(a.image != b.image for a, b in pairwise(slots))
-        if changes > PRELOADED_IMAGES:
-            with self._dark_on_failure() as board:
-                for image in {slot.image for slot in slots} - set(self._load_us):
-                    self._load_us[image] = board.load_us(image)
-        self._program(slots, max(LEAST_EXPOSURE_US[slot.bits] for slot in slots))
-        self._slots = slots
+        self._storage.load(self._board, shown)
+        self._board.go_dark()  # what is still on show gives pulses: an armed camera would take them
         return shown
 
     def _show(self, i: int) -> None:
-        slot = self._slots[i]
-        with self._dark_on_failure() as board:
-            self._run(board, still(slot, LEAST_EXPOSURE_US[slot.bits], self._options.leds))
+        self._storage.show(self._board, i)
 
-    def _play(self, exposure_s: float) -> None:
-        program = self._program(self._slots, round(exposure_s * 1e6))
-        with self._dark_on_failure() as board:
-            self._forced_before = board.has_forced_swap()
-            self._run(board, program)
-        self._played = True
+    def _play(self, exposure_s: float, dark_s: float) -> None:
+        self._storage.play(self._board, round(exposure_s * 1e6), ceil(dark_s * 1e6))
 
     def _blank(self) -> None:
         self._board.go_dark()
-        played, self._played = self._played, False
-        if played and not self._forced_before and self._board.has_forced_swap():
-            raise SyncError(
-                self.name,
-                "play",
-                "an image was not loaded in time, and an old one was shown in its place",
-                "expose longer, or put the patterns into fewer images",
-            )
+        self._storage.check_played(self._board)
+
+    def _make_storage(self, display: Display | None) -> Storage:
+        """The flash by its index, or the video port by the bench's display or the rig file's."""
+        options = self._options
+        if options.video is None:
+            assert options.flash is not None
+            return InFlash(self.name, options.flash, options.leds)
+        display = display or SdlDisplay(self.name, options.video.display)
+        return OnVideo(self.name, display, self._clock, options.leds)
 
     @property
     def _board(self) -> Controller:
         assert self._controller is not None, "hooks are called on an open device"
         return self._controller
-
-    @contextmanager
-    def _dark_on_failure(self) -> Iterator[Controller]:
-        """The controller, to talk to; a failure leaves the projector dark at once."""
-        try:
-            yield self._board
-        except BaseException as error:
-            try:
-                self._board.go_dark()
-            except DeviceError as still_lit:
-                error.add_note(f"and it could not be made dark: {still_lit}")
-            raise
-
-    @staticmethod
-    def _run(board: Controller, program: Program) -> None:
-        """No light but from the start on: should the cable be lost before, nobody could put it out."""
-        board.leds_off()
-        board.prepare(program)
-        board.start(program)
-
-    def _program(self, slots: Sequence[Slot], exposure_us: int) -> Program:
-        try:
-            return flash_program(slots, exposure_us, self._options.leds, load_us=self._load_us)
-        except ValueError as error:
-            raise SettingError(self.name, "load", str(error), "change the plan") from error
-
-    def _find(self, pattern: Pattern) -> Slot:
-        found = self._index.find(pattern.id, pattern.bit_depth, checksum(pattern.image))
-        if found is None:
-            raise CapabilityError(
-                self.name,
-                "load",
-                f"the flash does not hold pattern {pattern.id}, {pattern.bit_depth} bits, as it is planned",
-                "build the plan's image and upload it",
-            )
-        return found.slot
-
-    def _check_flash(self, controller: Controller) -> None:
-        """The index must not name images that the flash has not; the count cannot tell 256 from 0."""
-        count = controller.images_in_flash() or 256
-        last = max(pattern.image for pattern in self._index.patterns)
-        if last >= count:
-            raise ConfigError(
-                f"{self._options.flash}: 'image' is {last}: the projector has images 0 to {count - 1}"
-            )

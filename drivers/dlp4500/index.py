@@ -10,6 +10,7 @@ projector shows them. So a plan whose patterns are not the ones in flash is refu
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -63,6 +64,12 @@ class FlashIndex(Document):
     """Everything that is in flash."""
 
     patterns: Annotated[tuple[FlashPattern, ...], Field(min_length=1)]
+
+    @classmethod
+    def of(cls, patterns: Sequence[Pattern], slots: Sequence[Slot]) -> FlashIndex:
+        """The index of patterns that are put into these places."""
+        places = zip(patterns, slots, strict=True)
+        return cls(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
 
     @property
     def depths(self) -> set[int]:

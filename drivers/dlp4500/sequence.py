@@ -52,17 +52,23 @@ _STARTS = {
 """By bit depth: the lowest plane of each pattern number."""
 
 
+def numbers(depth: int) -> range:
+    """The pattern numbers of a depth. Raises `ValueError` for one that there is not."""
+    if depth not in _STARTS:
+        raise ValueError(f"depth is {depth}: 1 to 8")
+    return range(len(_STARTS[depth]))
+
+
 def planes(depth: int, number: int) -> range:
     """The bit planes of pattern `number`, least significant first; 0 … 7 green, 8 … 15 red, 16 … 23 blue.
 
     Empty for solid black. Raises `ValueError` for a depth or number that there is not.
     """
-    if depth not in _STARTS:
-        raise ValueError(f"depth is {depth}: 1 to 8")
+    numbered = numbers(depth)
     if depth == 1 and number == SOLID:
         return range(0)
-    if not 0 <= number < len(_STARTS[depth]):
-        raise ValueError(f"pattern number is {number}: 0 to {len(_STARTS[depth]) - 1} with {depth} bits")
+    if number not in numbered:
+        raise ValueError(f"pattern number is {number}: 0 to {len(numbered) - 1} with {depth} bits")
     start = _STARTS[depth][number]
     return range(start, start + depth)
 
@@ -150,11 +156,13 @@ def flash_program(
     leds: tuple[str, ...] = COLOURS,
     repeat: bool = False,
     load_us: Mapping[int, int] | None = None,
+    dark_us: int = 0,
 ) -> Program:
     """Patterns from flash, shown in the order of `slots`, each with a pulse on trigger output 1.
 
     load_us: how long each flash image takes to load; needed as soon as more than two are swapped in. Where
-    one would come too late all periods are prolonged, so that dark follows each pattern.
+    one would come too late all periods are prolonged, so that dark follows each pattern. dark_us: how much
+    must follow it in any case.
     Raises `ValueError` for an exposure or number out of range.
     """
     entries: list[Entry] = []
@@ -165,7 +173,7 @@ def flash_program(
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
-    least = _least_period_us(slots, load_us or {}, repeat)
+    least = max(exposure_us + dark_us, _least_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH, tuple(entries), tuple(images), exposure_us, period_us(exposure_us, least), repeat
     )
@@ -174,9 +182,13 @@ def flash_program(
 
 
 def video_program(
-    slots: Sequence[Slot], exposure_us: int, vsync_us: int, leds: tuple[str, ...] = COLOURS
+    slots: Sequence[Slot],
+    exposure_us: int,
+    vsync_us: int,
+    leds: tuple[str, ...] = COLOURS,
+    repeat: bool = False,
 ) -> Program:
-    """Patterns from the video port, repeated; `slots` name consecutive frames by their `image`.
+    """Patterns from the video port; `slots` name consecutive frames by their `image`.
 
     The first pattern of a frame waits for the frame; the exposures of a frame must fit into `vsync_us`.
     Raises `ValueError` when they do not, or an exposure or number is out of range.
@@ -192,7 +204,7 @@ def video_program(
             planes(slot.bits, slot.number)
             trigger = Trigger.NONE if k else Trigger.RISING
             entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
-    program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, True)
+    program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)
     check(program)
     return program
 

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 
 from drivers.clock import SteppedClock
-from drivers.dlp4500.index import FlashIndex
+from drivers.dlp4500.index import FlashIndex, checksum
 from drivers.dlp4500.sequence import SIZE, Slot
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, FlashImage, Light, Pulse
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, Light, Pulse
 from fpplab.conventions import Lattice
 from fpplab.devices import Trigger
 from fpplab.errors import TimeoutError
@@ -23,14 +23,37 @@ from tests.drivers.projector_bench import packed
 
 FLASH = "flash.yaml"
 FEWER_BITS = (1, 4, 7)
+FRAME_S = 1 / 30
+"""Of the video port: long enough for the plan's exposure and the camera's readout."""
+
+
+@cache
+def planned() -> list[Pattern]:
+    """The patterns of the tests' plan."""
+    return make_patterns(Plan(fringes=(FLAT, COLUMNS, ROWS)), SIZE, Lattice.DIAMOND)
 
 
 @cache
 def flash() -> tuple[list[FlashImage], FlashIndex]:
-    """What the projector holds: the patterns of the tests' plan, and a ramp of fewer bits."""
-    patterns = make_patterns(Plan(fringes=(FLAT, COLUMNS, ROWS)), SIZE, Lattice.DIAMOND)
-    ramp = patterns[FLAT.steps]
-    return packed([*patterns, *(replace(ramp, bit_depth=bits) for bits in FEWER_BITS)])
+    """What the projector holds: the plan's, and a ramp of fewer bits."""
+    ramp = planned()[FLAT.steps]
+    return packed([*planned(), *(replace(ramp, bit_depth=bits) for bits in FEWER_BITS)])
+
+
+def shown(light: Light | None, index: FlashIndex) -> Pattern | None:
+    """What is in the light, coarse as the reference camera sees it, and by the name it has in flash."""
+    if light is None or light.image is None:
+        return None
+    slot = Slot(light.image, light.number, light.depth)
+    name = next(pattern.id for pattern in index.patterns if pattern.slot == slot)
+    return coarse(light, name)
+
+
+def coarse(light: Light, name: str) -> Pattern:
+    """Light as the reference camera sees it."""
+    width, height = PROJECTOR_SIZE
+    columns, rows = np.arange(width) * SIZE[0] // width, np.arange(height) * SIZE[1] // height
+    return Pattern(name, light.grey[np.ix_(rows, columns)])
 
 
 class LightCrafterBench(ReferenceBench):
@@ -44,19 +67,29 @@ class LightCrafterBench(ReferenceBench):
         self.hid = EmulatedHid(self.controller)
         self.caught: deque[Pattern | None] = deque()
 
-    def shown(self, light: Light | None) -> Pattern | None:
-        """What is in the light, coarse as the reference camera sees it, and by the name it has in flash."""
-        if light is None or light.image is None:
-            return None
-        slot = Slot(light.image, light.number, light.depth)
-        name = next(pattern.id for pattern in self.index.patterns if pattern.slot == slot)
-        width, height = PROJECTOR_SIZE
-        columns, rows = np.arange(width) * SIZE[0] // width, np.arange(height) * SIZE[1] // height
-        return Pattern(name, light.grey[np.ix_(rows, columns)])
+    def seen(self, light: Light | None) -> Pattern | None:
+        """What a camera sees of it."""
+        return shown(light, self.index)
 
     def _pulsed(self, pulse: Pulse) -> None:
         if pulse.output == 1:
-            self.caught.append(self.shown(self.controller.light_at(pulse.rise_s)))
+            self.caught.append(self.seen(self.controller.light_at(pulse.rise_s)))
+
+
+class VideoBench(LightCrafterBench):
+    """The same with a computer's `display` on the projector's video port."""
+
+    def open(self) -> None:
+        super().open()
+        self.display = EmulatedDisplay(self.controller, FRAME_S)
+
+    def seen(self, light: Light | None) -> Pattern | None:
+        """What a camera sees of it, by name where only one pattern of the plan looks so."""
+        if light is None or light.image is None:
+            return None
+        sha256 = checksum(light.grey)
+        names = [p.id for p in self.index.patterns if (p.bits, p.sha256) == (light.depth, sha256)]
+        return coarse(light, names[0] if len(names) == 1 else "")
 
 
 class WatchingCamera(ReferenceCamera):
@@ -71,7 +104,7 @@ class WatchingCamera(ReferenceCamera):
     def _exposed(self) -> Pattern | None:
         bench = self._bench
         if self._trigger == "software":
-            return bench.shown(bench.controller.light())
+            return bench.seen(bench.controller.light())
         while not bench.caught:
             due = bench.controller.sequencer.next_s
             if due is None:

@@ -174,6 +174,26 @@ def test_played_patterns_come_once_in_order_with_a_pulse_each(bench: Bench, proj
     assert bench.is_dark()
 
 
+@pytest.mark.parametrize(("dark_s", "found_s"), [(0.0301234, 0.030124), (1e-6, 231e-6)])
+def test_darkness_follows_each_pattern(
+    bench: Bench, projector: Dlp4500, dark_s: float, found_s: float
+) -> None:
+    """As long as asked for, or the least that the controller can."""
+    projector.load(bench.patterns)
+    bench.pulses.clear()
+    projector.play(EXPOSURE_S, dark_s)
+    for pattern in bench.patterns:
+        bench.clock.sleep(EXPOSURE_S / 2)
+        assert bench.grey() == grey_of(pattern)
+        bench.clock.sleep(EXPOSURE_S / 2 + found_s / 2)
+        assert bench.is_dark()
+        bench.clock.sleep(found_s / 2)
+    bench.controller.advance()
+    pulses = [pulse for pulse in bench.pulses if pulse.output == 1]
+    assert np.diff([pulse.rise_s for pulse in pulses]) == pytest.approx(EXPOSURE_S + found_s)
+    assert [pulse.fall_s - pulse.rise_s for pulse in pulses] == pytest.approx([EXPOSURE_S] * 6)
+
+
 @pytest.mark.parametrize("order", [(0, 5), (5, 0), (4, 1, 3), (2, 2, 2)])
 def test_any_order_of_two_images(bench: Bench, projector: Dlp4500, order: tuple[int, ...]) -> None:
     """Among them a table of two images, which the controller reads from its end."""
@@ -326,9 +346,9 @@ def test_equal_patterns_go_by_their_names(tmp_path: Path) -> None:
     with bench.projector() as projector:
         for i, name in enumerate("abc"):
             projector.load([flat(name, 9)])
-            assert projector._slots == [Slot(0, i)]
+            assert projector._storage._slots == [Slot(0, i)]
         projector.load([flat("other", 9)])
-        assert projector._slots == [Slot(0, 0)]
+        assert projector._storage._slots == [Slot(0, 0)]
 
 
 def test_an_index_beyond_the_flash(bench: Bench) -> None:
@@ -353,6 +373,18 @@ def test_an_index_beyond_the_flash(bench: Bench) -> None:
 def test_wrong_options(bench: Bench, options: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         bench.projector(**options)
+
+
+def test_a_new_load_ends_what_was_on_show(bench: Bench, projector: Dlp4500) -> None:
+    """Its pulses would reach a camera that is armed for what comes next."""
+    projector.load(bench.patterns)
+    projector.show(3)
+    projector.load(bench.patterns[:2])
+    assert bench.is_dark()
+    bench.pulses.clear()
+    bench.clock.sleep(1.0)
+    bench.controller.advance()
+    assert not bench.pulses
 
 
 def test_too_many_changes_of_image(bench: Bench, projector: Dlp4500) -> None:
@@ -451,15 +483,16 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     board = projector._board
     with pytest.raises(TimeoutError, match="no signal is locked on the video port"):
         board.select_video()
-    bench.controller.video = Video(bench.controller.images)
+    green, red, blue = np.moveaxis(bench.controller.images[0], 2, 0)
+    bench.controller.video = Video(np.stack([red, green, blue], 2))
     board.select_video()
     assert bench.controller._registers[protocol.INPUT_SOURCE.number] == {"source": 0, "width": 1}
-    program = video_program([Slot(0, 0), Slot(0, 2), Slot(1, 1)], 8333, 16_667)
+    program = video_program([Slot(0, 0), Slot(0, 2)], 8333, 16_667, repeat=True)
     board.prepare(program)
     board.start(program)
     frame_s = bench.controller.video.vsync_s
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
-    assert watched(bench, 3, 8333e-6)[:2] == [grey_of(bench.patterns[i]) for i in (0, 2)]
+    assert watched(bench, 4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]
     assert bench.controller.sequencer.state is Run.START
     board.show_mode(Mode.VIDEO)
     assert bench.controller.sequencer.state is Run.STOP

@@ -193,7 +193,8 @@ def test_frames_from_the_video_port() -> None:
     shown = video_program(frames, 4500, 16_667)
     assert [entry.trigger for entry in shown.entries] == [1, 3, 3, 1]
     assert [entry.swap for entry in shown.entries] == [True, False, False, True]
-    assert (shown.source, shown.trigger_mode, shown.images, shown.repeat) == (0, 0, (), True)
+    assert (shown.source, shown.trigger_mode, shown.images, shown.repeat) == (0, 0, (), False)
+    assert video_program(frames, 4500, 16_667, repeat=True).repeat
     many = video_program([Slot(i, 0) for i in range(129)], 8333, 16_667)
     assert many.trigger_mode is TriggerMode.VSYNC_VARIABLE
 

@@ -8,9 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dlp4500.sequence import planes
-from drivers.emulators.dlpc350 import Fault, Policy, Video
+from drivers.emulators.dlpc350 import EmulatedDisplay, Fault, Policy, Video
 from drivers.emulators.dlpc350.light import grey
-from tests.drivers.dlpc350_host import ERROR, FLASH, OK, Host
+from tests.drivers.dlpc350_host import ERROR, OK, Host, flat
+
+FRAME = flat(1, 2, 3)
+"""Red 1, green 2, blue 3."""
+FRAME_S = 1 / 60
 
 
 @pytest.fixture
@@ -73,18 +77,99 @@ def test_without_a_video_signal_vsync_sequences_do_not_run(host: Host) -> None:
     host.write("1a22 00")
     host.sequence(entries="017804 077800", mode="00", exposure_us=8333, period_us=8333)
     assert host.validate() & 1, "no frame is long enough"
-    host.controller.video = Video(FLASH)
+    host.controller.video = Video(FRAME)
     assert host.read("071c")[0] & 3 == 2
     assert host.validate() == 0
     host.write("1a24 02")
+    assert not host.running, "the signal came after pattern mode"
+    through_video_mode(host)
+    assert host.validate() == 0
+    host.write("1a24 02")
     assert host.running
-    host.clock.sleep(1 / 60 - host.clock.now() % (1 / 60))
-    assert host.greys(4, 1 / 120)[:2] in ([1, 2], [11, 12], [21, 22], [31, 32])
+    to_the_next_vsync(host)
+    assert host.greys(4, 1 / 120) == [2, 1, 2, 1]
     host.controller.video.locked = False
     host.write("1a24 00")
     host.write("1a24 02")
     assert not host.running
     assert host.read("1a0a") == b"\x41"
+
+
+def through_video_mode(host: Host) -> None:
+    host.write("1a1b 00")
+    host.clock.sleep(1.0)
+    host.pattern_mode()
+
+
+def to_the_next_vsync(host: Host) -> None:
+    host.clock.sleep(FRAME_S - host.clock.now() % FRAME_S)
+
+
+def run_from_video(host: Host, entries: str, exposure_us: int, repeat: int) -> None:
+    """Pattern mode from a port whose signal is there, and a sequence that begins at the next VSYNC."""
+    host.pattern_mode()
+    host.write("1a22 00")
+    times = {"exposure_us": exposure_us, "period_us": exposure_us}
+    host.run(entries=entries, mode="00", repeat=repeat, **times)
+    to_the_next_vsync(host)
+
+
+def test_without_the_policy_a_signal_may_come_later() -> None:
+    host = Host(Policy(needs_lock_before_pattern_mode=False))
+    host.pattern_mode()
+    host.controller.video = Video(FRAME)
+    host.write("1a22 00")
+    host.run(entries="017804", mode="00", exposure_us=8333, period_us=8333)
+    assert host.running
+
+
+@pytest.mark.parametrize("names_the_input", [True, False])
+@pytest.mark.parametrize(
+    ("swap", "inputs", "outputs"),
+    [
+        ("00", [1, 2, 3], [1, 2, 3]),
+        ("01", [3, 1, 2], [2, 3, 1]),
+        ("02", [2, 3, 1], [3, 1, 2]),
+        ("03", [1, 3, 2], [1, 3, 2]),
+        ("04", [2, 1, 3], [2, 1, 3]),
+        ("05", [3, 2, 1], [3, 2, 1]),
+    ],
+)
+def test_a_channel_swap_permutes_the_patterns_of_a_frame(
+    swap: str, inputs: list[int], outputs: list[int], names_the_input: bool
+) -> None:
+    """Greys of patterns 0, 1, 2; the board's 04 gives green, red, blue."""
+    host = Host(Policy(swap_names_the_input=names_the_input))
+    host.controller.video = Video(FRAME, 3 * FRAME_S)
+    host.write(f"1a37 {swap}")
+    host.pattern_mode()
+    host.write("1a22 00")
+    host.run(entries="017804 077800 0b7800", mode="00", exposure_us=16_000, period_us=16_000)
+    host.clock.sleep(3 * FRAME_S - host.clock.now() % (3 * FRAME_S))
+    assert host.greys(3, 0.016) == (inputs if names_the_input else outputs)
+
+
+def test_a_frame_begins_with_the_next_vsync_and_a_running_sequence_takes_it(host: Host) -> None:
+    display = EmulatedDisplay(host.controller, FRAME_S)
+    display.open()
+    run_from_video(host, "017804", 16_666, repeat=1)
+    assert host.greys(2, FRAME_S) == [0, 0]
+    display.show(flat(10, 20, 30))
+    now = host.clock.now()
+    assert now == pytest.approx(round(now / FRAME_S) * FRAME_S, abs=1e-8)
+    assert host.greys(3, FRAME_S) == [20, 20, 20]
+    display.close()
+    assert host.greys(1, FRAME_S) == [128], "the desktop"
+
+
+def test_a_sequence_that_has_ended_keeps_the_frame_that_it_took(host: Host) -> None:
+    display = EmulatedDisplay(host.controller, FRAME_S)
+    display.show(FRAME)
+    run_from_video(host, "017804 077800", 8333, repeat=0)
+    assert host.greys(2, 1 / 120) == [2, 1]
+    display.show(flat(10, 20, 30))
+    assert not host.running
+    assert host.grey() == 1
 
 
 # --- modes, power, light

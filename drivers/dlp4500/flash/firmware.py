@@ -11,15 +11,15 @@ Source: TI's DLPC350 client. Read by decoders of ours and of TI; nothing here ha
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.flash.compression import Compressed, Pixels, compress, repeats_by_lines
+from drivers.dlp4500.flash.compression import Compressed, compress, repeats_by_lines
+from drivers.dlp4500.packing import packed
 from drivers.dlp4500.sequence import SIZE, Slot
 from fpplab.errors import ConfigError, DataError
 from fpplab.patterns import Pattern
@@ -42,6 +42,9 @@ _UNUSED = 0xFFFFFFFF
 
 PER_IMAGE = 3
 """Patterns of 8 bits in an image: in green, red and blue."""
+
+STORED = (2, 1, 0)
+"""Pixels are stored blue, red, green."""
 
 BIT_DEPTH = 8
 MOST_IMAGES = 256
@@ -129,7 +132,10 @@ class Firmware:
                 f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MOST_IMAGES}"
             )
         start = self.behind_program
-        splash = splash_area([compress(image) for image in packed(patterns, slots)], memory.ADDRESS + start)
+        splash = splash_area(
+            [compress(np.ascontiguousarray(image[..., STORED])) for image in packed(patterns, slots)],
+            memory.ADDRESS + start,
+        )
         if start + len(splash) > memory.SIZE:
             raise ConfigError(
                 f"{len(patterns)} patterns take {len(splash)} bytes of flash and {memory.SIZE - start} are "
@@ -173,20 +179,6 @@ def arranged(patterns: Sequence[Pattern]) -> list[Slot]:
         slots.append(Slot(image, number, BIT_DEPTH))
         number += 1
     return slots
-
-
-def packed(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Pixels]:
-    """The images: pattern number 0 in green, 1 in red, 2 in blue, black where there is none.
-
-    Pixels are stored blue, red, green: uint8 (1140, 912, 3).
-    """
-    width, height = SIZE
-    placed = zip(patterns, slots, strict=True)
-    for _, group in groupby(placed, key=lambda pair: pair[1].image):
-        image = np.zeros((height, width, PER_IMAGE), np.uint8)
-        for pattern, slot in group:
-            image[..., PER_IMAGE - 1 - slot.number] = pattern.image
-        yield image
 
 
 def _check(patterns: Sequence[Pattern]) -> None:

@@ -3,15 +3,17 @@
 Documented behaviour, apart from what `Policy` names; it proves drivers, it is no evidence about a board.
 """
 
-from drivers.emulators.dlpc350.firmware import Dlpc350, Video
+from drivers.emulators.dlpc350.firmware import Dlpc350
 from drivers.emulators.dlpc350.light import FlashImage, Light
 from drivers.emulators.dlpc350.loader import FlashedDlpc350
 from drivers.emulators.dlpc350.policy import Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 from drivers.emulators.dlpc350.usb import EmulatedHid, Fault
+from drivers.emulators.dlpc350.video import EmulatedDisplay, Video
 
 __all__ = [
     "Dlpc350",
+    "EmulatedDisplay",
     "EmulatedHid",
     "Fault",
     "FlashImage",

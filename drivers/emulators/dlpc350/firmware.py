@@ -7,12 +7,12 @@ It does what the maker's client, GUI and SDK show of the firmware; where they ar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.clock import Clock
 from drivers.dlp4500 import protocol
+from drivers.dlp4500.display import Frame
 from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, Message
 from drivers.dlp4500.protocol import (
     COLOURS,
@@ -37,21 +37,14 @@ from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUE
 from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, Tables, delay_s
 from drivers.emulators.dlpc350.tables import PatternTables
 from drivers.emulators.dlpc350.validation import examine
+from drivers.emulators.dlpc350.video import Video, planes_of
 
+_VSYNC_MODES = (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
 _VARIABLE_MODES = (TriggerMode.INTERNAL_VARIABLE, TriggerMode.VSYNC_VARIABLE)
 
 
 class Refused(Exception):  # noqa: N818 - a message of the wire, no fault of the program
     """What is answered with the error bit."""
-
-
-@dataclass
-class Video:
-    """What is on the video port: locked frames, every `vsync_s` another."""
-
-    frames: Sequence[FlashImage]
-    vsync_s: float = 1 / 60
-    locked: bool = True
 
 
 def _dark() -> FlashImage:
@@ -61,6 +54,7 @@ def _dark() -> FlashImage:
 class Dlpc350:
     """The controller. images: what its flash holds. on_pulse: told of every trigger pulse.
 
+    video: what is plugged into its video port.
     on_restart: told how long the USB device stays away. executed: the numbers of the commands that it did.
     """
 
@@ -83,7 +77,9 @@ class Dlpc350:
 
     def restart(self) -> None:
         """As after switching it on."""
-        self.sequencer = Sequencer(self._tell)
+        self.sequencer = Sequencer(self._tell, self._take_frame)
+        self._frame: Frame | None = None
+        self._was_locked = False
         self._registers = power_on()
         self.asleep, self._awake_at_s = False, 0.0
         self._mode, self._next_mode = Mode.VIDEO, (Mode.VIDEO, 0.0)
@@ -105,6 +101,11 @@ class Dlpc350:
         if mode is not self._mode and now >= at_s:
             self._mode = mode
         self.sequencer.advance(now)
+
+    @property
+    def mode(self) -> Mode:
+        """What it displays by."""
+        return self._mode
 
     def light(self) -> Light | None:
         """What leaves the lens at this moment; None when it is dark.
@@ -129,6 +130,11 @@ class Dlpc350:
         content, entry = self._content(shown.image), shown.entry
         return self._lit(Light(content, entry["depth"], entry["pattern"], inverted, levels, shown.image))
 
+    @property
+    def inverts_output_1(self) -> bool:
+        """Whether trigger output 1 is low while a pattern is on."""
+        return bool(self._registers[protocol.TRIGGER_OUT_1.number]["inverted"])
+
     def trigger_in(self, number: int, rising: bool) -> None:
         """An edge on trigger input 1 or 2."""
         self.sequencer.trigger_in(number, rising, self.clock.now())
@@ -150,7 +156,17 @@ class Dlpc350:
     def _content(self, image: int) -> FlashImage:
         if self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH:
             return self.images[image] if image < len(self.images) else _dark()
-        return self.video.frames[image % len(self.video.frames)] if self.video else _dark()
+        if self._frame is None:
+            return _dark()
+        swap = self._registers[protocol.CHANNEL_SWAP.number]["swap"]
+        return planes_of(self._frame, swap, self.policy.swap_names_the_input)
+
+    def _take_frame(self, at_s: float) -> None:
+        """Keep what is on the video port, until the next one is taken."""
+        self._frame = self.video.at(at_s) if self.video else None
+
+    def _is_locked(self) -> bool:
+        return self.video is not None and self.video.locked
 
     # --- messages
 
@@ -259,7 +275,7 @@ class Dlpc350:
     def _video_signal(self) -> Values:
         assert isinstance(protocol.VIDEO_SIGNAL.returned, Record)
         found = dict.fromkeys((field.name for field in protocol.VIDEO_SIGNAL.returned.named), 0)
-        if self.video is not None and self.video.locked:
+        if self._is_locked():
             width, height = SIZE
             found |= {
                 "lock": protocol.LOCKED,
@@ -340,6 +356,7 @@ class Dlpc350:
     def _set_mode(self, values: Values) -> None:
         mode = Mode(values["mode"])
         if mode is not self._next_mode[0]:
+            self._was_locked = self._is_locked()
             self.sequencer.stop()
             self._dirty = True
             self._next_mode = (mode, self.clock.now() + self.policy.mode_change_s)
@@ -357,8 +374,8 @@ class Dlpc350:
 
     def _start(self, now: float) -> None:
         tables = self._sequence()
-        video = tables.mode in (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
-        no_signal = video and (self.video is None or not self.video.locked)
+        locked = self._is_locked() and (self._was_locked or not self.policy.needs_lock_before_pattern_mode)
+        no_signal = tables.mode in _VSYNC_MODES and not locked
         unfit = not tables.entries or any(period <= 0 for _, period in tables.times)
         self._aborted = (self._dirty and self.policy.needs_validation) or no_signal or unfit
         if not self._aborted:

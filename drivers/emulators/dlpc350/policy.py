@@ -20,6 +20,10 @@ class Policy:
     needs_validation: a start after unvalidated changes leaves it stopped and sets the abort flag.
     validation_polls: how often a validation reads busy before it gives its answer.
     accepts_a_gap_of_230_us: of a period over its exposure, exactly.
+    needs_lock_before_pattern_mode: patterns from the video port run only if its signal was locked when
+    pattern mode was ordered.
+    swap_names_the_input: of a channel swap's letters the k-th is the input that goes to channel k; otherwise
+    the channel that input k goes to. The board's own setting is the same either way.
     mode_change_s: how long the display mode takes to change.
     wake_s: how long the controller takes to leave standby.
     loses_wake_acknowledgement: that of the order to wake is not sent.
@@ -39,6 +43,8 @@ class Policy:
     needs_validation: bool = True
     validation_polls: int = 3
     accepts_a_gap_of_230_us: bool = False
+    needs_lock_before_pattern_mode: bool = True
+    swap_names_the_input: bool = True
     mode_change_s: float = 0.2
     wake_s: float = 2.0
     loses_wake_acknowledgement: bool = False

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, Run, Trigger, TriggerMode, Values
 
 LEAD_S = 1e-9
-"""A frame that comes this much too early by rounding alone still counts."""
+"""A frame or an image that is awaited this much too early, by rounding alone, is there."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +74,16 @@ def divided(entries: Sequence[Values], times: Sequence[tuple[float, float]]) -> 
 
 
 class Sequencer:
-    """Runs one set of tables. on_pulse: told of every pulse.
+    """Runs one set of tables. on_pulse: told of every pulse. on_frame: told when a video frame is taken.
 
     state: what was ordered last. running: whether patterns really follow each other. forced_swap: an image
     was not loaded when its turn came, and the old one was shown.
     """
 
-    def __init__(self, on_pulse: Callable[[Pulse], None]) -> None:
-        self._on_pulse = on_pulse
+    def __init__(
+        self, on_pulse: Callable[[Pulse], None], on_frame: Callable[[float], None] = lambda at_s: None
+    ) -> None:
+        self._on_pulse, self._on_frame = on_pulse, on_frame
         self.state, self.running, self.forced_swap = Run.STOP, False, False
         self.shown: Shown | None = None
         self._tables: Tables | None = None
@@ -113,6 +115,11 @@ class Sequencer:
         """Do what was due until now."""
         while self.running and self._next_s is not None and self._next_s <= now:
             self._step(self._next_s)
+
+    @property
+    def tables(self) -> Tables | None:
+        """What it runs by, or ran by last; None before the first start."""
+        return self._tables
 
     @property
     def next_s(self) -> float | None:
@@ -200,10 +207,11 @@ class Sequencer:
         """Take the next image, unless it is not loaded: then the old one stays and a flag is set."""
         if not tables.images:  # video frames come by themselves
             self._image = self._swaps
+            self._on_frame(at_s)
         else:
             image = tables.images[self._swaps % len(tables.images)]
             preloaded = len(tables.images) <= 2 or self._swaps == 0
-            if preloaded or at_s - self._last_swap_s >= tables.load_s[image]:
+            if preloaded or at_s - self._last_swap_s >= tables.load_s[image] - LEAD_S:
                 self._image = image
             else:
                 self.forced_swap = True

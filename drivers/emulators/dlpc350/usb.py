@@ -135,6 +135,10 @@ class EmulatedDevice:
             self._clock.sleep(due - now)
         return list(heapq.heappop(self._outgoing)[2][:max_length])
 
+    def has_report(self) -> bool:
+        """Whether one can be read without waiting."""
+        return self._is_alive() and bool(self._outgoing) and self._outgoing[0][0] <= self._clock.now()
+
     def _is_alive(self) -> bool:
         return self._plug == self._hid.plugs and self._hid.is_plugged
 

@@ -1,0 +1,149 @@
+"""The video port: a display of this computer on which one frame at a time stands still.
+
+Proven with SDL's dummy display and under a virtual X server only: no projector has shown a frame of it yet.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from multiprocessing.shared_memory import SharedMemory
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.dlp4500 import screen
+from drivers.dlp4500.sequence import SIZE
+from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+
+START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
+"""How long the process may take to open the display, to put a frame up, and to end."""
+
+Frame = NDArray[np.uint8]
+"""(height, width, 3): red, green, blue."""
+
+
+class Display(Protocol):
+    """What the projector's video port is connected to.
+
+    vsync_s: period of its frames in s, known once open.
+    """
+
+    vsync_s: float
+
+    def open(self) -> None:
+        """Take the display, and show black. Raises `DeviceError` when that cannot be."""
+
+    def show(self, frame: Frame) -> None:
+        """Put up one frame, uint8 (1140, 912, 3); returns when it is certainly on the wire, and stays.
+
+        Raises `DeviceError`.
+        """
+
+    def close(self) -> None:
+        """Let go of it; legal at any time, any number of times."""
+
+
+class SdlDisplay:
+    """A display through SDL: full screen, pixel by pixel, in a process of its own.
+
+    SDL must have a process's main thread. Frames go to it over shared memory.
+
+    name: the projector's, for errors. wanted: index or name of the display. size: what it must have.
+    """
+
+    def __init__(self, name: str, wanted: int | str, size: tuple[int, int] = SIZE) -> None:
+        self._name, self._wanted = name, wanted
+        self._shape = (size[1], size[0], 3)
+        self.vsync_s = 0.0
+        self._process: BaseProcess | None = None
+        self._connection: Connection | None = None
+        self._memory: SharedMemory | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process, or None when there is none."""
+        return self._process.pid if self._process is not None else None
+
+    def open(self) -> None:
+        """Start the process and wait for the display.
+
+        Raises `DeviceError` when there is no such display, or it has another size (with a list of those there
+        are), or cannot be locked to; `DisconnectedError` and `TimeoutError` for the process.
+        """
+        self.close()
+        height, width, _ = self._shape
+        context = multiprocessing.get_context("spawn")  # SDL and threads do not survive a fork
+        self._connection, theirs = context.Pipe()
+        self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
+        try:
+            self._process = context.Process(
+                target=screen.serve,
+                args=(theirs, self._memory.name, self._wanted, (width, height)),
+                name="display",
+                daemon=True,
+            )
+            self._process.start()
+        finally:
+            theirs.close()  # only theirs being open tells that the process lives
+        self.vsync_s = self._answer("open", START_S)
+
+    def show(self, frame: Frame) -> None:
+        """Put up one frame, uint8 (height, width, 3); returns when it is on the wire.
+
+        Raises `DeviceError` when it does not look as it should, `DisconnectedError` when the process has
+        died, `TimeoutError` when it hangs; after any of them the display is closed.
+        """
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"a frame is uint8 {self._shape}, not {frame.dtype} {frame.shape}")
+        if self._connection is None or self._memory is None:
+            raise DisconnectedError(self._name, "video", "its display is not open", "open it first")
+        np.copyto(np.ndarray(self._shape, np.uint8, self._memory.buf), frame)
+        with suppress(OSError):  # what it said before it went is still to be read
+            self._connection.send(screen.SHOW)
+        self._answer("video", SHOW_S)
+
+    def close(self) -> None:
+        """Let go of the display and end the process."""
+        if self._connection is not None:
+            self._connection.close()  # which ends the process
+        if self._process is not None and self._process.pid is not None:
+            self._process.join(STOP_S)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join()
+            self._process.close()
+        if self._memory is not None:
+            self._memory.close()
+            self._memory.unlink()
+        self._process = self._connection = self._memory = None
+
+    def _answer(self, doing: str, timeout_s: float) -> float:
+        """Wait for the process; anything but its answer, an interruption too, ends it."""
+        assert self._connection is not None
+        try:
+            if not self._connection.poll(timeout_s):
+                raise TimeoutError(
+                    self._name, doing, f"its display did not answer within {timeout_s:g} s", "try it again"
+                )
+            answer = self._connection.recv()
+            if isinstance(answer, screen.Failure):
+                raise DeviceError(self._name, doing, answer.found, answer.remedy)
+            return float(answer)
+        except (OSError, EOFError) as error:
+            raise self._dead(doing) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _dead(self, doing: str) -> DisconnectedError:
+        assert self._process is not None
+        self._process.join(STOP_S)
+        code = self._process.exitcode
+        self.close()
+        return DisconnectedError(
+            self._name, doing, f"the process of its display has died (exit code {code})", "open it again"
+        )

@@ -1,0 +1,107 @@
+"""Patterns that are in the projector's flash."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from drivers.dlp4500.controller import Controller
+from drivers.dlp4500.index import FlashIndex, checksum
+from drivers.dlp4500.protocol import Mode
+from drivers.dlp4500.sequence import (
+    LEAST_EXPOSURE_US,
+    PRELOADED_IMAGES,
+    Program,
+    Slot,
+    flash_program,
+    still,
+)
+from fpplab import config
+from fpplab.errors import CapabilityError, ConfigError, SettingError, SyncError
+from fpplab.patterns import Pattern
+
+
+class InFlash:
+    """What the flash holds by its index file.
+
+    name: the projector's, for errors. leds: those that light the patterns.
+    """
+
+    def __init__(self, name: str, index_file: str, leds: tuple[str, ...]) -> None:
+        self._name, self._file, self._leds = name, index_file, leds
+        self._index = config.load(index_file, FlashIndex)
+
+    @property
+    def depths(self) -> set[int]:
+        """The bit depths that there are."""
+        return self._index.depths
+
+    def open(self, board: Controller) -> None:
+        """Raises `ConfigError` when the index names images that the flash has not."""
+        self._slots: list[Slot] = []
+        self._load_us: dict[int, int] = {}
+        self._played = self._forced_before = False
+        board.show_mode(Mode.PATTERN)
+        count = board.images_in_flash() or 256  # which the count cannot tell from 0
+        last = max(pattern.image for pattern in self._index.patterns)
+        if last >= count:
+            raise ConfigError(f"{self._file}: 'image' is {last}: the projector has images 0 to {count - 1}")
+
+    def close(self) -> None:
+        """The flash keeps what it holds."""
+
+    def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
+        """Find each pattern.
+
+        Raises `CapabilityError` for one that is not there, `SettingError` for too many.
+        """
+        slots = [self._find(pattern) for pattern in patterns]
+        changes = 1 + sum(a.image != b.image for a, b in pairwise(slots))
+        if changes > PRELOADED_IMAGES:
+            with board.dark_on_failure():
+                for image in {slot.image for slot in slots} - set(self._load_us):
+                    self._load_us[image] = board.load_us(image)
+        self._program(slots, max(LEAST_EXPOSURE_US[slot.bits] for slot in slots))
+        self._slots = slots
+
+    def show(self, board: Controller, i: int) -> None:
+        """One pattern, again and again."""
+        slot = self._slots[i]
+        with board.dark_on_failure():
+            board.run(still(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
+
+    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+        """All patterns, one after the other, once."""
+        program = self._program(self._slots, exposure_us, dark_us)
+        with board.dark_on_failure():
+            self._forced_before = board.has_forced_swap()
+            board.run(program)
+        self._played = True
+
+    def check_played(self, board: Controller) -> None:
+        """Raise `SyncError` when an image came too late in what was played."""
+        played, self._played = self._played, False
+        if played and not self._forced_before and board.has_forced_swap():
+            raise SyncError(
+                self._name,
+                "play",
+                "an image was not loaded in time, and an old one was shown in its place",
+                "expose longer, or put the patterns into fewer images",
+            )
+
+    def _program(self, slots: Sequence[Slot], exposure_us: int, dark_us: int = 0) -> Program:
+        try:
+            return flash_program(slots, exposure_us, self._leds, load_us=self._load_us, dark_us=dark_us)
+        except ValueError as error:
+            raise SettingError(self._name, "load", str(error), "change the plan") from error
+
+    def _find(self, pattern: Pattern) -> Slot:
+        found = self._index.find(pattern.id, pattern.bit_depth, checksum(pattern.image))
+        if found is None:
+            raise CapabilityError(
+                self._name,
+                "load",
+                f"the flash does not hold pattern {pattern.id}, {pattern.bit_depth} bits, as it is planned",
+                "build the plan's image and upload it",
+            )
+        return found.slot

@@ -1,0 +1,123 @@
+"""Patterns that a display of the computer sends to the projector's video port.
+
+The display holds one frame still, and the projector takes what it needs from it. So neither has to keep up
+with the other: whatever delays a frame, no pattern is shown in place of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.dlp4500.controller import Controller
+from drivers.dlp4500.display import Display
+from drivers.dlp4500.packing import Planes, in_frames, packed
+from drivers.dlp4500.protocol import Mode
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, numbers, video_program
+from fpplab.errors import CapabilityError, SettingError
+from fpplab.patterns import Pattern
+
+RGB = (1, 0, 2)
+"""Of a pixel's colours, where planes have green, red, blue."""
+MOST_IN_FRAME = len(numbers(1))
+
+
+class OnVideo:
+    """What the computer has in memory.
+
+    name: the projector's, for errors. leds: those that light the patterns.
+    """
+
+    def __init__(self, name: str, display: Display, clock: Clock, leds: tuple[str, ...]) -> None:
+        self._name, self._display, self._clock, self._leds = name, display, clock, leds
+        self._patterns: Sequence[Pattern] = ()
+        self._slots: list[Slot] = []
+        self._up: int | None = None
+        """The frame that the display holds."""
+
+    @property
+    def depths(self) -> set[int]:
+        """The bit depths of which a frame is long enough for one pattern."""
+        return {bits for bits, least_us in LEAST_EXPOSURE_US.items() if least_us <= self._frame_us}
+
+    def open(self, board: Controller) -> None:
+        """Take the display, and follow its signal. Raises what `Display.open` and `select_video` do."""
+        self._display.open()
+        board.select_video()
+        board.show_mode(Mode.PATTERN)
+        self.load(board, ())
+
+    def close(self) -> None:
+        """Let go of the display."""
+        self._display.close()
+
+    def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
+        """Say which pattern will be in which frame."""
+        self._patterns, self._slots, self._up = patterns, in_frames(patterns, MOST_IN_FRAME), None
+
+    def show(self, board: Controller, i: int) -> None:
+        """One pattern in every frame, as long as it lasts."""
+        slot = self._slots[i]
+        program = video_program([slot], self._frame_us, self._frame_us, self._leds, repeat=True)
+        with board.dark_on_failure():
+            if slot.image != self._up:
+                self._put_up(slot.image)
+            board.run(program)
+            self._clock.sleep(self._display.vsync_s)  # it begins with a frame
+
+    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+        """All patterns, frame by frame: put it up, show once what is in it, wait until that has ended.
+
+        Raises `SettingError` for an exposure longer than a frame, `CapabilityError` for darkness.
+        """
+        if dark_us:
+            raise CapabilityError(
+                self._name,
+                "play",
+                "the video port has no dark between patterns, which a global reset needs",
+                "use flash, or a rolling shutter",
+            )
+        if exposure_us > self._frame_us:
+            raise SettingError(
+                self._name,
+                "play",
+                f"{exposure_us} µs for a pattern, and frames of the video port last {self._frame_us} µs",
+                "expose shorter, slow the display down, use flash, or use a stepped plan",
+            )
+        with board.dark_on_failure():
+            board.go_dark()
+            self._play_frames(board, exposure_us)
+
+    def check_played(self, board: Controller) -> None:
+        """Every frame was waited for already."""
+
+    @property
+    def _frame_us(self) -> int:
+        return int(self._display.vsync_s * 1e6)
+
+    def _play_frames(self, board: Controller, exposure_us: int) -> None:
+        slots = in_frames(self._patterns, self._frame_us // exposure_us)
+        groups = [list(group) for _, group in groupby(slots, lambda slot: slot.image)]
+        self._up, prepared = None, None
+        for frame, group in zip(packed(self._patterns, slots), groups, strict=True):
+            board.leds_off()
+            self._show_planes(frame)
+            program = video_program(group, exposure_us, self._frame_us, self._leds)
+            if program != prepared:
+                board.prepare(program)
+                prepared = program
+            board.start(program)
+            board.await_end(program)
+
+    def _put_up(self, image: int) -> None:
+        self._up = None
+        there = [i for i, slot in enumerate(self._slots) if slot.image == image]
+        chosen = slice(there[0], there[-1] + 1)
+        self._show_planes(next(packed(self._patterns[chosen], self._slots[chosen])))
+        self._up = image
+
+    def _show_planes(self, image: Planes) -> None:
+        self._display.show(np.ascontiguousarray(image[..., RGB]))

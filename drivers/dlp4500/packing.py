@@ -1,0 +1,51 @@
+"""Patterns into the 24 bit planes of an image, for flash and for the video port alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.dlp4500.index import shown_image
+from drivers.dlp4500.sequence import SIZE, Slot, numbers, planes
+from fpplab.patterns import Pattern
+
+Planes = NDArray[np.uint8]
+"""(1140, 912, 3): the planes of green, of red and of blue, in the order of their numbers."""
+
+
+def in_frames(patterns: Sequence[Pattern], most: int) -> list[Slot]:
+    """Where each pattern goes: in its order, to a frame as many of one depth as it holds, and `most`."""
+    slots: list[Slot] = []
+    for pattern in patterns:
+        image, number, bits = -1, 0, pattern.bit_depth
+        if slots:
+            image, number = slots[-1].image, slots[-1].number + 1
+        if not slots or bits != slots[-1].bits or number == min(most, len(numbers(bits))):
+            image, number = image + 1, 0
+        slots.append(Slot(image, number, bits))
+    return slots
+
+
+def packed(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Planes]:
+    """The images in their order, each pattern in the planes of its slot, black where there is none."""
+    width, height = SIZE
+    placed = zip(patterns, slots, strict=True)
+    for _, group in groupby(placed, key=lambda pair: pair[1].image):
+        image = np.zeros((height, width, 3), np.uint8)
+        for pattern, slot in group:
+            _put(image, shown_image(pattern), slot)
+        yield image
+
+
+def _put(image: Planes, levels: NDArray[np.uint8], slot: Slot) -> None:
+    """Write grey levels into the planes of one colour, or of two neighbours."""
+    wanted = planes(slot.bits, slot.number)
+    colour, shift = divmod(wanted.start, 8)
+    full = (1 << slot.bits) - 1
+    bits = np.rint(np.arange(256) * (full / 255.0)).astype(np.uint16) << shift
+    image[..., colour] |= (bits & 0xFF).astype(np.uint8)[levels]
+    if wanted.stop > 8 * (colour + 1):
+        image[..., colour + 1] |= (bits >> 8).astype(np.uint8)[levels]

@@ -1,0 +1,210 @@
+"""The process that has a display through SDL: frames come in shared memory, orders over a pipe.
+
+It ends when the other end of the pipe is closed, however that came about.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from ctypes import byref, c_int, create_string_buffer
+from dataclasses import dataclass
+from itertools import pairwise
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from statistics import median
+from typing import Any
+
+SHOW = "show"
+EVENTS_S = 0.02
+"""How often the window system is listened to while nothing is asked."""
+QUEUED_FRAMES = 3
+"""As many as drivers and compositors hold back: what was presented before so many others is on the wire."""
+MEASURED_FRAMES = 10
+WHOLE_RATES_HZ = (24, 30, 60, 120)
+LEAST_OF_PERIOD = 0.7
+"""Frames that follow each other faster than this are not locked to the display."""
+HINTS = {
+    b"SDL_NO_SIGNAL_HANDLERS": b"1",
+    b"SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": b"0",  # the operator works on another display
+    b"SDL_WINDOWS_DPI_AWARENESS": b"permonitorv2",  # pixels are pixels
+    b"SDL_RENDER_SCALE_QUALITY": b"nearest",
+}
+REMEDY = "see to the display's cable and settings"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What the process could not do: what was found, and what can be done."""
+
+    found: str
+    remedy: str
+
+
+class ScreenError(Exception):
+    """The display is not, or no longer, as it must be: `failure` tells."""
+
+    def __init__(self, found: str, remedy: str = REMEDY) -> None:
+        super().__init__(found)
+        self.failure = Failure(found, remedy)
+
+
+def serve(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
+    """Have the display until the connection ends; answers are its period in s, or a `Failure`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what an interruption means is decided by the other process
+    memory = SharedMemory(memory_name)
+    assert memory.buf is not None
+    with suppress(EOFError, OSError):
+        try:
+            with opened(wanted, size) as screen:
+                connection.send(screen.vsync_s)
+                while True:
+                    while not connection.poll(EVENTS_S):
+                        screen.attend()
+                    connection.recv()
+                    screen.show(bytes(memory.buf[: screen.frame_bytes]))
+                    connection.send(screen.vsync_s)
+        except ScreenError as error:
+            connection.send(error.failure)
+
+
+@contextmanager
+def opened(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
+    """The display, black, for as long as it is needed. Raises `ScreenError`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # where SDL comes from is no news
+        import sdl2
+    for hint, value in HINTS.items():
+        sdl2.SDL_SetHint(hint, value)
+    if sdl2.SDL_Init(sdl2.SDL_INIT_VIDEO):
+        raise ScreenError(
+            f"SDL finds no displays ({sdl2.SDL_GetError().decode()})", "start a graphical session"
+        )
+    try:
+        yield Screen(sdl2, wanted, size)
+    finally:
+        sdl2.SDL_Quit()
+
+
+class Screen:
+    """A window over a whole display. frame_bytes: of a frame. vsync_s: period of the display."""
+
+    def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int]) -> None:
+        self._sdl, self._size = sdl, size
+        self.frame_bytes = 3 * size[0] * size[1]
+        self._index = index = self._found(wanted)
+        self._renderer, self._window = self._make(index)
+        sdl.SDL_ShowCursor(sdl.SDL_DISABLE)
+        self._texture = sdl.SDL_CreateTexture(
+            self._renderer, sdl.SDL_PIXELFORMAT_RGB24, sdl.SDL_TEXTUREACCESS_STREAMING, *size
+        )
+        self.show(bytes(self.frame_bytes))
+        self.vsync_s = self._locked_period_s(self._mode(index).refresh_rate)
+
+    def show(self, frame: bytes) -> None:
+        """Put a frame up and wait until it is on the wire; bytes R, G, B of each pixel, row by row."""
+        sdl = self._sdl
+        if sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
+            raise ScreenError(f"a frame cannot be shown ({sdl.SDL_GetError().decode()})")
+        self._draw()
+        if self._drawn() != frame:
+            raise ScreenError("other pixels are drawn than were given", "give it 24 bits per pixel, unscaled")
+        for _ in range(1 + QUEUED_FRAMES):
+            self._present()
+        self.attend()
+
+    def attend(self) -> None:
+        """Hear what the window system has to say. Raises `ScreenError` when the frame is off."""
+        sdl, event = self._sdl, self._sdl.SDL_Event()
+        while sdl.SDL_PollEvent(byref(event)):
+            if event.type == sdl.SDL_QUIT:
+                raise ScreenError("its window was closed", "open it again")
+            if event.type == sdl.SDL_WINDOWEVENT and event.window.event == sdl.SDL_WINDOWEVENT_EXPOSED:
+                self._present()
+        hidden = sdl.SDL_WINDOW_HIDDEN | sdl.SDL_WINDOW_MINIMIZED
+        if sdl.SDL_GetWindowFlags(self._window) & hidden:
+            raise ScreenError("its window was hidden", "leave the projector's display alone")
+        self._check_place()
+
+    def _found(self, wanted: int | str) -> int:
+        """The display that is meant. Raises `ScreenError` unless there is one, and of the right size."""
+        sdl = self._sdl
+        count = sdl.SDL_GetNumVideoDisplays()
+        names = [(sdl.SDL_GetDisplayName(i) or b"").decode() for i in range(count)]
+        sizes = [(self._mode(i).w, self._mode(i).h) for i in range(count)]
+        listed = ", ".join(f"{i} '{names[i]}' ({w} x {h})" for i, (w, h) in enumerate(sizes))
+        found = [i for i in range(count) if wanted in (i, names[i])]
+        width, height = self._size
+        if not found:
+            raise ScreenError(f"there is no display {wanted!r}", f"there are {listed}")
+        if len(found) > 1:
+            raise ScreenError(f"several displays are called {wanted!r}", f"name one by its number: {listed}")
+        if sizes[found[0]] != self._size:
+            raise ScreenError(
+                f"display {wanted!r} is not set to {width} x {height}", f"set it so; there are {listed}"
+            )
+        return found[0]
+
+    def _mode(self, index: int) -> Any:
+        mode = self._sdl.SDL_DisplayMode()
+        self._sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
+        return mode
+
+    def _make(self, index: int) -> tuple[Any, Any]:
+        sdl = self._sdl
+        at = sdl.SDL_WINDOWPOS_UNDEFINED_MASK | index
+        flags = sdl.SDL_WINDOW_FULLSCREEN_DESKTOP | sdl.SDL_WINDOW_ALLOW_HIGHDPI
+        window = sdl.SDL_CreateWindow(b"fpplab", at, at, *self._size, flags)
+        renderer = window and sdl.SDL_CreateRenderer(window, -1, sdl.SDL_RENDERER_PRESENTVSYNC)
+        if not renderer or sdl.SDL_RenderSetVSync(renderer, 1):
+            raise ScreenError(f"the display cannot be filled ({sdl.SDL_GetError().decode()})")
+        return renderer, window
+
+    def _check_place(self) -> None:
+        if self._sdl.SDL_GetWindowDisplayIndex(self._window) != self._index:
+            raise ScreenError("its window is on another display", "leave the projector's display alone")
+        width, height = c_int(), c_int()
+        self._sdl.SDL_GetRendererOutputSize(self._renderer, byref(width), byref(height))
+        found = (width.value, height.value)
+        if found != self._size:
+            raise ScreenError("its window has {} x {} pixels, not {} x {}".format(*found, *self._size))
+
+    def _draw(self) -> None:
+        self._sdl.SDL_RenderCopy(self._renderer, self._texture, None, None)
+
+    def _drawn(self) -> bytes:
+        pixels = create_string_buffer(self.frame_bytes)
+        form, pitch = self._sdl.SDL_PIXELFORMAT_RGB24, 3 * self._size[0]
+        self._sdl.SDL_RenderReadPixels(self._renderer, None, form, pixels, pitch)
+        return pixels.raw
+
+    def _present(self) -> None:
+        self._draw()
+        self._sdl.SDL_RenderPresent(self._renderer)
+
+    def _locked_period_s(self, told_hz: int) -> float:
+        """Period of the frames: as the display tells, if they follow it; measured where it tells nothing.
+
+        Raises `ScreenError` when frames come faster than it shows them.
+        """
+        times = []
+        for _ in range(1 + MEASURED_FRAMES):
+            self._present()
+            times.append(time.perf_counter())
+        measured_s = median(b - a for a, b in pairwise(times))
+        if not told_hz:
+            return measured_s
+        if measured_s < LEAST_OF_PERIOD / told_hz:
+            raise ScreenError(
+                f"frames come every {1e3 * measured_s:.1f} ms on a display of {told_hz} Hz",
+                "switch on vertical synchronisation in the graphics driver",
+            )
+        return period_s(told_hz)
+
+
+def period_s(told_hz: int) -> float:
+    """Period of a display: rates of television, 59.94 Hz and the like, are told as the whole number below."""
+    return 1.0 / (told_hz + (told_hz + 1 in WHOLE_RATES_HZ))

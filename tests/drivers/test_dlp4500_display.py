@@ -1,0 +1,225 @@
+"""The display of the video port: frames pixel by pixel through SDL, from a process that leaves nothing."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import signal
+import struct
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from drivers.dlp4500 import display as display_module
+from drivers.dlp4500 import screen
+from drivers.dlp4500.display import Frame, SdlDisplay
+from drivers.dlp4500.sequence import SIZE
+from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+
+DUMMY = (1024, 768)
+"""The one size of SDL's dummy display."""
+XVFB = shutil.which("Xvfb")
+
+
+@pytest.fixture(autouse=True)
+def _dummy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+@pytest.fixture
+def opened() -> Iterator[SdlDisplay]:
+    display = SdlDisplay("projector", 0, DUMMY)
+    display.open()
+    yield display
+    display.close()
+
+
+def noise(size: tuple[int, int]) -> Frame:
+    return np.random.default_rng(2).integers(0, 256, (size[1], size[0], 3), np.uint8)
+
+
+def segments() -> set[str]:
+    folder = Path("/dev/shm")
+    return {path.name for path in folder.glob("psm_*")} if folder.exists() else set()
+
+
+# --- what is on the wire
+
+
+def test_every_pixel_of_a_frame_is_presented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SDL's dummy display saves what is presented to it."""
+    monkeypatch.setenv("SDL_VIDEO_DUMMY_SAVE_FRAMES", "1")
+    monkeypatch.chdir(tmp_path)
+    frame = noise(DUMMY)
+    display = SdlDisplay("projector", 0, DUMMY)
+    display.open()
+    black = max(tmp_path.glob("*.bmp"))
+    display.show(frame)
+    shown = max(tmp_path.glob("*.bmp"))
+    display.close()
+    assert not np.any(np.asarray(Image.open(black).convert("RGB")))
+    np.testing.assert_array_equal(np.asarray(Image.open(shown).convert("RGB")), frame)
+
+
+def test_its_period_is_the_displays(opened: SdlDisplay) -> None:
+    assert opened.vsync_s == pytest.approx(1 / 60)
+
+
+def test_frames_of_another_kind_are_the_callers_fault(opened: SdlDisplay) -> None:
+    for frame in (noise(SIZE), noise(DUMMY).astype(np.uint16)):
+        with pytest.raises(ValueError, match=r"a frame is uint8 \(768, 1024, 3\)"):
+            opened.show(frame)
+
+
+# --- which display
+
+
+@pytest.mark.parametrize(
+    ("wanted", "size", "words"),
+    [
+        (1, DUMMY, "open: there is no display 1; there are 0 '0' (1024 x 768)"),
+        ("DLP", DUMMY, "open: there is no display 'DLP'; there are 0 '0' (1024 x 768)"),
+        ("0", SIZE, "open: display '0' is not set to 912 x 1140; set it so; there are 0 '0' (1024 x 768)"),
+    ],
+)
+def test_a_display_that_is_not_there_or_not_right(
+    wanted: int | str, size: tuple[int, int], words: str
+) -> None:
+    display = SdlDisplay("projector", wanted, size)
+    with pytest.raises(DeviceError) as caught:
+        display.open()
+    assert str(caught.value) == f"projector: {words}"
+    assert display.pid is None
+
+
+def test_without_displays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none")
+    with pytest.raises(DeviceError, match=r"SDL finds no displays .*; start a graphical session"):
+        SdlDisplay("projector", 0, DUMMY).open()
+
+
+def test_frames_that_do_not_wait_for_the_display_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screen, "LEAST_OF_PERIOD", 100.0)
+    found = r"frames come every .* ms on a display of 60 Hz"
+    with pytest.raises(screen.ScreenError, match=found), screen.opened(0, DUMMY):
+        pass
+
+
+def test_pixels_that_are_drawn_otherwise_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with screen.opened(0, DUMMY) as opened:
+        opened.show(noise(DUMMY).tobytes())
+        monkeypatch.setattr(opened, "_draw", lambda: None)
+        with pytest.raises(screen.ScreenError, match="other pixels are drawn than were given"):
+            opened.show(bytes(opened.frame_bytes))
+
+
+def test_a_window_that_is_closed_is_noticed() -> None:
+    import sdl2
+
+    with screen.opened(0, DUMMY) as opened:
+        opened.attend()
+        event = sdl2.SDL_Event()
+        event.type = sdl2.SDL_QUIT
+        sdl2.SDL_PushEvent(event)
+        with pytest.raises(screen.ScreenError, match="its window was closed"):
+            opened.attend()
+
+
+@pytest.mark.parametrize(("told_hz", "period_s"), [(60, 1 / 60), (59, 1 / 60), (50, 1 / 50), (119, 1 / 120)])
+def test_a_rate_that_was_cut_is_the_next_one(told_hz: int, period_s: float) -> None:
+    assert screen.period_s(told_hz) == pytest.approx(period_s)
+
+
+# --- the process
+
+
+def test_closing_leaves_nothing(opened: SdlDisplay) -> None:
+    before = segments()
+    second = SdlDisplay("projector", 0, DUMMY)
+    second.open()
+    assert len(segments()) == len(before) + (Path("/dev/shm").exists())
+    children = multiprocessing.active_children()
+    pid = second.pid
+    assert pid in [child.pid for child in children]
+    for _ in range(2):
+        second.close()
+        assert segments() == before
+        assert pid not in [child.pid for child in multiprocessing.active_children()]
+    with pytest.raises(DisconnectedError, match="its display is not open"):
+        second.show(noise(DUMMY))
+
+
+def test_its_death_is_a_device_error_and_it_can_be_opened_again(opened: SdlDisplay) -> None:
+    assert opened.pid is not None
+    os.kill(opened.pid, signal.SIGKILL)
+    with pytest.raises(
+        DisconnectedError, match=r"video: the process of its display has died \(exit code -9\)"
+    ):
+        opened.show(noise(DUMMY))
+    assert opened.pid is None
+    opened.open()
+    opened.show(noise(DUMMY))
+
+
+def test_one_that_hangs_is_ended(opened: SdlDisplay, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(display_module, "SHOW_S", 0.1)
+    monkeypatch.setattr(display_module, "STOP_S", 0.1)
+    assert opened.pid is not None
+    os.kill(opened.pid, signal.SIGSTOP)
+    with pytest.raises(TimeoutError, match=r"its display did not answer within 0\.1 s"):
+        opened.show(noise(DUMMY))
+    assert opened.pid is None
+
+
+def test_an_interruption_of_the_operator_is_not_its_business(opened: SdlDisplay) -> None:
+    assert opened.pid is not None
+    os.kill(opened.pid, signal.SIGINT)
+    opened.show(noise(DUMMY))
+
+
+# --- under an X server
+
+
+def screenshot(path: Path) -> NDArray[np.uint8]:
+    """What the server has on its screen, from its dump in XWD format: 25 numbers, a name, colours, pixels."""
+    data = path.read_bytes()
+    fields = struct.unpack(">25I", data[:100])
+    size, width, height, stride, colours = fields[0], fields[4], fields[5], fields[12], fields[19]
+    pixels = np.frombuffer(data, np.uint8, stride * height, size + 12 * colours).reshape(height, stride)
+    return pixels[:, : 4 * width].reshape(height, width, 4)[..., 2::-1]
+
+
+@pytest.mark.skipif(XVFB is None, reason="no Xvfb on this computer")
+def test_every_pixel_of_a_frame_is_on_an_x_servers_screen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert XVFB is not None
+    width, height = SIZE
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        [XVFB, "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-fbdir", str(tmp_path)],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        os.close(write)
+        with os.fdopen(read) as told:
+            number = told.readline().strip()
+        monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
+        monkeypatch.setenv("DISPLAY", f":{number}")
+        frame = noise(SIZE)
+        display = SdlDisplay("projector", 0)
+        display.open()
+        assert not np.any(screenshot(tmp_path / "Xvfb_screen0"))
+        display.show(frame)
+        np.testing.assert_array_equal(screenshot(tmp_path / "Xvfb_screen0"), frame)
+        display.close()
+    finally:
+        server.terminate()
+        server.wait()
