@@ -16,7 +16,17 @@ from fpplab.errors import ConfigError, DataError
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Let `write` fill a file that appears under `path` only once it is complete and on disk.
 
-    Raises `DataError` when there is no space left or the place cannot be written;
+    Raises `DataError` as `write_parts`.
+    """
+    content = io.BytesIO()  # first in memory: writers of arrays lose the system's reason for a refusal
+    write(content)
+    write_parts(path, content.getbuffer())
+
+
+def write_parts(path: Path, *parts: bytes | memoryview) -> None:
+    """Write parts, one behind the other, into a file that appears once it is complete and on disk.
+
+    They are not copied. Raises `DataError` when there is no space left or the place cannot be written;
     nothing is left behind then.
     """
     try:
@@ -26,10 +36,8 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
         raise DataError(_cannot_write(path, error)) from error
     try:
         os.fchmod(handle, 0o644)
-        content = io.BytesIO()  # first in memory: writers of arrays lose the system's reason for a refusal
-        write(content)
         with os.fdopen(handle, "wb") as stream:
-            stream.write(content.getbuffer())
+            stream.writelines(parts)
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(name, path)

@@ -13,10 +13,13 @@ atomically first, the line after it. A torn last line is a frame that was not re
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import shutil
 from collections.abc import Callable, Container
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ from fpplab.config import Document
 from fpplab.conventions import Image, Lattice, raw_dtype
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import ConfigError, DataError
-from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
+from fpplab.files import append_line, make_directory, refuse_existing, write_parts, write_text
 from fpplab.plan import FringeSet, Plan
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
@@ -149,16 +152,15 @@ class Session:
         _check_place(frame.index, pattern, _pattern_ids(self.plan), self._records, self.path)
         name = _file_name(frame.index, pattern)
         image = np.ascontiguousarray(frame.image)
-        write_atomic(
-            self.path / name,
-            lambda stream: tifffile.imwrite(stream, image, photometric="minisblack", metadata=None),
-        )
+        with ThreadPoolExecutor(max_workers=1) as beside:  # neither holds Python's lock
+            checksum = beside.submit(_checksum, image)
+            write_parts(self.path / name, tiff_head(image.shape, image.dtype), image.data)
         height, width = image.shape
         record = FrameRecord(
             index=frame.index,
             pattern=pattern,
             file=name,
-            sha256=_checksum(image),
+            sha256=checksum.result(),
             width=width,
             height=height,
             bits=frame.settings.bits,
@@ -259,6 +261,14 @@ def _file_name(index: int, pattern: str) -> str:
 
 def _shown(form: tuple[int, int, int]) -> str:
     return f"{form[0]} x {form[1]} at {form[2]} bits"
+
+
+@cache
+def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """What stands before the pixels of an image in the file that tifffile writes."""
+    image, file = np.zeros(shape, dtype), io.BytesIO()
+    tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
+    return file.getvalue()[: -image.nbytes]
 
 
 def _checksum(image: NDArray[Any]) -> str:
