@@ -1,7 +1,8 @@
 """Patterns -> frames: the one place that keeps projector and camera in step.
 
 Stepped: show, settle, snap, one pattern at a time. Triggered: the projector is the clock,
-and each of its pulses exposes one frame.
+and each of its pulses exposes one frame. In the end the frames themselves must prove that each shows its
+pattern; where a triggered plan's cannot, two more patterns are played that do: black and white.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
-from fpplab.errors import SyncError
-from fpplab.patterns import Pattern, make_patterns
+from fpplab.errors import CapabilityError, SyncError
+from fpplab.patterns import Pattern, make_patterns, uniform_patterns
 from fpplab.plan import Plan
+from fpplab.recording import recording
 from fpplab.rig import Rig
 from fpplab.session import Session
+from fpplab.synchronisation import judge, provable, remedy
 
 PATIENCE_S = 10.0
 """How long beyond its exposure a frame may take."""
@@ -31,17 +34,50 @@ def unseen(frame: Frame) -> None:
 def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = unseen) -> None:
     """Take every image of the plan that the session lacks.
 
-    The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`.
+    The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`; `SyncError` once
+    all frames are in the session, when they do not show their patterns.
     """
     settings = rig.camera_settings(plan.exposure_s)
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     wanted = session.missing()
-    with closing(expose(rig, [patterns[i] for i in wanted], settings, plan)) as shots:
-        for index, shot in zip(wanted, shots, strict=True):
-            frame = shot.showing(patterns[index].id, index)
-            session.write(frame)
-            observe(frame)
+    ends = uniform_patterns([0, 255], caps.size) if wanted and _needs_ends(plan) else []
+    brightness = []
+    with (
+        recording(session, observe) as record,
+        closing(expose(rig, [*(patterns[i] for i in wanted), *ends], settings, plan)) as shots,
+    ):
+        for index, shot in zip(wanted, shots, strict=False):
+            record(shot.showing(patterns[index].id, index))
+            if ends:
+                brightness.append(float(shot.image.mean()))
+        brightness += [float(shot.image.mean()) for shot in shots]
+    if ends and not _ended(brightness):
+        raise _out_of_step(rig, session, "after the last pattern came no black and then white")
+    if wanted:
+        _prove(rig, session)
+
+
+def _needs_ends(plan: Plan) -> bool:
+    """Whether more than its frames is needed to see a trigger slip."""
+    return plan.trigger == "triggered" and not provable(plan)
+
+
+def _ended(brightness: Sequence[float]) -> bool:
+    """Whether the last two frames are darker and brighter than every other."""
+    *fringes, black, white = brightness
+    return black < min(fringes) and white > max(fringes)
+
+
+def _prove(rig: Rig, session: Session) -> None:
+    verdict = judge(session.stack(verify=False), session.plan, session.format[2])
+    if not verdict.in_step:
+        raise _out_of_step(rig, session, verdict.words())
+
+
+def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
+    again = f"then take it again, with --force; the frames stay in {session.path} until then"
+    return SyncError(rig.camera.name, "acquire", found, f"{remedy(session.plan)}; {again}")
 
 
 def expose(
@@ -72,6 +108,13 @@ def _stepped(
     settings: CameraSettings,
     settle_s: float,
 ) -> Iterator[Frame]:
+    if camera.caps.dark_s:
+        raise CapabilityError(
+            camera.name,
+            "snap",
+            "its rows end one after another (global reset), and a stepped pattern stays lit meanwhile",
+            "set its shutter to rolling, or use a triggered plan",
+        )
     for i, pattern in enumerate(patterns):
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states
@@ -82,7 +125,7 @@ def _triggered(
     camera: Camera, projector: Projector, patterns: Sequence[Pattern], settings: CameraSettings
 ) -> Iterator[Frame]:
     camera.arm(len(patterns), "hardware")
-    projector.play(settings.exposure_s + camera.caps.readout_s)
+    projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)
     for pattern in patterns:
         yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
 

@@ -88,6 +88,10 @@ def stopwatch() -> Iterator[Callable[[], float]]:
     yield lambda: round(time.perf_counter() - start, 3)
 
 
+class Answered(SystemExit):
+    """Ends a command that has given its whole answer, with an exit code that is part of it."""
+
+
 def run(command: Callable[[], object], as_json: bool) -> NoReturn:
     """Run a program's whole command and leave with the exit code of its fault, or 0.
 
@@ -100,7 +104,7 @@ def run(command: Callable[[], object], as_json: bool) -> NoReturn:
     except FppError as error:
         _fail(str(error), error.exit_code, as_json)
     except SystemExit as end:  # wrong usage has been explained on stderr
-        if as_json and end.code:
+        if as_json and end.code and not isinstance(end, Answered):
             _answer_fault("wrong usage; see stderr", int(end.code))
         raise
     except MemoryError as error:

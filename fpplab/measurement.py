@@ -23,12 +23,11 @@ from fpplab.characterisation import (
     characterise,
     finest_periods,
     observe,
-    out_of_step,
 )
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.conventions import Floats, Image, raw_per_grey
 from fpplab.devices import Frame
-from fpplab.errors import CalibrationError
+from fpplab.errors import CalibrationError, DataError
 from fpplab.gamma import Response
 from fpplab.greys import Greys, fit_greys, pixels_of_regions, statistics
 from fpplab.patterns import uniform_patterns
@@ -37,6 +36,7 @@ from fpplab.plan import GreyLevels, Plan
 from fpplab.reconstruction import triangulate
 from fpplab.rig import Mounted, Rig
 from fpplab.session import Session
+from fpplab.synchronisation import judge, remedy
 from fpplab.targets import Target
 from fpplab.uncertainty import coordinate_noise, with_uncertainty
 
@@ -79,8 +79,14 @@ def take(
 
 
 def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
-    """Projector coordinates of every camera pixel. Raises `DataError`, `ConfigError`."""
-    decoded = _decode(session, _frames(session, lambda share: progress(0.5 * share)))
+    """Projector coordinates of every camera pixel.
+
+    Raises `DataError`, also when the frames are out of step with the plan, and `ConfigError`.
+    """
+    frames = _frames(session, lambda share: progress(0.5 * share))
+    if fault := _out_of_step(session, frames):
+        raise DataError(f"{session.path}: {fault}; take it again, with --force")
+    decoded = _decode(session, frames)
     progress(1.0)
     return decoded
 
@@ -89,6 +95,12 @@ def _frames(session: Session, progress: Progress = nothing) -> Sequence[Image]:
     """All frames, of a plan that the session's projector can show."""
     session.plan.check_projector(session.projector()[0], session.path)
     return session.stack(progress=progress)
+
+
+def _out_of_step(session: Session, frames: Sequence[Image]) -> str | None:
+    """How the frames are out of step with the plan, and what to see to."""
+    verdict = judge(frames, session.plan, session.format[2])
+    return None if verdict.in_step else f"{verdict.words()}; {remedy(session.plan)}"
 
 
 def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
@@ -125,8 +137,12 @@ def finish_scan(
 def mean_image(session: Session) -> NDArray[np.uint8]:
     """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
     _, frames = session.finest()
-    width, height, bits = session.format
-    total = np.zeros((height, width), np.float32)
+    return mean_of(frames, session.format[2])
+
+
+def mean_of(frames: Sequence[Image], bits: int) -> NDArray[np.uint8]:
+    """Mean of frames [v, u] of `bits` depth in 8-bit grey levels."""
+    total = np.zeros(frames[0].shape, np.float32)
     for frame in frames:
         total += frame
     levels = np.rint(total / (len(frames) * raw_per_grey(bits)))
@@ -196,11 +212,8 @@ def _observe_session(session: Session, target: Target, periods: tuple[float, flo
     """What one pose tells. Raises `CalibrationError` that names it."""
     name = session.path.name
     frames = _frames(session)
-    if lag := out_of_step(frames, session.plan):
-        raise CalibrationError(
-            f"{name}: the frames are out of step with the plan by one: frame 1 shows pattern {1 - lag}; "
-            "check the trigger, or the settling time when stepped, and take it again"
-        )
+    if fault := _out_of_step(session, frames):
+        raise CalibrationError(f"{name}: {fault}; take this pose again")
     return observe(name, mean_image(session), _decode(session, frames), target, periods)
 
 

@@ -2,7 +2,6 @@
 
 from fpplab.characterisation.bundle import Level
 from fpplab.characterisation.fitting import characterise
-from fpplab.characterisation.mistakes import out_of_step
 from fpplab.characterisation.observation import Observation, finest_periods, observe
 from fpplab.characterisation.result import Characterisation, Rejected, Trial
 
@@ -15,5 +14,4 @@ __all__ = [
     "characterise",
     "finest_periods",
     "observe",
-    "out_of_step",
 ]

@@ -1,20 +1,15 @@
-"""Mistakes that people make with boards and frames, named: what would have fitted is the cause."""
+"""Mistakes that people make with boards, named: what would have fitted is the cause."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate, pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpplab.characterisation.descriptions import described_otherwise
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.zhang import Size, rms, zhang
-from fpplab.conventions import Floats, phase_steps
 from fpplab.errors import CalibrationError
-from fpplab.plan import Plan
 from fpplab.targets import Target
 from fpplab.targets.detection import Detection, apply_homography, homography
 
@@ -23,9 +18,6 @@ BETTER = 4.0
 
 LIKELY_PX = 3.0
 """A description under which the camera fits worse than this is wrong as well."""
-
-SAMPLE = 7
-"""Every so manieth row and column of a frame tells whether the frames are in step."""
 
 
 def misdescribed(
@@ -70,35 +62,3 @@ def _camera_rms(observations: Sequence[Observation], target: Target, size: Size)
     except CalibrationError:
         return np.inf
     return found
-
-
-def out_of_step(frames: Sequence[NDArray[Any]], plan: Plan) -> int:
-    """By how many frames the pictures lag behind the plan: 0 when they are in step, 1 or -1 when not.
-
-    The sum of a set's frames is the same picture for all sets, and what its sinusoids leave over is
-    noise; with a frame of another set among them neither is true. The first and the last set are
-    left aside, for their neighbours were not recorded.
-    """
-    starts = [0, *accumulate(f.steps for f in plan.fringes)]
-    sets = [slice(a, b) for a, b in pairwise(starts) if a > 0 and b < len(frames)]
-    if not sets:
-        return 0
-    sample = np.stack([frame[::SAMPLE, ::SAMPLE].astype(np.float64) for frame in frames])
-    misfit = {lag: _misfit(sample, [slice(s.start + lag, s.stop + lag) for s in sets]) for lag in (0, 1, -1)}
-    best = min(misfit, key=lambda lag: misfit[lag])
-    return best if misfit[best] < misfit[0] / BETTER else 0
-
-
-def _misfit(sample: Floats, sets: Sequence[slice]) -> float:
-    """Squares left over by one sinusoid per set and pixel, all with the same offset."""
-    means = np.stack([sample[s].mean(axis=0) for s in sets])
-    offset = means.mean(axis=0)
-    return sum(_left_over(sample[s], offset) for s in sets)
-
-
-def _left_over(frames: Floats, offset: Floats) -> float:
-    shifts = phase_steps(len(frames))
-    ripple = frames - offset
-    waves = np.stack([np.sin(shifts), np.cos(shifts)])
-    amplitudes = np.tensordot(waves, ripple, 1) * (2 / len(frames))
-    return float(np.sum((ripple - np.tensordot(waves.T, amplitudes, 1)) ** 2))

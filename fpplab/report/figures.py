@@ -7,7 +7,7 @@ interface alone, so that drawing neither opens windows nor leaves state behind.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import cv2
@@ -373,6 +373,29 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
     )
     axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    return figure
+
+
+@picture
+def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
+    """Levels seen of a marker of uniform greys, frame by frame, and those expected of frames in step.
+
+    shown: (K,) greys in their order. seen: (K,) shares of full scale of each run, NaN where no frame came. A
+    run's levels are expected to rise with the greys, so what is expected are the levels seen, in that order.
+    """
+    figure = blank(FULL, 2.6)
+    sheets = np.atleast_1d(figure.subplots(1, len(seen), sharey=True))
+    for axes, (how, levels) in zip(sheets, seen.items(), strict=True):
+        known = np.flatnonzero(np.isfinite(levels))
+        expected = np.sort(levels[known])[np.argsort(np.argsort(shown[known]))]
+        axes.plot(known, expected, color=SECOND, linewidth=1.2, label="in step")
+        axes.plot(known, levels[known], "o", color=ACCENT, markersize=4, label="seen")
+        astray = known[np.abs(levels[known] - expected) > 0.05 * np.ptp(levels[known])]
+        axes.plot(astray, levels[astray], "o", color=ALARM, markersize=4, label="seen, of another grey")
+        axes.set(xlabel="frame", xlim=(-0.5, len(shown) - 0.5))
+        axes.set_title(how, fontsize=8.5)
+    sheets[0].set(ylabel="level, of full scale")
+    sheets[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=3)
     return figure
 
 

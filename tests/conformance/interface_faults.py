@@ -10,6 +10,8 @@ PROJECTOR_BASE = "fpplab/devices/projector.py"
 STAGE_BASE = "fpplab/devices/stage.py"
 FIXTURE_BASE = "fpplab/devices/fixture.py"
 ACQUISITION = "fpplab/acquisition.py"
+SYNCHRONISATION = "fpplab/synchronisation.py"
+MARKER = "fpplab/marker.py"
 RIG = "fpplab/rig.py"
 REPLAY = "fpplab/replay.py"
 REFERENCE = "tests/conformance/reference.py"
@@ -182,8 +184,8 @@ PROJECTOR = [
     Fault(
         "shown while it plays",
         PROJECTOR_BASE,
-        "            self._play(exposure_s)\n        self._state = State.ARMED\n",
-        "            self._play(exposure_s)\n",
+        "            self._play(exposure_s, dark_s)\n        self._state = State.ARMED\n",
+        "            self._play(exposure_s, dark_s)\n",
     ),
     Fault(
         "off by one",
@@ -257,6 +259,22 @@ IN_STEP = [
         "if False:",
     ),
     Fault(
+        "frames out of step are not noticed",
+        ACQUISITION,
+        "    if not verdict.in_step:\n",
+        "    if False:\n",
+    ),
+    Fault(
+        "a slip in frames that prove nothing is not noticed",
+        ACQUISITION,
+        "if ends and not _ended(brightness):",
+        "if False:",
+    ),
+    Fault(
+        "out of step is taken for noise", SYNCHRONISATION, "likelihood[0] + CERTAIN", "likelihood[0] + 1e3"
+    ),
+    Fault("a marker that follows anything", MARKER, "FOLLOWS = 0.015\n", "FOLLOWS = 1.0\n"),
+    Fault(
         "a wrong pattern id",
         ACQUISITION,
         "shot.showing(patterns[index].id,",
@@ -273,16 +291,24 @@ IN_STEP = [
         "played before the camera listens",
         ACQUISITION,
         '    camera.arm(len(patterns), "hardware")\n'
-        "    projector.play(settings.exposure_s + camera.caps.readout_s)\n",
-        "    projector.play(settings.exposure_s + camera.caps.readout_s)\n"
+        "    projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)\n",
+        "    projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)\n"
         '    camera.arm(len(patterns), "hardware")\n',
     ),
     Fault(
         "the next pattern before the last row is read",
         ACQUISITION,
-        "projector.play(settings.exposure_s + camera.caps.readout_s)",
-        "projector.play(settings.exposure_s)",
+        "settings.exposure_s + camera.caps.readout_s,",
+        "settings.exposure_s,",
     ),
+    Fault("lit while rows end", ACQUISITION, "readout_s, camera.caps.dark_s)", "readout_s)"),
+    Fault(
+        "stepped with a global reset",
+        ACQUISITION,
+        "    if camera.caps.dark_s:\n",
+        "    if camera.caps.dark_s < 0:\n",
+    ),
+    Fault("darkness of any length", PROJECTOR_BASE, "if not dark_s >= 0:", "if dark_s < -1e9:"),
 ]
 
 SIMULATED = [

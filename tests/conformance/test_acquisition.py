@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,11 +86,12 @@ def test_resuming_takes_only_what_is_missing(rig: Rig, session: Session) -> None
     with pytest.raises(KeyboardInterrupt):
         acquire(rig, session.plan, session, fail)
     again = Session.resume(session.path, session.plan, rig.described())
-    before = [again.read(i).copy() for i in range(5)]
+    before = [again.read(i).copy() for i in range(len(again.records))]
     frames: list[Frame] = []
     acquire(rig, again.plan, again, frames.append)
-    assert [f.index for f in frames] == list(range(5, session.plan.images))
-    assert [f.pattern_id for f in frames] == ids(session.plan)[5:]
+    assert len(before) >= 5, "what was seen is on disk; what was taken since may be"
+    assert [f.index for f in frames] == list(range(len(before), session.plan.images))
+    assert [f.pattern_id for f in frames] == ids(session.plan)[len(before) :]
     assert Session.open(session.path).missing() == []
     for i, image in enumerate(before):
         np.testing.assert_array_equal(again.read(i), image)
@@ -233,14 +235,40 @@ def test_a_triggered_pattern_stays_up_until_the_last_row_is_read(
     if not rig.projector.caps.trigger_outputs or "hardware" not in rig.camera.caps.triggers:
         assert rig.camera.caps.readout_s >= 0
         return
-    really_play, played = rig.projector._play, []
-
-    def noted(exposure_s: float) -> None:
-        played.append(exposure_s)
-        really_play(exposure_s)
-
-    monkeypatch.setattr(rig.projector, "_play", noted)
+    played = times_played(rig, monkeypatch)
     acquire(rig, session.plan.model_copy(update={"trigger": "triggered"}), session)
     settings = rig.camera_settings(session.plan.exposure_s)
     exposure_s = rig.camera.configure(settings).exposure_s
-    assert played == [pytest.approx(exposure_s + rig.camera.caps.readout_s)]
+    caps = rig.camera.caps
+    assert played == [pytest.approx((exposure_s + caps.readout_s, caps.dark_s))]
+
+
+def test_it_is_dark_while_rows_end_one_after_another(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a global reset: what would fall on the later rows meanwhile, they would have too much."""
+    levels = reference_levels(rig)
+    caps = replace(rig.camera.caps, readout_s=0.0, dark_s=0.05)
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.camera, "_caps", lambda: caps)
+        with pytest.raises(CapabilityError, match=r"global reset.*set its shutter to rolling"):
+            acquire(rig, session.plan, session)
+        if rig.projector.caps.trigger_outputs and "hardware" in caps.triggers:
+            played = times_played(rig, monkeypatch)
+            with suppress(CapabilityError):  # not every projector has it dark between patterns
+                acquire(rig, session.plan.model_copy(update={"trigger": "triggered"}), session)
+            settings = rig.camera_settings(session.plan.exposure_s)
+            assert played == [pytest.approx((rig.camera.configure(settings).exposure_s, 0.05))]
+    assert dark_now(rig, *levels)
+
+
+def times_played(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
+    """Of whatever is played from now on: exposure and darkness."""
+    really_play, played = rig.projector._play, []
+
+    def noted(exposure_s: float, dark_s: float) -> None:
+        played.append((exposure_s, dark_s))
+        really_play(exposure_s, dark_s)
+
+    monkeypatch.setattr(rig.projector, "_play", noted)
+    return played

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration import Calibration
-from fpplab.characterisation import Level, Observation, characterise, finest_periods, observe, out_of_step
+from fpplab.characterisation import Level, Observation, characterise, finest_periods, observe
 from fpplab.characterisation.bundle import Model, Problem, fit, uncertainty
 from fpplab.geometry import Pinhole
 from fpplab.phase import decode
@@ -184,8 +184,6 @@ def test_real_captures_are_characterised() -> None:
     observations = []
     for name in ("calseq1", "calseq2", "calseq3", "calseq4", "calseq5"):
         frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
-        assert out_of_step(frames, plan) == 0
-        assert abs(out_of_step([frames[-1], *frames[:-1]], plan)) == 1
         decoded = decode(frames, plan, (1824, 1140))
         periods = finest_periods(plan, (1824, 1140))
         observations.append(observe(name, np.mean(frames[:3], axis=0), decoded, target, periods))

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fpplab import measurement
-from fpplab.characterisation import Observation, characterise, observe, out_of_step
+from fpplab.characterisation import Observation, characterise, observe
 from fpplab.characterisation.outliers import MOST_REJECTED
-from fpplab.conventions import axis_length, phase_of_coordinate, phase_steps
 from fpplab.errors import CalibrationError
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.plan import Plan
 from fpplab.targets import Target
 from tests.unit.boards import plane_homography, pose, render
 from tests.unit.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
@@ -244,43 +240,3 @@ def test_a_mirrored_camera_is_named() -> None:
     ]
     with pytest.raises(CalibrationError, match="mirrored to each other; switch off mirroring"):
         characterise(seen, BOARD, CAMERA.size, SQUARE.size)
-
-
-def frames_of(plan: Plan, size: tuple[int, int], noise: float = 1.0, gamma: float = 1.0) -> list[np.ndarray]:
-    """What a camera sees of a plan's fringes on a tilted board, at a quarter of its size."""
-    v, u = np.mgrid[0:240:4, 0:320:4].astype(np.float64)
-    light = {"x": 300 + 0.9 * u + 0.1 * v, "y": 400 - 0.05 * u + 1.1 * v}
-    albedo = 60 + 40 * ((u // 40 + v // 40) % 2)
-    random = np.random.default_rng(0)
-    frames = []
-    for fringe in plan.fringes:
-        phase = phase_of_coordinate(light[fringe.axis], fringe.stripes, axis_length(size, fringe.axis))
-        for shift in phase_steps(fringe.steps):
-            shown = (0.5 + 0.45 * np.cos(phase - shift)) ** gamma
-            frames.append(2 * albedo * shown + random.normal(0, noise, u.shape))
-    return [np.clip(np.rint(f), 0, 255).astype(np.uint8) for f in frames]
-
-
-@pytest.mark.parametrize(
-    ("name", "size"), [("plan_board", (912, 1140)), ("plan_slstudio_board", (1824, 1140))]
-)
-def test_frames_out_of_step_by_one_are_noticed(name: str, size: tuple[int, int]) -> None:
-    plan = Plan.load(name)
-    frames = frames_of(plan, size)
-    assert out_of_step(frames, plan) == 0
-    assert out_of_step([np.zeros_like(frames[0]), *frames[:-1]], plan) == 1
-    assert out_of_step([*frames[1:], frames[-1]], plan) == -1
-    assert out_of_step([np.zeros_like(f) for f in frames], plan) == 0
-    assert out_of_step(frames_of(plan, size, noise=30), plan) == 0
-    assert out_of_step(frames_of(plan, size, gamma=2.2), plan) == 0
-
-
-def test_a_session_out_of_step_is_refused_by_name() -> None:
-    plan = Plan.load("plan_board")
-    late = frames_of(plan, (912, 1140))
-    session = SimpleNamespace(path=Path("pose_04"), plan=plan, stack=lambda progress: [late[-1], *late[:-1]],
-                              projector=lambda: ((912, 1140), None))  # fmt: skip
-    with pytest.raises(
-        CalibrationError, match=r"pose_04: the frames are out of step .* frame 1 shows pattern 0"
-    ):
-        measurement._observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]

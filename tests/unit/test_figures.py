@@ -218,3 +218,15 @@ def test_scattered_pixels_need_no_contours() -> None:
     values[::40, ::40] = 5.0
     values[0, 0] = 300.0
     assert rgb(figures.coordinate(values, "x")).std() > 5
+
+
+def test_a_marker_out_of_step_is_drawn_in_the_alarm_colour() -> None:
+    shown = np.array([160, 0, 110, 255])
+    in_step, late = shown / 300.0, np.array([0.0, 160, 0, 110]) / 300.0
+    alarm = np.array([int(figures.ALARM[i : i + 2], 16) for i in (1, 3, 5)])
+
+    def alarmed(levels: NDArray[np.float64]) -> int:
+        picture = rgb(figures.marker_levels(shown, {"stepped": levels}))
+        return int((np.abs(picture - alarm).sum(axis=2) < 40).sum())
+
+    assert alarmed(late) > 2 * alarmed(in_step)
