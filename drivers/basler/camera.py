@@ -52,7 +52,7 @@ class BaslerCamera(Camera):
     """A camera that pylon sees. `bench.pylon`, where the rig's bench has it, takes pylon's place.
 
     Frames leave without a copy as long as buffers last (see `drivers.basler.frames`); `index` follows the
-    camera's own count. Rows of a rolling shutter are exposed one after another: `caps.readout_s`.
+    camera's own count. How a rolling shutter exposes its rows is in `caps.readout_s` and `caps.dark_s`.
     """
 
     _camera: Any = None
@@ -233,7 +233,7 @@ class BaslerCamera(Camera):
             (shortest / US_PER_S, longest / US_PER_S),
             features.limits(named.GAIN_DB) if features.has(named.GAIN_DB) else (0.0, 0.0),
             self._triggers(),
-            self._readout_s(),
+            *self._row_times_s(),
         )
 
     def _triggers(self) -> tuple[Trigger, ...]:
@@ -244,10 +244,11 @@ class BaslerCamera(Camera):
         names: dict[Trigger, str] = {"software": "Software", "hardware": self._options.trigger.line}
         return tuple(trigger for trigger, source in names.items() if source in sources)
 
-    def _readout_s(self) -> float:
+    def _row_times_s(self) -> tuple[float, float]:
+        """How long rows begin one after another; and how long they only end so, as the readout goes."""
         shutter = self._features.read(named.SHUTTER) or self._options.shutter
         if shutter in ("Global", "global"):
-            return 0.0
+            return 0.0, 0.0
         readout_us = self._features.read(named.READOUT_US)
         if readout_us is None and shutter is not None:
             raise CapabilityError(
@@ -256,7 +257,9 @@ class BaslerCamera(Camera):
                 f"the shutter is {shutter}, but the camera does not tell its readout time",
                 "use a camera with a global shutter",
             )
-        return float(readout_us or 0.0) / US_PER_S
+        readout_s = float(readout_us or 0.0) / US_PER_S
+        resets = shutter in ("global_reset", *SHUTTERS["global_reset"])
+        return (0.0, readout_s) if resets else (readout_s, 0.0)
 
     def _formats(self, bits: int) -> list[str]:
         known = self._features.choices(named.PIXEL_FORMAT)
@@ -324,6 +327,16 @@ class BaslerCamera(Camera):
         return DisconnectedError(
             self.name, doing, "the camera was unplugged or switched off", "plug it in and open it again"
         )
+
+
+class CameraAsLeft(BaslerCamera):
+    """A camera that opening leaves as it is, but for its triggers: these pylon itself switches off."""
+
+    def _make_raw(self) -> None:
+        """It keeps its gamma, and what else is not raw."""
+
+    def _apply_options(self) -> None:
+        """It keeps its ROI."""
 
 
 def _words(error: genicam.GenericException) -> str:

@@ -98,7 +98,7 @@ class EmulatedPylon(Pylon):
                 f"Failed to open device '{serial}' for XML file download. "
                 "Error: 'Device is exclusively opened by another client.' : RuntimeException thrown"
             )
-        return EmulatedCamera(self, serial, super().attach(info))
+        return self._camera(serial, super().attach(info))
 
     def pulse(self, times: int = 1) -> None:
         """Pulses on Line1 of the camera that was opened last, from whatever thread they come."""
@@ -125,6 +125,9 @@ class EmulatedPylon(Pylon):
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance().CreateTl("BaslerCamEmu")
 
+    def _camera(self, serial: str, instant: Any) -> EmulatedCamera:
+        return EmulatedCamera(self, serial, instant)
+
     def opened(self, camera: EmulatedCamera) -> None:
         """Set the emulator up as the sensor of this bench."""
         self._open[camera.serial] = camera
@@ -133,7 +136,7 @@ class EmulatedPylon(Pylon):
         instant.HeightMax.SetValue(self.size[1])
         instant.ExposureTimeAbs.SetValue(self.policy.exposure_s * US_PER_S)
         if self.scene is not None:
-            self.expose(camera)
+            self.light.become(np.zeros(self.size[::-1], np.uint8), 8)
             instant.TestImageSelector.SetValue("Off")
             instant.ImageFilename.SetValue(str(self.light.folder))
             instant.ImageFileMode.SetValue("On")
@@ -190,11 +193,14 @@ class EmulatedCamera:
 
     def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
         """As pylon's, but for the frames that are to be lost."""
-        result = self.instant.RetrieveResult(timeout_ms, handling)
+        result = self._result(timeout_ms, handling)
         while self.lose and result.IsValid():
             self.lose -= 1
-            result = self.instant.RetrieveResult(timeout_ms, handling)
+            result = self._result(timeout_ms, handling)
         return result
+
+    def _result(self, timeout_ms: int, handling: Any) -> Any:
+        return self.instant.RetrieveResult(timeout_ms, handling)
 
     def pulse(self) -> None:
         """A pulse on Line1: one frame, if the camera waits for it; a camera being closed takes no notice."""

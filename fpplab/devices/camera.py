@@ -31,7 +31,9 @@ class CameraCaps:
     """What a camera can do. size: (width, height) in px; ranges are (least, most).
 
     readout_s: from the first row to the last, where they are exposed one after another (rolling shutter):
-    what a frame sees must stand still for the exposure and this. 0 where all rows are exposed at once.
+    what a frame sees must stand still for the exposure and this. dark_s: the same, where rows begin together
+    and only end one after another (global reset): no light may fall for so long after the exposure, or the
+    later rows have more of it. Both are 0 where all rows are exposed at once.
     """
 
     size: tuple[int, int]
@@ -40,6 +42,7 @@ class CameraCaps:
     gain_db: tuple[float, float]
     triggers: tuple[Trigger, ...]
     readout_s: float = 0.0
+    dark_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,11 +77,12 @@ class Projector(Device):
             self._show(i)
 
     @final
-    def play(self, exposure_s: float) -> None:
+    def play(self, exposure_s: float, dark_s: float = 0.0) -> None:
         """Show every loaded pattern once, `exposure_s` each, giving a trigger pulse with each.
 
-        The projector is ARMED until `blank`.
-        Raises `CapabilityError` without trigger output, `SettingError` for too short an exposure.
+        At least `dark_s` of darkness follow each. The projector is ARMED until `blank`.
+        Raises `CapabilityError` without trigger output, or for darkness that it cannot make; `SettingError`
+        for too short an exposure.
         """
         self._need(State.IDLE, doing="play")
         caps = self.caps
@@ -92,8 +93,10 @@ class Projector(Device):
         least = max(caps.bit_depths[p.bit_depth] for p in self._loaded)
         if not exposure_s >= least:
             raise SettingError(self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s")
+        if not dark_s >= 0:
+            raise SettingError(self.name, "play", f"dark_s is {dark_s:g} s", "at least 0 s")
         with self._guard("play"):
-            self._play(exposure_s)
+            self._play(exposure_s, dark_s)
         self._state = State.ARMED
 
     @final
@@ -132,7 +135,7 @@ class Projector(Device):
     def _show(self, i: int) -> None: ...
 
     @abstractmethod
-    def _play(self, exposure_s: float) -> None: ...
+    def _play(self, exposure_s: float, dark_s: float) -> None: ...
 
     @abstractmethod
     def _blank(self) -> None: ...

@@ -8,8 +8,9 @@ BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS = (
     f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
-DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE = (
-    f"drivers/dlp4500/{name}.py" for name in ("transport", "controller", "sequence", "device")
+DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO, DLP_DISPLAY, DLP_SCREEN = (
+    f"drivers/dlp4500/{name}.py"
+    for name in ("transport", "controller", "sequence", "device", "on_video", "display", "screen")
 )
 
 DRIVER_OF_BASLER = [
@@ -60,8 +61,14 @@ DRIVER_OF_BASLER = [
     Fault(
         "basler: the readout takes no time",
         BASLER,
-        "return float(readout_us or 0.0) / US_PER_S",
-        "return 0.0",
+        "readout_s = float(readout_us or 0.0) / US_PER_S",
+        "readout_s = 0.0",
+    ),
+    Fault(
+        "basler: a global reset rolls",
+        BASLER,
+        "return (0.0, readout_s) if resets else (readout_s, 0.0)",
+        "return readout_s, 0.0",
     ),
     Fault(
         "basler: settings from a file while it is armed",
@@ -291,6 +298,7 @@ DRIVER_OF_DLP4500 = [
         "self.images",
     ),
     Fault("dlp4500: a gap of 230", DLP_SEQUENCE, "LEAST_GAP_US = 231", "LEAST_GAP_US = 230"),
+    Fault("dlp4500: no dark but for loading", DLP_SEQUENCE, "max(exposure_us + dark_us, ", "max(0, "),
     Fault("dlp4500: images are not waited for", DLP_SEQUENCE, "return max(waits)", "return 0"),
     Fault(
         "dlp4500: one image for all",
@@ -307,19 +315,84 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: opens as it was left",
         DLP_DEVICE,
-        "        controller.go_dark()\n        controller.show_mode(Mode.PATTERN)\n",
-        "        controller.show_mode(Mode.PATTERN)\n",
+        "        controller.go_dark()\n        self._storage.open(controller)\n",
+        "        self._storage.open(controller)\n",
     ),
     Fault(
         "dlp4500: lit after a failure",
-        DLP_DEVICE,
-        "                self._board.go_dark()\n            except DeviceError",
-        "                self._board.status()\n            except DeviceError",
+        DLP_CONTROLLER,
+        "                self.go_dark()\n            except DeviceError",
+        "                self.status()\n            except DeviceError",
     ),
     Fault(
         "dlp4500: closing is not dark",
         DLP_DEVICE,
-        "        try:\n            controller.go_dark()\n        finally:\n",
-        "        try:\n            controller.status()\n        finally:\n",
+        "                ends.callback(controller.link.close)\n                controller.go_dark()\n",
+        "                ends.callback(controller.link.close)\n                controller.status()\n",
+    ),
+]
+
+VIDEO_PORT_OF_DLP4500 = [
+    Fault("dlp4500: a frame's colours in a picture's order", DLP_VIDEO, "RGB = (1, 0, 2)", "RGB = (0, 1, 2)"),
+    Fault(
+        "dlp4500: channels as they come in",
+        DLP_CONTROLLER,
+        'BOARD_CHANNEL_SWAP = {"swap": 4,',
+        'BOARD_CHANNEL_SWAP = {"swap": 0,',
+    ),
+    Fault(
+        "dlp4500: pattern mode before the signal",
+        DLP_VIDEO,
+        "        board.select_video()\n",
+        "",
+    ),
+    Fault(
+        "dlp4500: the display is not waited for",
+        DLP_DISPLAY,
+        '        self._answer("video", SHOW_S)\n',
+        "",
+    ),
+    Fault(
+        "dlp4500: a frame runs again and again",
+        DLP_VIDEO,
+        "video_program(group, exposure_us, self._frame_us, self._leds)",
+        "video_program(group, exposure_us, self._frame_us, self._leds, repeat=True)",
+    ),
+    Fault(
+        "dlp4500: the end of a frame is not waited for",
+        DLP_VIDEO,
+        "            board.await_end(program)\n",
+        "",
+    ),
+    Fault(
+        "dlp4500: ordered is shown",
+        DLP_VIDEO,
+        "            self._clock.sleep(self._display.vsync_s)  # it begins with a frame\n",
+        "",
+    ),
+    Fault("dlp4500: any frame will do", DLP_VIDEO, "if slot.image != self._up:", "if self._up is None:"),
+    Fault(
+        "dlp4500: more patterns than a frame has time for",
+        DLP_VIDEO,
+        "in_frames(self._patterns, self._frame_us // exposure_us)",
+        "in_frames(self._patterns, 1 + self._frame_us // exposure_us)",
+    ),
+    Fault(
+        "dlp4500: the display is kept",
+        DLP_VIDEO,
+        "        self._display.close()\n",
+        "",
+    ),
+    Fault(
+        "dlp4500: frames that do not wait pass",
+        DLP_SCREEN,
+        "if measured_s < LEAST_OF_PERIOD / told_hz:",
+        "if measured_s < 0.0:",
+    ),
+    Fault(
+        "dlp4500: a display of any size",
+        DLP_SCREEN,
+        "if sizes[found[0]] != self._size:",
+        "if not sizes[found[0]]:",
     ),
 ]

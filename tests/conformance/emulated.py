@@ -37,7 +37,7 @@ class PulsingProjector(ReferenceProjector):
     _bench: PylonBench
     _player: threading.Thread | None = None
 
-    def _play(self, exposure_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float) -> None:
         self._playing = threading.Event()
         self._playing.set()
         self._player = threading.Thread(target=self._run)

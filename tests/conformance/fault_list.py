@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from tests.conformance.driver_faults import DRIVER_OF_BASLER, DRIVER_OF_DLP4500, DRIVER_OF_GRBL
+from tests.conformance.driver_faults import (
+    DRIVER_OF_BASLER,
+    DRIVER_OF_DLP4500,
+    DRIVER_OF_GRBL,
+    VIDEO_PORT_OF_DLP4500,
+)
 from tests.conformance.fault import Fault
 from tests.conformance.interface_faults import (
     CAMERA,
@@ -22,5 +27,6 @@ FAULTS: list[Fault] = (
     + SIMULATED
     + DRIVER_OF_BASLER
     + DRIVER_OF_DLP4500
+    + VIDEO_PORT_OF_DLP4500
     + DRIVER_OF_GRBL
 )

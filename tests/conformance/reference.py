@@ -114,7 +114,7 @@ class ReferenceCamera(Camera):
             settings,
             time.time(),
             time.monotonic() - self._opened_s,
-            pattern.id if pattern else None,
+            pattern.id or None if pattern else None,
         )
         self._count += 1
         return frame
@@ -156,7 +156,7 @@ class ReferenceProjector(Projector):
     def _show(self, i: int) -> None:
         self._bench.on_show = self._held[i]
 
-    def _play(self, exposure_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float) -> None:
         self._bench.pulses.extend(self._held)
 
     def _blank(self) -> None:

@@ -181,7 +181,7 @@ def test_what_is_loaded_is_a_copy(rig: Rig, camera: Camera, projector: Projector
 def test_playing_needs_a_trigger_output(rig: Rig, projector: Projector) -> None:
     projector.load(patterns_for(rig))
     if projector.caps.trigger_outputs:
-        projector.play(1.0)
+        projector.play(projector.caps.bit_depths[8])
         assert projector.state is State.ARMED
     else:
         with pytest.raises(CapabilityError, match="no trigger output"):
@@ -197,6 +197,9 @@ def test_playing_needs_patterns_and_time(rig: Rig, projector: Projector) -> None
     for exposure_s in (math.nextafter(least, -1.0), math.nan):
         with pytest.raises((SettingError, CapabilityError), match="play"):
             projector.play(exposure_s)
+    for dark_s in (-1e-9, math.nan):
+        with pytest.raises((SettingError, CapabilityError), match="play"):
+            projector.play(least, dark_s)
     assert projector.state is State.IDLE
 
 

@@ -190,13 +190,15 @@ def test_a_rolling_shutter_is_known(made: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shutter", "expected"), [("rolling", "Rolling"), ("global_reset", "GlobalResetRelease")]
+    ("shutter", "expected", "readout_s", "dark_s"),
+    [("rolling", "Rolling", 0.054321, 0.0), ("global_reset", "GlobalResetRelease", 0.0, 0.054321)],
 )
-def test_the_shutter_is_set(made: Make, shutter: str, expected: str) -> None:
+def test_the_shutter_is_set(made: Make, shutter: str, expected: str, readout_s: float, dark_s: float) -> None:
+    """Rows end one after another in both, but with a global reset they begin together."""
     end = NodeCamera()
     camera = made(end, shutter=shutter)
     assert value(end, "ShutterMode") == expected
-    assert camera.caps.readout_s == pytest.approx(0.054321), "rows end one after another in both"
+    assert (camera.caps.readout_s, camera.caps.dark_s) == pytest.approx((readout_s, dark_s))
 
 
 def test_a_shutter_that_is_not_there_is_refused(made: Make) -> None:
@@ -204,16 +206,25 @@ def test_a_shutter_that_is_not_there_is_refused(made: Make) -> None:
         made(NodeCamera(), shutter="global")
 
 
-@pytest.mark.parametrize(("shutter", "readout_s"), [("global", 0.0), ("rolling", 0.054321), (None, 0.054321)])
+@pytest.mark.parametrize(
+    ("shutter", "readout_s", "dark_s"),
+    [
+        ("global", 0.0, 0.0),
+        ("rolling", 0.054321, 0.0),
+        (None, 0.054321, 0.0),
+        ("global_reset", 0.0, 0.054321),
+    ],
+)
 def test_of_a_shutter_that_cannot_be_switched_the_rig_file_tells(
-    made: Make, shutter: str | None, readout_s: float
+    made: Make, shutter: str | None, readout_s: float, dark_s: float
 ) -> None:
-    assert made(without("ShutterMode"), shutter=shutter).caps.readout_s == pytest.approx(readout_s)
+    caps = made(without("ShutterMode"), shutter=shutter).caps
+    assert (caps.readout_s, caps.dark_s) == pytest.approx((readout_s, dark_s))
 
 
 def test_a_shutter_that_can_be_global_is_at_once(made: Make) -> None:
     end = but(SensorShutterMode=choice("SensorShutterMode", "Global", "Rolling"))
-    assert made(end).caps.readout_s == 0.0
+    assert (made(end).caps.readout_s, made(end).caps.dark_s) == (0.0, 0.0)
 
 
 def test_a_rolling_shutter_without_a_readout_time_is_refused(made: Make) -> None:

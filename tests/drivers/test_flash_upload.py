@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware
-from drivers.dlp4500.flash.loader import Loader, programming
+from drivers.dlp4500.flash.loader import MOST_DATA, Loader, programming
 from drivers.dlp4500.flash.upload import check, prepare, verify
 from drivers.dlp4500.framing import Message
 from drivers.dlp4500.sequence import SIZE
@@ -40,14 +40,16 @@ PATTERNS = uniform_patterns(list(range(100, 136)), SIZE)
 BUILT = firmware(MAKER).with_patterns(PATTERNS, Path("built.bin"))
 """Twelve images, in two sectors."""
 OTHER = firmware(MAKER).with_patterns(PATTERNS[::-1], Path("other.bin"))
+SMALL = firmware(MAKER).with_patterns(PATTERNS[:3], Path("small.bin"))
+"""One image, in one sector."""
 TABLE, HEAD, TAIL = 1, 11, 12
 BOUNDARY = HEAD * SECTOR
 
 
-def _messages(policy: Policy | None = None) -> list[int]:
+def _messages(policy: Policy | None = None, built: Firmware = BUILT) -> list[int]:
     """What an upload without interruption sends."""
     bench = Bench(MAKER, policy)
-    bench.upload(BUILT)
+    bench.upload(built)
     return bench.board.messages
 
 
@@ -55,47 +57,47 @@ MESSAGES = _messages()
 ERASES = [i for i, number in enumerate(MESSAGES) if number == ERASE]
 
 
-UNTOUCHED = np.frombuffer(MAKER.ljust(256 * SECTOR, b"\xff"), np.uint8)
+WHOLE = MAKER.ljust(256 * SECTOR, b"\xff")
+UNTOUCHED = np.frombuffer(WHOLE, np.uint8)
 
 
 def _has(bench: Bench, built: Firmware) -> bool:
     """Whether the file is in the flash, and nothing behind it changed."""
-    flash, size = bench.flash(), len(built.content)
+    flash, size = np.frombuffer(bench.board.flash.content, np.uint8), len(built.content)
     end = -(-size // SECTOR) * SECTOR
     return (
         flash[:size].tobytes() == built.content
         and bool((flash[size:end] == 0xFF).all())
-        and np.array_equal(flash[end:], UNTOUCHED[end:])
+        and np.array_equal(flash[end:].view(np.uint64), UNTOUCHED[end:].view(np.uint64))
     )
 
 
-def _is_safe(bench: Bench) -> bool:
+def _is_safe(bench: Bench, built: Firmware = BUILT) -> bool:
     """Whether boot loader and program are whole, and the images all there or none.
 
     What shares the sector of the flash table may be missing while that is written, then the loader must run.
     """
-    flash, images = bench.flash(), len(bench.board.images)
+    flash, images = np.frombuffer(bench.board.flash.content, np.uint8), len(bench.board.images)
     boot, program = slice(SECTOR), slice(2 * SECTOR, BOUNDARY)
     whole = all(np.array_equal(flash[part], UNTOUCHED[part]) for part in (boot, program))
     table = slice(SECTOR, 2 * SECTOR)
-    valid = flash[table].tobytes() in (MAKER[table], BUILT.content[table])
-    return whole and bench.runs_program() == valid and (not valid or images in (0, 12))
+    valid = flash[table].tobytes() in (MAKER[table], built.content[table])
+    return whole and bench.runs_program() == valid and (not valid or images in (0, built.images))
 
 
-def _interrupted(fails_at: int, policy: Policy | None = None) -> Bench:
-    bench = Bench(MAKER, policy)
+def _interrupted(fails_at: int, policy: Policy | None = None, built: Firmware = BUILT) -> Bench:
+    bench = Bench(WHOLE, policy)
     bench.board.fails_at = fails_at
     with suppress(DeviceError):  # at the very end it no longer matters
-        bench.upload(BUILT)
-    assert _is_safe(bench)
+        bench.upload(built)
+    assert _is_safe(bench, built)
     bench.clock.sleep(bench.board.policy.reset_s)
     return bench
 
 
-def _check_interruption(fails_at: int, policy: Policy | None = None) -> None:
-    bench = _interrupted(fails_at, policy)
-    bench.upload(BUILT)
-    assert _has(bench, BUILT)
+def _finish(bench: Bench, built: Firmware = BUILT) -> None:
+    bench.upload(built)
+    assert _has(bench, built)
     assert bench.runs_program()
 
 
@@ -139,7 +141,7 @@ def test_a_table_of_the_same_sum_is_told_apart():
 
 @pytest.mark.parametrize("share", np.linspace(0, 1, 16))
 def test_power_may_fail_at_any_time(share):
-    _check_interruption(round(share * (len(MESSAGES) - 1)))
+    _finish(_interrupted(round(share * (len(MESSAGES) - 1))))
 
 
 @pytest.mark.parametrize(
@@ -147,16 +149,27 @@ def test_power_may_fail_at_any_time(share):
     [at + shift for at in (MESSAGES.index(ENTER), *ERASES, MESSAGES.index(LEAVE)) for shift in (-1, 0, 1, 2)],
 )
 def test_power_may_fail_about_what_changes_most(fails_at):
-    _check_interruption(fails_at)
+    _finish(_interrupted(fails_at))
+
+
+FAST = Policy(sector_erase_s=0.02)
 
 
 @pytest.mark.slow
 def test_power_may_fail_at_every_message():
-    """But data, of which every fifth."""
-    fast = Policy(sector_erase_s=0.02)
-    for fails_at, number in enumerate(_messages(fast)):
+    """Of one image."""
+    messages = _messages(FAST, SMALL)
+    assert messages.count(DATA) > SECTOR // MOST_DATA, "among them all of the sector with the flash table"
+    for fails_at in range(len(messages)):
+        _finish(_interrupted(fails_at, FAST, SMALL), SMALL)
+
+
+@pytest.mark.slow
+def test_power_may_fail_at_every_message_but_data():
+    """Of many images, and at every fifth message with data."""
+    for fails_at, number in enumerate(_messages(FAST)):
         if number != DATA or fails_at % 5 == 0:
-            _check_interruption(fails_at, fast)
+            _finish(_interrupted(fails_at, FAST))
 
 
 @pytest.mark.parametrize("fault", [Fault.UNPLUG_BEFORE, Fault.UNPLUG_AFTER])

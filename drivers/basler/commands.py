@@ -1,0 +1,74 @@
+"""`fpplab camera save|load`: the settings of a Basler camera, between the camera and a file.
+
+Heavy modules are imported where they are used, so that `--help` is at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Force, Json
+from fpplab.cli.camera import camera
+
+if TYPE_CHECKING:
+    from drivers.basler.camera import CameraAsLeft
+
+NAME = "camera"
+
+Serial = Annotated[
+    str | None, typer.Option("--serial", help="Serial number, where several cameras are connected.")
+]
+SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="A .pfs file.")]
+
+
+@camera.command()
+def save(file: SettingsFile, serial: Serial = None, force: Force = False, json: Json = False) -> None:
+    """Write the camera's settings, as it was left with, into a .pfs file.
+
+    A rig file that names it as `features` of its camera has them loaded first, whenever the rig is opened.
+
+    Example: `fpplab camera save camera.pfs`
+    """
+    from fpplab.files import need_suffix, refuse_existing
+
+    need_suffix(file, ".pfs")
+    refuse_existing(file, force)
+    with _connected(serial) as found:
+        found.save_features(file)
+        info = found.info()
+    console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
+
+
+@camera.command()
+def load(file: SettingsFile, serial: Serial = None, json: Json = False) -> None:
+    """Set a camera to what a .pfs file holds, until it is switched off.
+
+    A file that does not fit the camera is refused; half of it may be set by then.
+
+    Example: `fpplab camera load camera.pfs`
+    """
+    with _connected(serial) as found:
+        found.load_features(file)
+        info = found.info()
+    console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
+
+
+def _connected(serial: str | None) -> CameraAsLeft:
+    """The camera of that serial number, or the only one, not open yet. Raises `DeviceError`."""
+    from drivers.basler.camera import CameraAsLeft
+    from drivers.basler.transport import Pylon
+    from fpplab.errors import DeviceError, DisconnectedError
+
+    if serial is None:
+        serials = sorted(Pylon().cameras())
+        if not serials:
+            raise DisconnectedError(NAME, "open", "no camera is connected", "see to its cable and power")
+        if len(serials) > 1:
+            named = f"name one of {', '.join(serials)} with --serial"
+            raise DeviceError(NAME, "open", f"{len(serials)} cameras are connected", named)
+        serial = serials[0]
+    return CameraAsLeft(NAME, {"serial": serial})
