@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow lint bench clean
+.PHONY: setup demo test test-slow test-usb lint bench clean
 
 setup: $(READY)
 
@@ -23,6 +23,10 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# The projector's driver through a real kernel: a virtual machine of Debian's packages, unpacked into build/vm.
+test-usb: setup
+	$(BIN)/python -m tests.vm
 
 lint: setup
 	$(BIN)/ruff check .

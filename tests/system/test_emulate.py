@@ -31,4 +31,4 @@ def test_a_stage_is_served_until_it_is_ended(ending: signal.Signals) -> None:
 def test_an_unknown_emulator_is_refused(fpplab: Command) -> None:
     done = fpplab("emulate", "toaster")
     assert done.code == 2
-    assert "there is no emulator 'toaster'; there are stage" in done.err
+    assert "there is no emulator 'toaster'; there are dlp4500, stage" in done.err

@@ -1,0 +1,114 @@
+"""An emulated LightCrafter on this computer's USB for people: to learn its commands, to try a rig file.
+
+It says on stderr what the projector does.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from drivers.clock import RealClock
+from drivers.dlp4500.flash.firmware import Firmware, arranged
+from drivers.dlp4500.index import FlashIndex
+from drivers.dlp4500.packing import packed
+from drivers.dlp4500.protocol import Mode, Run
+from drivers.dlp4500.sequence import SIZE
+from drivers.emulators.dlpc350.firmware import Dlpc350
+from drivers.emulators.dlpc350.light import Light
+from drivers.emulators.dlpc350.loader import FlashedDlpc350
+from drivers.emulators.dlpc350.sequencer import Sequencer
+from drivers.emulators.dlpc350.usb import EmulatedHid
+from drivers.emulators.dlpc350.usbip import PluggedIn
+from fpplab import config, console
+from fpplab.conventions import Lattice
+from fpplab.patterns import make_patterns
+from fpplab.plan import Plan
+
+DEFAULT_PLAN = "plan_paper.yaml"
+LOOK_S = 0.1
+"""How often somebody would look at the projector."""
+
+
+@contextmanager
+def served(firmware: Path | None = None) -> Iterator[dict[str, str]]:
+    """A projector on USB in real time; gives what to do with it.
+
+    firmware: its flash, which can be written; without it the patterns of `DEFAULT_PLAN` are there for good.
+    Raises `DeviceError` as `PluggedIn`, and errors as `Firmware.load`.
+    """
+    with TemporaryDirectory(prefix="fpplab-") as folder:
+        controller, index = _flashed(firmware) if firmware else _filled(Path(folder))
+        flash = f", flash: {index}" if index.exists() else ""
+        with PluggedIn(EmulatedHid(controller)) as plugged, _narrated(plugged):
+            yield {
+                "serial": plugged.hid.serial,
+                "projector": f'{{backend: "drivers.dlp4500:Dlp4500"{flash}}}',
+                "try": "fpplab devices; fpplab dlp4500 status",
+            }
+
+
+def _flashed(firmware: Path) -> tuple[Dlpc350, Path]:
+    content = Firmware.load(firmware).content
+    return FlashedDlpc350(RealClock(), content), firmware.absolute().with_suffix(".yaml")
+
+
+def _filled(folder: Path) -> tuple[Dlpc350, Path]:
+    patterns = make_patterns(Plan.load(DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
+    slots = arranged(patterns)
+    index = folder / "patterns.yaml"
+    index.write_text(config.dump(FlashIndex.of(patterns, slots)), encoding="utf-8")
+    return Dlpc350(RealClock(), list(packed(patterns, slots))), index
+
+
+@contextmanager
+def _narrated(plugged: PluggedIn) -> Iterator[None]:
+    """Say what the projector does whenever it does something else."""
+    ended = threading.Event()
+
+    def narrate() -> None:
+        said = ""
+        while not ended.wait(LOOK_S):
+            with plugged.lock:
+                now = described(plugged.hid.controller) if plugged.hid.is_plugged else "off the bus"
+            if now != said:
+                console.say(now)
+                said = now
+
+    narrator = threading.Thread(target=narrate, daemon=True)
+    narrator.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        narrator.join()
+
+
+def described(controller: Dlpc350) -> str:
+    """What it does at this moment, as who looks at it would say it."""
+    if isinstance(controller, FlashedDlpc350) and controller.loader is not None:
+        return "boot loader: its flash can be written, it shows nothing"
+    if controller.is_asleep():
+        return "standby"
+    controller.advance()
+    sequencer = controller.sequencer
+    began_s = sequencer.shown.begin_s if sequencer.running and sequencer.shown else controller.clock.now()
+    light = controller.light_at(began_s)
+    leds = ", ".join(f"{name} {level:.0%}" for name, level in light.levels.items()) if light else "dark"
+    if controller.mode is Mode.VIDEO:
+        return f"video mode: {leds}"
+    return f"pattern mode, {_sequence(sequencer, light)}: {leds}"
+
+
+def _sequence(sequencer: Sequencer, light: Light | None) -> str:
+    tables = sequencer.tables
+    if sequencer.running and tables is not None and len(tables.entries) > 1:
+        exposure_s, _ = tables.times[0]
+        times = "over and over" if tables.repeat else "once"
+        return f"{len(tables.entries)} patterns of {1e3 * exposure_s:g} ms {times}"
+    if light is not None:
+        return f"pattern {light.number} of image {light.image}, {light.depth} bits"
+    return "paused" if sequencer.state is Run.PAUSE else "stopped"

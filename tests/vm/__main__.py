@@ -1,0 +1,36 @@
+"""`python -m tests.vm [WORDS FOR PYTEST]`: the projector's driver in a virtual machine, through its kernel.
+
+`python -m tests.vm fetch` only makes the machine ready, or says why this computer cannot have it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from tests.vm.machine import Machine, NotHere
+
+SUITE = (
+    *("tests/vm", "tests/conformance/test_life.py", "tests/conformance/test_projector.py"),
+    *("--rig", "tests/vm/rig_usb.yaml", "-k", "not rig_usb-camera"),
+)
+
+
+def main(words: list[str]) -> int:
+    """0 when all passed, 1 when a test failed, 3 when there is no machine to run them in."""
+    machine, begin = Machine(), time.monotonic()
+    try:
+        machine.fetch()
+    except NotHere as reason:
+        sys.stderr.write(f"{reason}\n")
+        return 3
+    if words == ["fetch"]:
+        return 0
+    failed = machine.run(words or SUITE)
+    verdict = "FAILED" if failed else "passed"
+    sys.stdout.write(f"through a real kernel: {verdict}, {time.monotonic() - begin:.0f} s\n")
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

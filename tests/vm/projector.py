@@ -1,0 +1,106 @@
+"""The emulated projector on the guest's USB, in a process of its own, and how tests reach its inside.
+
+A thread would not do: hidapi holds Python's lock while the device is asked who it is.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from multiprocessing.managers import BaseManager
+
+from drivers.clock import RealClock
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, Light, Pulse
+from drivers.emulators.dlpc350.usbip import PluggedIn
+from fpplab import config
+from fpplab.patterns import Pattern
+from tests.conformance.dlp4500 import flash, shown
+
+ADDRESS = "/run/projector"
+MOST_PULSES = 10_000
+
+
+class Projector:
+    """The controller with the conformance patterns, on USB by a cable that can be pulled.
+
+    Its methods are called from other processes.
+    """
+
+    def __init__(self) -> None:
+        images, self._index = flash()
+        self._caught: deque[Light | None] = deque(maxlen=MOST_PULSES)
+        self._controller = Dlpc350(RealClock(), images, on_pulse=self._pulsed)
+        self._hid = EmulatedHid(self._controller)
+        self._cable = PluggedIn(self._hid)
+
+    def start(self) -> None:
+        """Be on USB from now on."""
+        self._cable.__enter__()
+
+    def index(self) -> str:
+        """The file that says which pattern is where in its flash."""
+        return config.dump(self._index)
+
+    def unplug(self) -> None:
+        """Pull the cable."""
+        with self._cable.lock:
+            self._hid.unplug()
+
+    def plug(self) -> None:
+        """Put it in again."""
+        with self._cable.lock:
+            self._hid.plug()
+
+    def fail(self, faults: Mapping[int, Fault]) -> None:
+        """Have requests fail: those that many after the next one, and no others."""
+        with self._cable.lock:
+            self._hid.faults = {self._hid.requests + ahead: fault for ahead, fault in faults.items()}
+
+    def requests(self) -> int:
+        """How many there were."""
+        with self._cable.lock:
+            return self._hid.requests
+
+    def lit(self) -> Pattern | None:
+        """What is on show at this moment."""
+        with self._cable.lock:
+            return shown(self._controller.light(), self._index)
+
+    def forget(self) -> None:
+        """Let no pulse of before count."""
+        with self._cable.lock:
+            self._caught.clear()
+
+    def caught(self) -> tuple[Pattern | None] | None:
+        """What was on show at the next pulse on trigger output 1; None as long as there was none."""
+        with self._cable.lock:
+            return (shown(self._caught.popleft(), self._index),) if self._caught else None
+
+    def _pulsed(self, pulse: Pulse) -> None:
+        if pulse.output == 1:
+            self._caught.append(self._controller.light_at(pulse.rise_s))
+
+
+class Wires(BaseManager):
+    """From process to process."""
+
+
+def connected() -> Projector:
+    """The projector that this guest has, from another process."""
+    Wires.register("projector")
+    wires = Wires(ADDRESS, authkey=b"guest")
+    wires.connect()
+    projector: Projector = wires.projector()  # type: ignore[attr-defined]
+    return projector
+
+
+def serve() -> None:
+    """Be the process of the projector, without end."""
+    projector = Projector()
+    projector.start()
+    Wires.register("projector", callable=lambda: projector)
+    Wires(ADDRESS, authkey=b"guest").get_server().serve_forever()
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,86 @@
+"""`fpplab emulate dlp4500` as a person uses it: on USB, its flash to be written, and saying what it shows."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import hid
+import pytest
+
+from drivers.clock import RealClock
+from drivers.dlp4500 import Dlp4500
+from drivers.dlp4500.flash.firmware import Firmware, arranged
+from drivers.dlp4500.flash.loader import programming
+from drivers.dlp4500.flash.upload import perform, prepare, verify
+from drivers.dlp4500.index import FlashIndex
+from drivers.dlp4500.transport import Link, connect
+from fpplab import config
+from tests.drivers.flash_files import maker_firmware
+from tests.drivers.projector_bench import greys
+from tests.system.conftest import ROOT
+from tests.vm.conftest import is_gone, is_on_usb, wait_until
+from tests.vm.projector import Projector
+
+PATTERNS = greys(6)
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Firmware:
+    """A firmware that holds the first three patterns, and its index beside it."""
+    maker = Firmware(maker_firmware(), Path("maker.bin"))
+    built = maker.with_patterns(PATTERNS[:3], tmp_path / "base.bin")
+    built.source.write_bytes(built.content)
+    index = FlashIndex.of(PATTERNS[:3], arranged(PATTERNS[:3]))
+    built.source.with_suffix(".yaml").write_text(config.dump(index), encoding="utf-8")
+    return built
+
+
+@pytest.fixture
+def served(emulated: Projector, base: Firmware) -> Iterator[subprocess.Popen[bytes]]:
+    """The command, on a bus that it has for itself."""
+    emulated.unplug()
+    wait_until(is_gone)
+    command = [sys.executable, "-m", "fpplab", "emulate", "dlp4500", "--json", "--firmware", str(base.source)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        yield process
+        process.kill()
+    emulated.plug()
+
+
+def link() -> Link:
+    return Link(connect(hid, "projector", None)[0], RealClock(), "projector")
+
+
+def test_it_is_a_projector_until_it_is_ended(
+    served: subprocess.Popen[bytes], base: Firmware, tmp_path: Path
+) -> None:
+    assert served.stdout is not None
+    told = json.loads(served.stdout.readline())
+    index = base.source.with_suffix(".yaml")
+    assert told["projector"] == f'{{backend: "drivers.dlp4500:Dlp4500", flash: {index}}}'
+    wait_until(is_on_usb)
+    with Dlp4500("projector", {"flash": str(index)}, None) as projector:
+        projector.load(PATTERNS[:3])
+        projector.show(1)
+        time.sleep(1.0)  # or nobody could have seen it
+
+    more = base.with_patterns(PATTERNS, tmp_path / "more.bin")
+    with programming(link, RealClock(), "projector") as loader:
+        perform(more, loader, prepare(more, loader), lambda share: None)
+    with closing(link()) as checked:
+        verify(more, checked)
+
+    served.send_signal(signal.SIGINT)
+    _, said = served.communicate(timeout=60)
+    lines = said.decode().splitlines()
+    assert served.returncode == 0, lines
+    assert "pattern mode, pattern 1 of image 0, 8 bits: red 41%, green 53%, blue 51%" in lines
+    assert "boot loader: its flash can be written, it shows nothing" in lines
+    wait_until(is_gone)
