@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +173,13 @@ def test_help_teaches_every_command(fpplab: Command) -> None:
         done = fpplab(command, "--help")
         assert done.code == 0
         assert len(done.out) > 200
+
+
+def test_the_commands_are_known_without_what_they_need() -> None:
+    heavy = ["bpy", "cv2", "hid", "matplotlib", "numba", "pypylon", "rerun", "scipy", "sdl2", "serial"]
+    code = f"import sys, fpplab.cli; print(sorted(set(sys.modules) & set({heavy})))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_devices_lists_the_emulated_cameras(fpplab: Command) -> None:
