@@ -228,19 +228,18 @@ def measure_response(
     """
     wanted = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)
-    shown = np.unique(np.rint(np.linspace(0, 255, wanted.levels)).astype(int))
-    patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    patterns = uniform_patterns(wanted.shown, rig.projector.caps.size)
     dark = _dark_frame(rig, exposure_s)
-    seen = np.empty((wanted.repeats, len(shown), *statistics(dark.image, dark.settings.bits).shape))
+    seen = np.empty((wanted.repeats, len(patterns), *statistics(dark.image, dark.settings.bits).shape))
     for repeat in range(wanted.repeats):
-        order = range(len(shown))[:: 1 if repeat % 2 == 0 else -1]
+        order = range(len(patterns))[:: 1 if repeat % 2 == 0 else -1]
         with closing(expose(rig, [patterns[i] for i in order], settings)) as shots:
             for done, (i, frame) in enumerate(zip(order, shots, strict=True), 1):
                 seen[repeat, i] = statistics(frame.image, frame.settings.bits)
-                progress((repeat + done / len(shown)) / wanted.repeats)
+                progress((repeat + done / len(patterns)) / wanted.repeats)
     response = fit_greys(
         Greys(
-            shown=shown / 255.0,
+            shown=np.array(wanted.shown) / 255.0,
             seen=seen,
             dark=statistics(dark.image, dark.settings.bits),
             pixels=pixels_of_regions(dark.image),

@@ -69,6 +69,11 @@ class GreyLevels(Document):
     levels: Annotated[int, Field(ge=5, le=256)] = 16
     repeats: Annotated[int, Field(ge=1, le=1000)] = 3
 
+    @property
+    def shown(self) -> list[int]:
+        """The greys, of 255, from black to white."""
+        return [round(255 * k / (self.levels - 1)) for k in range(self.levels)]
+
 
 class Plan(Document):
     """Fringe sets in the order they are shown, how to unwrap them, and the exposure.

@@ -46,7 +46,8 @@ def build(
     """Build a firmware file that holds a plan's patterns, for the projector to show by itself.
 
     Three patterns of 8 bits go into each image, in green, red and blue, for the diamond lattice of
-    the mirrors and through the plan's response. The images of BASE are left out, its program stays as it is.
+    the mirrors and through the plan's response; the greys of `fpplab gamma` and `fpplab check` follow them.
+    The images of BASE are left out, its program stays as it is.
     Beside OUT is left the index, a .yaml, that says which pattern is where: the rig file names it as `flash`.
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
@@ -57,7 +58,8 @@ def build(
     from fpplab import config
     from fpplab.conventions import Lattice
     from fpplab.files import need_suffix, refuse_existing, write_atomic, write_text
-    from fpplab.patterns import make_patterns
+    from fpplab.marker import marker
+    from fpplab.patterns import make_patterns, uniform_patterns
     from fpplab.plan import Plan
 
     need_suffix(out, ".bin")
@@ -68,7 +70,8 @@ def build(
     chosen.check_projector(SIZE, plan)
     firmware = Firmware.load(base)
     with console.stopwatch() as seconds:
-        patterns = make_patterns(chosen, SIZE, Lattice.DIAMOND)
+        greys = sorted({*chosen.greys.shown, *marker().tolist()})
+        patterns = [*make_patterns(chosen, SIZE, Lattice.DIAMOND), *uniform_patterns(greys, SIZE)]
         built = firmware.with_patterns(patterns, out)
         listed = FlashIndex.of(patterns, arranged(patterns))
     write_atomic(out, lambda stream: stream.write(built.content))
