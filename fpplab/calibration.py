@@ -112,12 +112,12 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write as YAML, whole or not at all."""
-        write_text(path, config.dump(_to_file(self)))
+        write_text(path, config.dump(CalibrationFile.of(self)))
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
         """Read a calibration file. Raises `ConfigError`."""
-        return _from_file(config.load(path, CalibrationFile))
+        return config.load(path, CalibrationFile).calibration()
 
 
 def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
@@ -156,6 +156,20 @@ class PinholeFile(Document):
     centre_px: tuple[Centre, Centre]
     distortion: Distortion
     lattice: Lattice = Lattice.SQUARE
+
+    @classmethod
+    def of(cls, device: Pinhole) -> PinholeFile:
+        k = device.matrix
+        return cls(
+            size=device.size,
+            focal_px=(float(k[0, 0]), float(k[1, 1])),
+            centre_px=(float(k[0, 2]), float(k[1, 2])),
+            distortion=tuple(device.coefficients.tolist()),
+            lattice=device.lattice,
+        )
+
+    def model(self) -> Pinhole:
+        return Pinhole.from_focal(self.size, self.focal_px, self.centre_px, self.distortion, self.lattice)
 
 
 class PoseFile(Document):
@@ -219,32 +233,18 @@ class CalibrationFile(Document):
             )
         return self
 
+    @classmethod
+    def of(cls, calibration: Calibration) -> CalibrationFile:
+        known = calibration.uncertainty
+        return cls(
+            camera=PinholeFile.of(calibration.camera),
+            projector=PinholeFile.of(calibration.projector),
+            T_projector_camera=PoseFile.of(calibration.T_projector_camera),
+            rms_px=calibration.rms_px,
+            uncertainty=UncertaintyFile.of(known) if known else None,
+        )
 
-def _pinhole_file(device: Pinhole) -> PinholeFile:
-    k = device.matrix
-    return PinholeFile(
-        size=device.size,
-        focal_px=(float(k[0, 0]), float(k[1, 1])),
-        centre_px=(float(k[0, 2]), float(k[1, 2])),
-        distortion=tuple(device.coefficients.tolist()),
-        lattice=device.lattice,
-    )
-
-
-def _to_file(calibration: Calibration) -> CalibrationFile:
-    return CalibrationFile(
-        camera=_pinhole_file(calibration.camera),
-        projector=_pinhole_file(calibration.projector),
-        T_projector_camera=PoseFile.of(calibration.T_projector_camera),
-        rms_px=calibration.rms_px,
-        uncertainty=UncertaintyFile.of(calibration.uncertainty) if calibration.uncertainty else None,
-    )
-
-
-def _from_file(file: CalibrationFile) -> Calibration:
-    camera, projector = (
-        Pinhole.from_focal(d.size, d.focal_px, d.centre_px, d.distortion, d.lattice)
-        for d in (file.camera, file.projector)
-    )
-    known = file.uncertainty.uncertainty() if file.uncertainty else None
-    return Calibration(camera, projector, file.T_projector_camera.transform(), dict(file.rms_px), known)
+    def calibration(self) -> Calibration:
+        known = self.uncertainty.uncertainty() if self.uncertainty else None
+        pose = self.T_projector_camera.transform()
+        return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known)

@@ -66,6 +66,8 @@ class RigFile(Document):
 class Rig:
     """The devices of a rig file, open between `with Rig.load(path) as rig:` and its end.
 
+    bench: what the devices share, or None.
+
     Every device is closed in reverse order, whatever fails; a device that cannot be made
     safe is reported after all the others are closed.
     """
@@ -75,6 +77,7 @@ class Rig:
 
     def __init__(self, file: RigFile, folder: Path, source: Path | str) -> None:
         self.file, self._folder, self._source = file, folder, source
+        self.bench: Any = None
         self.stage: Stage | None = None
         self.fixture: Fixture | None = None
         self._stack = ExitStack()
@@ -87,7 +90,7 @@ class Rig:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            bench = self._open_bench(stack)
+            bench = self.bench = self._open_bench(stack)
             self.camera = self._device(stack, "camera", Camera, self.file.camera, bench)  # type: ignore[type-abstract]
             self.projector = self._device(stack, "projector", Projector, self.file.projector, bench)  # type: ignore[type-abstract]
             if self.file.stage:

@@ -20,17 +20,21 @@ FEWEST_TEXELS, NEXT = 0.75, 1.3
 
 @dataclass(frozen=True)
 class Setup:
-    """All that moves on the bench: the item and its pose, the stage, and how far the item shakes, in mm."""
+    """All that moves on the bench: the item and its pose, the stage, and how far the item shakes, in mm.
+
+    held: T_camera_item, in place of the world's pose.
+    """
 
     item: str = "nothing"
     pose: int = 0
     stage_mm: float = 0.0
     shake_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    held: RigidTransform | None = None
 
 
 def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
     """The scene with the item of `setup` in its pose, and the texture of its lamp. Raises `ConfigError`."""
-    held = item_poses(world, setup.item)[setup.pose]
+    held = setup.held or item_poses(world, setup.item)[setup.pose]
     pose = RigidTransform(held.rotation, held.translation + np.array(setup.shake_mm))
     surface = item_surface(world, setup.item, pose)
     box, camera = _bounding_box(surface), world.camera_model()

@@ -44,7 +44,7 @@ from fpplab.plan import Plan
 from fpplab.rig import Rig
 from fpplab.session import Session
 from fpplab.targets import Target
-from sim.devices import SimCamera, white_photons_per_s
+from sim.devices import SimCamera
 from sim.light import Picture
 from sim.poses import plate_corners
 from sim.sensor import SensorModel
@@ -168,7 +168,7 @@ class View:
         for i in range(len(patterns)):
             rig.projector.show(i)
             light.append(bench.irradiance(settings, 0)[low[1] : high[1], low[0] : high[0]].copy())
-        sensor = SensorModel(world.camera.sensor, world.camera.binning, white_photons_per_s(world), 0)
+        sensor = replace(SensorModel.of(world), seed=0)
         first = pose * plan.images
         return cls(
             f"pose_{pose:02d}",

@@ -36,14 +36,15 @@ from fpplab.devices import (
 )
 from fpplab.errors import ConfigError
 from fpplab.geometry import RigidTransform
+from fpplab.matching.twin import Twin
 from fpplab.patterns import Pattern, quantise
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
 from sim.light import Light, Picture, Show
-from sim.radiometry import Led, lit_area_m2, photons_per_s
 from sim.scene import Effort, View
 from sim.sensor import SensorModel
 from sim.timing import is_whole, plane_weights
+from sim.twin import SimTwin
 from sim.worker import START_S, Blender
 from sim.world import Binning, BoardItem, World
 
@@ -60,11 +61,13 @@ class BenchOptions(Document):
     """The bench's section in a rig file.
 
     world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
-    of the world's.
+    of the world's. analytic: light on flat, matt items is computed instead of rendered, see
+    `sim.light.plane`; it makes a world that shakes bearable.
     """
 
     world: str
     binning: Binning | None = None
+    analytic: bool = False
 
 
 class VirtualBench:
@@ -79,7 +82,8 @@ class VirtualBench:
         world = World.load(chosen.world)
         self.world = world if chosen.binning is None else world.binned(chosen.binning)
         self.blender = Blender("bench")
-        self.light = Light(self.world, self.blender)
+        self._analytic = chosen.analytic
+        self.light = Light(self.world, self.blender, analytic=self._analytic)
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
         self._lit: Setup | None = None
@@ -109,9 +113,16 @@ class VirtualBench:
 
         For searches that change the response, the sensor or the light of the world many times.
         """
-        light = Light(world, self.blender)
+        light = Light(world, self.blender, analytic=self._analytic)
         light.inherit(self.light)
         self.world, self.light = world, light
+
+    def twin(self, board: str) -> Twin:
+        """A twin of a bench, nominally of this world, that looks at its item `board`; see `fpplab.matching`.
+
+        It renders in the same Blender process and lives as long. Raises `ConfigError` when that is no board.
+        """
+        return SimTwin(self.world, board, self.blender)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> Picture:
         """What reaches the sensor during a frame, (height, width), 1 for white.
@@ -207,10 +218,9 @@ class SimCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         # On the bench's clock a picture takes no longer than its exposure, however long Blender works.
         settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
-        sensor = SensorModel(
-            world.camera.sensor, world.camera.binning, white_photons_per_s(world), world.seed
+        image = SensorModel.of(world).expose(
+            self._bench.irradiance(settings, self._count), settings, self._count
         )
-        image = sensor.expose(self._bench.irradiance(settings, self._count), settings, self._count)
         index, self._index, self._count = self._index, self._index + 1, self._count + 1
         self._clock_s += settings.exposure_s
         pattern_id = shown.pattern.id if shown else DARK
@@ -218,15 +228,6 @@ class SimCamera(Camera):
 
     def _stop(self) -> None:
         """Nothing is under way between calls."""
-
-
-def white_photons_per_s(world: World) -> float:
-    """Photons on an unbinned pixel that sees irradiance 1, by the lamp, the distance and the lens."""
-    camera, projector = world.camera, world.projector
-    focal = projector.model().matrix
-    area = lit_area_m2(projector.size, (focal[0, 0], focal[1, 1]), projector.distance_mm)
-    leds = [Led(projector.leds[n].lumens, projector.leds[n].wavelength_nm) for n in projector.lit]
-    return photons_per_s(leds, area, camera.f_number, camera.transmission, camera.pixel_um)
 
 
 def _shown(pattern: Pattern) -> Pattern:
@@ -265,7 +266,7 @@ class SimProjector(Projector):
     def _show(self, i: int) -> None:
         self._bench.show = Show(self._loaded, i)
 
-    def _play(self, exposure_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float) -> None:
         raise AssertionError("refused before: there is no trigger output")
 
     def _blank(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fpplab import artefacts
+from fpplab import artefacts, config
 from fpplab.artefacts.parts import load_part
 from fpplab.artefacts.slicing import sliced
 from fpplab.conventions import Floats
@@ -19,7 +19,7 @@ from fpplab.errors import ConfigError
 from fpplab.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
-from sim.scene import Surface
+from sim.scene import Paint, Surface
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
 from sim.world.materials import paint
 
@@ -32,7 +32,7 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
     if not isinstance(item, BoardItem):
         return (item.pose.transform(),)
     if isinstance(item.poses, PoseRules):
-        return board_poses(world, name, _target(name, item).size_mm, item.poses)
+        return board_poses(world, name, board_target(name, item).size_mm, item.poses)
     return tuple(pose.transform() for pose in item.poses)
 
 
@@ -61,7 +61,7 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
     if isinstance(item, CardItem):
         return plate_corners(item.card_mm), _PLATE
     if isinstance(item, BoardItem):
-        return plate_corners(_target(name, item).size_mm), _PLATE
+        return plate_corners(board_target(name, item).size_mm), _PLATE
     with _named(f"items.{name}.{'mesh' if isinstance(item, MeshItem) else 'artefact'}"):
         mesh = item_mesh(item)
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
@@ -69,17 +69,34 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
 
 def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
     """An item held in `pose`, T_camera_item. Raises `ConfigError`."""
-    item, material = world.item(name), paint(world.material_of(name))
+    item = world.item(name)
     vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):
-        picture = _target(name, item).image(_print_resolution(world, pose))
-        return Surface(vertices, faces, pose.matrix, material, picture, _PLATE_UV)
-    return Surface(vertices, faces, pose.matrix, material)
+        target = board_target(name, item)
+        picture = _share_of_ground(target, _print_resolution(world, pose))
+        printed = Paint(target.background, ink=target.foreground)
+        return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
+    return Surface(vertices, faces, pose.matrix, paint(world.material_of(name)))
 
 
-def _target(name: str, item: BoardItem) -> Target:
+@lru_cache(maxsize=64)
+def _share_of_ground(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
+    """A board's picture, 255 where nothing is printed; not to be changed."""
+    return target.model_copy(update={"foreground": 0.0, "background": 1.0}).image(px_per_mm)
+
+
+def board_target(name: str, item: BoardItem) -> Target:
+    """What is printed on a board, and with what reflectances. Raises `ConfigError`."""
     with _named(f"items.{name}.target"):
-        return Target.load(item.target)
+        path = config.find(item.target)
+        target = _target(path, path.stat().st_mtime_ns)
+    own = {"background": item.reflectance, "foreground": item.ink}
+    return target.model_copy(update={field: value for field, value in own.items() if value is not None})
+
+
+@lru_cache(maxsize=8)
+def _target(path: Path, changed_ns: int) -> Target:
+    return Target.load(path)
 
 
 @contextmanager

@@ -96,8 +96,9 @@ LEVEL, EVEN = Relief((0.0, 0.0, 1.0), 1.0, 0.0), Grain(0.0, 1.0)
 class Paint:
     """What a surface is made of.
 
-    reflectance: 0 … 1. roughness: Oren-Nayar's, 0 … 1. gloss: share of light that a gloss reflects.
-    scatter_mm: mean free path below the surface, 0 for a surface that light does not enter.
+    reflectance: 0 … 1, where a picture on the surface is white; ink: where it is black. roughness:
+    Oren-Nayar's, 0 … 1. gloss: share of light that a gloss reflects. scatter_mm: mean free path below the
+    surface, 0 for a surface that light does not enter.
     """
 
     reflectance: float
@@ -107,6 +108,7 @@ class Paint:
     scatter_mm: float = 0.0
     relief: Relief = LEVEL
     grain: Grain = EVEN
+    ink: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +116,8 @@ class Surface:
     """A body of triangles.
 
     vertices: (V, 3) in mm in the item's frame. faces: (F, 3) indices. T_camera_item: (4, 4).
-    picture: uint8 [v, u] that scales the reflectance, or None. uv: (V, 2) places of the vertices in the
-    picture, 0 … 1, v downwards.
+    picture: uint8 [v, u], from the paint's ink at 0 to its reflectance at 255, or None. uv: (V, 2) places of
+    the vertices in the picture, 0 … 1, v downwards.
     """
 
     vertices: Floats

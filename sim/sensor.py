@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fpplab.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
-from sim.radiometry import gain_factor
-from sim.world import Sensor
+from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
+from sim.world import Sensor, World
 
 MANY = 1000.0
 """Electrons from which a Poisson variable is drawn as a normal one; the skewness left out is 3 %."""
@@ -33,6 +33,12 @@ class SensorModel:
     photons_per_s: float
     seed: int
 
+    @classmethod
+    def of(cls, world: World) -> SensorModel:
+        """The sensor of a world's camera."""
+        camera = world.camera
+        return cls(camera.sensor, camera.binning, white_photons_per_s(world), world.seed)
+
     def electrons(self, irradiance: float, exposure_s: float) -> float:
         """Mean charge of a binned pixel, without saturation."""
         per_pixel = self.photons_per_s * self.sensor.quantum_efficiency * exposure_s
@@ -43,13 +49,23 @@ class SensorModel:
         share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
         return float(full_scale(settings.bits) * share * gain_factor(settings.gain_db))
 
+    def expected(self, irradiance: NDArray[np.float32], settings: CameraSettings) -> NDArray[np.float32]:
+        """The mean of many frames, float32 0 … full scale: without noise, and without rounding."""
+        full = full_scale(settings.bits)
+        most = np.float32(self.sensor.full_well_e * self.binning**2)
+        numbers = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
+        np.minimum(numbers, most, out=numbers)
+        numbers *= np.float32(self.gain(settings))
+        numbers += np.float32(self.sensor.black_level * full)
+        return np.minimum(numbers, np.float32(full), out=numbers)
+
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
         """One frame [v, u], uint8 up to 8 bits, else uint16; the noise follows from seed and counter."""
         random = np.random.Generator(np.random.SFC64([self.seed, counter]))
         charge = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
         read = self.sensor.read_noise_e * self.binning
         noise = random.standard_normal(charge.shape, np.float32)
-        few = charge < MANY
+        few = (charge > 0) & (charge < MANY)
         counted = random.poisson(charge[few]).astype(np.float32) + np.float32(read) * noise[few]
         full = full_scale(settings.bits)
         out = np.empty(charge.shape, raw_dtype(settings.bits))
@@ -65,6 +81,15 @@ class SensorModel:
             out.ravel(),
         )
         return out
+
+
+def white_photons_per_s(world: World) -> float:
+    """Photons on an unbinned pixel that sees irradiance 1, by the lamp, the distance and the lens."""
+    camera, projector = world.camera, world.projector
+    focal = world.projector_model().matrix
+    area = lit_area_m2(projector.size, (focal[0, 0], focal[1, 1]), projector.distance_mm)
+    leds = [Led(projector.leds[n].lumens, projector.leds[n].wavelength_nm) for n in projector.lit]
+    return photons_per_s(leds, area, camera.f_number, camera.transmission, camera.pixel_um)
 
 
 @numba.njit(cache=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -33,6 +33,8 @@ def least_blur(fill_factor: float) -> float:
 
 
 Texels = NDArray[np.float32]
+Part = tuple[int, int, int, int]
+"""Texels (left, top, right, bottom) of a texture, the right and bottom ones excluded."""
 
 
 @dataclass(frozen=True)
@@ -73,51 +75,82 @@ class MirrorTexture:
     def _margin(self) -> int:
         return 2 + _reach(math.sqrt(self._variance)) + math.ceil(self.widest / 2)
 
-    @cached_property
+    @property
+    def _layout(self) -> _Layout:
+        return _layout(self.size, self.lattice, self._margin)
+
+    @property
     def affine(self) -> Floats:
         """(2, 3): projector pixels (u, v, 1) to texture (column, row); texel centres are integers."""
-        if self.lattice is Lattice.SQUARE:
-            return np.array([[1.0, 0.0, self._margin], [0.0, 1.0, self._margin]])
-        least_t = -((self.size[1] - 1) // 2) - (self.size[1] - 1) % 2
-        return np.array([[1.0, 0.5, self._margin], [1.0, -0.5, self._margin - least_t]])
+        return _affine(self.size, self.lattice, self._margin)
 
-    @cached_property
-    def _texels(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """(rows, columns) of the texel of every mirror."""
-        u, v = mirror_centres(self.size, self.lattice)
-        column, row = np.einsum("ij,jvu->ivu", self.affine, np.stack([u, v, np.ones_like(u)]))
-        return np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)
-
-    @cached_property
-    def _places(self) -> NDArray[np.intp]:
-        """(rows, columns) of the flat place of every mirror's texel."""
-        return np.asarray(np.ravel_multi_index(self._texels, self.shape))
-
-    @cached_property
+    @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the texture, dark margin included."""
-        rows, columns = self._texels
-        return int(rows.max()) + self._margin + 1, int(columns.max()) + self._margin + 1
+        rows, columns = self._layout.mirrors.shape
+        return rows, columns
 
-    def spread(self, light: NDArray[np.float32], circle: float = 0.0) -> Texels:
+    def spread(self, light: NDArray[np.float32], circle: float = 0.0, part: Part | None = None) -> Texels:
         """The texture of mirrors that give `light` (rows, columns of mirrors), float32; dark outside.
 
-        circle: diameter of the circle of confusion in texels, at most `widest`.
+        circle: diameter of the circle of confusion in texels, at most `widest`. part: so much of the texture.
         """
-        texture = np.zeros(self.shape, np.float32)
-        np.put(texture, self._places, light)
         variance, disc = self._variance, None
         if circle > 0:
             if circle > _SMALL_DISC:
                 disc = _disc_of(circle)
             else:
                 variance += circle**2 / 16
-        if variance > 0:
-            kernel = _gaussian(math.sqrt(variance))
+        kernel = _gaussian(math.sqrt(variance)) if variance > 0 else None
+        reach = sum(len(k) // 2 for k in (kernel, disc) if k is not None)
+        texture, inside = self._sharp(light, part, reach)
+        if kernel is not None:
             cv2.sepFilter2D(texture, -1, kernel, kernel, dst=texture, borderType=cv2.BORDER_CONSTANT)
         if disc is not None:
             cv2.filter2D(texture, -1, disc, dst=texture, borderType=cv2.BORDER_CONSTANT)
-        return texture
+        return texture[inside]
+
+    def _sharp(
+        self, light: NDArray[np.float32], part: Part | None, reach: int
+    ) -> tuple[Texels, tuple[slice, slice]]:
+        """The unblurred texture of a part and so many texels around it, and where in that the part is."""
+        if part is None:
+            texture = np.zeros(self.shape, np.float32)
+            np.put(texture, self._layout.places, light)
+            return texture, (slice(None), slice(None))
+        left, top, right, bottom = part
+        x, y = max(left - reach, 0), max(top - reach, 0)
+        mirrors = self._layout.mirrors[y : bottom + reach, x : right + reach]
+        texture = np.where(mirrors >= 0, np.take(light, mirrors), np.float32(0))
+        return texture, (slice(top - y, bottom - y), slice(left - x, right - x))
+
+
+def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
+    if lattice is Lattice.SQUARE:
+        return np.array([[1.0, 0.0, margin], [0.0, 1.0, margin]])
+    least_t = -((size[1] - 1) // 2) - (size[1] - 1) % 2
+    return np.array([[1.0, 0.5, margin], [1.0, -0.5, margin - least_t]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """places: (rows, columns) of mirrors, the flat place of every mirror's texel. mirrors: (rows, columns) of
+    the texture, the flat place of every texel's mirror, -1 where there is none."""
+
+    places: NDArray[np.intp]
+    mirrors: NDArray[np.int32]
+
+
+@lru_cache(maxsize=8)
+def _layout(size: tuple[int, int], lattice: Lattice, margin: int) -> _Layout:
+    u, v = mirror_centres(size, lattice)
+    column, row = np.einsum("ij,jvu->ivu", _affine(size, lattice, margin), np.stack([u, v, np.ones_like(u)]))
+    rows, columns = np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)
+    shape = int(rows.max()) + margin + 1, int(columns.max()) + margin + 1
+    places = np.ravel_multi_index((rows, columns), shape)
+    mirrors = np.full(shape, -1, np.int32)
+    np.put(mirrors, places, np.arange(places.size, dtype=np.int32))
+    return _Layout(places, mirrors)
 
 
 _SMALL_DISC = 2.0

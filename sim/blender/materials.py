@@ -24,7 +24,7 @@ EDGE = 1.2
 
 
 def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None) -> None:
-    """Make `mesh` of `paint`, its reflectance scaled by `picture` [v, u] at `uv` (V, 2) of the vertices."""
+    """Make `mesh` of `paint`, printed on with `picture` [v, u] at `uv` (V, 2) of the vertices."""
     material = bpy.data.materials.new("paint")
     material.use_nodes = True
     material.cycles.use_bump_map_correction = False  # it darkens and straightens normals
@@ -73,7 +73,7 @@ def _colour(paint: Paint, share: Any) -> Any:
     They are the same but below a translucent surface: of a colour c Cycles' walk, half of which enters
     refracted and is lost deeper than the colour was fitted for, leaves c (0.8 + 0.2 c) (measured).
     """
-    reflectance = paint.reflectance * share
+    reflectance = paint.ink + (paint.reflectance - paint.ink) * share
     return np.sqrt(4 + 5 * reflectance) - 2 if paint.scatter_mm > 0 else reflectance
 
 

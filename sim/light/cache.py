@@ -27,7 +27,7 @@ from sim.light.table import Table
 from sim.scene import Scene, View
 
 LIMIT_BYTES = 2 << 30
-FORMAT = "fpplab light table 3"
+FORMAT = "fpplab light table 4"
 
 _log = logging.getLogger(__name__)
 
@@ -134,7 +134,12 @@ class TableCache:
 
 
 def _write(stream: IO[bytes], table: Table) -> None:
-    about = {"renderer": renderer(), "samples": table.samples.shape, "albedo": table.albedo.shape}
+    about = {
+        "renderer": renderer(),
+        "samples": table.samples.shape,
+        "albedo": table.albedo.shape,
+        "corner": table.corner,
+    }
     hashed = hashlib.sha256()
     for part in (f"{FORMAT}\n{json.dumps(about)}\n".encode(), table.samples.data, table.albedo.data):
         stream.write(part)
@@ -156,7 +161,8 @@ def _read(stream: BinaryIO) -> Table:
     samples, albedo = (_array(stream, tuple(about[part]), hashed) for part in ("samples", "albedo"))
     if stream.read(64) != hashed.digest():
         raise ValueError("its checksum is wrong")
-    return Table(samples, albedo)
+    left, top = about["corner"]
+    return Table(samples, albedo, (int(left), int(top)))
 
 
 def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -26,9 +25,10 @@ from sim.build import Setup, build_scene
 from sim.light.basis import Basis, Picture, span
 from sim.light.cache import TableCache, digest
 from sim.light.kept import Kept
+from sim.light.plane import can_compute, computed
 from sim.light.table import Table
 from sim.scene import COLOURS, Effort, Scene, View
-from sim.texture import MirrorTexture
+from sim.texture import MirrorTexture, Part
 from sim.worker import Blender
 from sim.world import World
 
@@ -78,12 +78,18 @@ class Rendered:
 
 
 class Light:
-    """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk."""
+    """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk.
 
-    def __init__(self, world: World, blender: Blender, cache: TableCache | None = None) -> None:
-        self._world, self._blender = world, blender
+    analytic: tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
+    """
+
+    def __init__(
+        self, world: World, blender: Blender, cache: TableCache | None = None, analytic: bool = False
+    ) -> None:
+        self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._tables: Kept[Table] = Kept(2 * KEEP_BYTES)
+        self._shaken: tuple[str, Table] | None = None
         self._pictures: Kept[Picture] = Kept(KEEP_BYTES)
         self._bases: Kept[Rendered] = Kept(2 * KEEP_BYTES)
         self._albedos: Kept[Picture] = Kept(KEEP_BYTES)
@@ -118,19 +124,23 @@ class Light:
 
     def table(self, setup: Setup) -> Table:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
-        if any(setup.shake_mm):
-            return self._found(setup)  # nobody will ask for it again
-        return self._tables.get(setup, lambda: self._found(setup))
+        _, scene, _ = self._built(setup)
+        key = digest(scene, self._views)
+        if any(setup.shake_mm):  # the next frame has another
+            if self._shaken is None or self._shaken[0] != key:
+                self._shaken = (key, self._found(setup, key))
+            return self._shaken[1]
+        return self._tables.get(key, lambda: self._found(setup, key))
 
     def inherit(self, other: Light) -> None:
-        """Take over the tables of another world that differs in nothing that they depend on."""
-        if _optical(self._world) == _optical(other._world):
-            self._tables.take(other._tables)
+        """Take over the tables of another world, to have those that hold in this one as well."""
+        self._tables.take(other._tables)
 
     def forget(self) -> None:
         """Let go of every picture."""
         for kept in (self._tables, self._pictures, self._bases, self._albedos):
             kept.clear()
+        self._shaken = None
 
     def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> Picture:
         if row_weights is None:
@@ -182,8 +192,9 @@ class Light:
         else:
             table = self._basis_under(setup, basis).table
             light = [levels.of(n) - basis.level(n) for n in states]
-        _, scene, _ = self._built(setup)
-        return table.look_up(self._textures(setup, light), scene.lamp.sharp)
+        _, scene, texture = self._built(setup)
+        part = table.part(texture.shape)
+        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp, part[:2])
 
     def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
@@ -192,9 +203,7 @@ class Light:
         """Three channels in a render; the table comes with the first, whose first channel is white."""
         _, scene, _ = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
-        table = Table.of(first, scene.lamp).divided_by(
-            self._textures(setup, basis.channels[:1]), scene.lamp.sharp
-        )
+        table = Table.of(first, scene).divided_by(self._textures(setup, basis.channels[:1]), scene.lamp.sharp)
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)
         for start in range(COLOURS, len(basis.channels), COLOURS):
@@ -241,14 +250,15 @@ class Light:
             self._basis = (levels, basis)
         return self._basis[1]
 
-    def _found(self, setup: Setup) -> Table:
+    def _found(self, setup: Setup, key: str) -> Table:
         _, scene, _ = self._built(setup)
+        if self._analytic and can_compute(scene):
+            return computed(scene, self._views)
         keep = self._cache if not any(setup.shake_mm) else None
-        key = digest(scene, self._views)
         table = keep.load(key) if keep else None
         if table is None:
             table = Table.of(
-                self._render(setup, None, self._effort(bounces=0, samples=1, survey=True)), scene.lamp
+                self._render(setup, None, self._effort(bounces=0, samples=1, survey=True)), scene
             )
             if keep:
                 keep.store(key, table)
@@ -261,14 +271,18 @@ class Light:
         effort = self._effort(render.bounces, render.samples, survey)
         return self._render(setup, self._textures(setup, [*channels, *dark]), effort)
 
-    def _textures(self, setup: Setup, levels: Sequence[Picture] | Picture) -> Picture:
-        """Of mirrors at these light levels, (circles, rows, columns, levels)."""
+    def _textures(
+        self, setup: Setup, levels: Sequence[Picture] | Picture, part: Part | None = None
+    ) -> Picture:
+        """Of mirrors at these light levels, (circles, rows, columns, levels), whole or so much of them."""
         _, scene, texture = self._built(setup)
-        circles = scene.lamp.circles
-        textures = np.empty((len(circles), *texture.shape, len(levels)), np.float32)
+        circles, (rows, columns) = scene.lamp.circles, texture.shape
+        if part is not None:
+            columns, rows = part[2] - part[0], part[3] - part[1]
+        textures = np.empty((len(circles), rows, columns, len(levels)), np.float32)
         for of_circle, circle in zip(textures, circles, strict=True):
             for n, level in enumerate(levels):
-                of_circle[..., n] = texture.spread(level, circle)
+                of_circle[..., n] = texture.spread(level, circle, part)
         return textures
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
@@ -317,16 +331,3 @@ def _vignette(world: World) -> Picture | None:
     v, u = np.mgrid[0:height, 0:width].astype(np.float64)
     slopes = camera.normalise(np.stack([u, v], axis=-1))
     return np.asarray((1 + (slopes**2).sum(axis=-1)) ** (-exponent / 2), np.float32)
-
-
-def _optical(world: World) -> dict[str, Any]:
-    """All of a world that tables of direct light depend on."""
-    excluded: dict[str, Any] = {
-        "ambient": True,
-        "vibration_mm": True,
-        "camera": {"sensor", "shutter", "vignetting", "transmission"},
-        "projector": {"response", "leds", "lit", "period_s"},
-        "stage": {"travel_mm"},
-        "render": {"path", "samples", "bounces", "cache", "device"},
-    }
-    return world.model_dump(exclude=excluded)

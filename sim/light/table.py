@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from fpplab.conventions import Floats
 from fpplab.geometry import RigidTransform, distort
-from sim.scene import ALBEDO, DIRECT, Lamp, X, Y, Z
+from sim.scene import ALBEDO, DIRECT, Scene, X, Y, Z
+from sim.texture import Part
 
 Picture = NDArray[np.float32]
 
@@ -23,28 +25,37 @@ DIMMEST = np.float32(0.02)
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """samples: (K, height, width, 4) texture column and row, circle and shade; albedo: (height, width).
+    """samples: (K, h, w, 4) texture column and row, circle and shade; albedo: (height, width) of the image.
 
+    Samples are those of the pixels from `corner` (left, top) of the image on; outside nothing is seen.
     Circles count along `Lamp.circles`, with fractions for what lies between two. Shade is the irradiance
     under white, 0 in shadow.
     """
 
     samples: Picture
     albedo: Picture
+    corner: tuple[int, int] = (0, 0)
 
     @property
     def nbytes(self) -> int:
         """Of memory."""
         return self.samples.nbytes + self.albedo.nbytes
 
+    @cached_property
+    def reach(self) -> tuple[Floats, Floats]:
+        """Least and greatest (column, row) of the texture that lit samples look at."""
+        return _extent(self.samples.reshape(-1, 4))
+
     @classmethod
-    def of(cls, rendered: Picture, lamp: Lamp) -> Table:
-        """From what Blender rendered under even light, (K, height, width, CHANNELS)."""
-        views, height, width, channels = rendered.shape
+    def of(cls, rendered: Picture, scene: Scene) -> Table:
+        """From what Blender rendered of a scene under even light, (K, height, width, CHANNELS)."""
+        lamp, (left, top, right, bottom) = scene.lamp, scene.window
+        seen = rendered[:, top:bottom, left:right]
+        views, height, width, channels = seen.shape
         samples = np.empty((views, height, width, 4), np.float32)
         T = RigidTransform(lamp.T_camera_projector[:3, :3], lamp.T_camera_projector[:3, 3]).inverse()
         _locate(
-            rendered.reshape(-1, channels),
+            seen.reshape(-1, channels),
             T.matrix[:3],
             lamp.optics.distortion,
             lamp.affine @ lamp.optics.matrix,
@@ -53,34 +64,51 @@ class Table:
             np.array(lamp.circles, np.float64) ** 2,
             samples.reshape(-1, 4),
         )
-        albedo = np.zeros((height, width), np.float32)
+        albedo = np.zeros(rendered.shape[1:3], np.float32)
         for view in rendered:
             albedo += view[..., ALBEDO]
-        return cls(samples, albedo / np.float32(views))
+        return cls(samples, albedo / np.float32(views), (left, top))
 
-    def look_up(self, textures: Picture, fill: float | None = None) -> Picture:
+    def part(self, shape: tuple[int, int]) -> Part:
+        """What of a texture of `shape` (rows, columns) the samples look at, interpolation included."""
+        last = np.array(shape[::-1]) - 2
+        left, top = np.clip(self.reach[0], 0, last).astype(int).tolist()
+        right, bottom = np.clip(self.reach[1], (left, top), last).astype(int).tolist()
+        return left, top, right + 2, bottom + 2
+
+    def look_up(
+        self, textures: Picture, fill: float | None = None, origin: tuple[int, int] = (0, 0)
+    ) -> Picture:
         """Pictures (patterns, height, width) under textures (circles, rows, columns, patterns).
 
-        fill: the side of sharp mirrors in texels, or None for smooth optics.
+        fill: the side of sharp mirrors in texels, or None for smooth optics. origin: column and row of the
+        whole texture that these are cut out at.
         """
-        views, height, width, _ = self.samples.shape
-        out = np.empty((textures.shape[-1], height * width), np.float32)
-        flat = self.samples.reshape(views, height * width, 4)
+        views, h, w, _ = self.samples.shape
+        seen = np.empty((textures.shape[-1], h * w), np.float32)
+        flat = self.samples.reshape(views, h * w, 4)
+        x, y = map(np.float32, origin)
         if fill is None:
-            _interpolated(textures, flat, out)
+            _interpolated(textures, flat, x, y, seen)
         else:
-            _nearest(textures[0], flat, np.float32(fill), out)
-        return out.reshape(-1, height, width)
+            _nearest(textures[0], flat, x, y, np.float32(fill), seen)
+        pictures = seen.reshape(len(seen), h, w)
+        if (h, w) == self.albedo.shape:
+            return pictures
+        left, top = self.corner
+        whole = np.zeros((len(pictures), *self.albedo.shape), np.float32)
+        whole[:, top : top + h, left : left + w] = pictures
+        return whole
 
     def divided_by(self, white: Picture, fill: float | None = None) -> Table:
         """The table of even light, if this is that of `white` mirrors (circles, rows, columns, 1)."""
         samples = self.samples.copy()
         each = samples.reshape(1, 1, -1, 4)
         shade = each[0, 0, :, 3]
-        again = Table(each, self.albedo).look_up(white, fill)[0, 0]  # white light on top of white light
+        again = Table(each, each[0, ..., 0]).look_up(white, fill)[0, 0]  # white light on top of white light
         lit = again > DIMMEST * shade
         shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
-        return Table(samples, self.albedo)
+        return Table(samples, self.albedo, self.corner)
 
 
 _distort = numba.njit(inline="always")(distort)
@@ -110,15 +138,20 @@ def _locate(
         xd, yd, _, _, _ = _distort(x, y, distortion)
         out[i, 0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
         out[i, 1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
-        if len(squares) > 1:
-            circle = circle_scale * (1.0 / z - inverse_focus)
-            out[i, 2] = _between(circle * circle, squares)
+        out[i, 2] = circle_level(z, circle_scale, inverse_focus, squares)
         out[i, 3] = rendered[i, DIRECT]
 
 
 @numba.njit(cache=True)
-def _between(square: float, squares: Floats) -> float:
-    """Where a value lies among rising ones: 1.25 is a quarter of the way from the second to the third."""
+def circle_level(depth: float, circle_scale: float, inverse_focus: float, squares: Floats) -> float:
+    """Where the circle of confusion at a depth lies among those drawn, by its square.
+
+    1.25 is a quarter of the way from the second to the third.
+    """
+    if len(squares) == 1:
+        return 0.0
+    circle = circle_scale * (1.0 / depth - inverse_focus)
+    square = circle * circle
     level = 0
     while level < len(squares) - 2 and square > squares[level + 1]:
         level += 1
@@ -126,8 +159,21 @@ def _between(square: float, squares: Floats) -> float:
     return float(level + min(max(share, 0.0), 1.0))
 
 
+@numba.njit(cache=True)
+def _extent(samples: Picture) -> tuple[Floats, Floats]:
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for sample in samples:
+        if sample[3] > 0:
+            for axis in range(2):
+                low[axis] = min(low[axis], sample[axis])
+                high[axis] = max(high[axis], sample[axis])
+    return low, high
+
+
 @numba.njit(parallel=True, cache=True, fastmath={"contract", "reassoc", "nsz"})
-def _interpolated(textures: Picture, samples: Picture, out: Picture) -> None:
+def _interpolated(
+    textures: Picture, samples: Picture, left: np.float32, top: np.float32, out: Picture
+) -> None:
     circles, rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape
     share = np.float32(1.0 / views)
@@ -135,7 +181,7 @@ def _interpolated(textures: Picture, samples: Picture, out: Picture) -> None:
     for p in numba.prange(pixels):
         total = np.zeros(patterns, np.float32)
         for k in range(views):
-            x, y = samples[k, p, 0], samples[k, p, 1]
+            x, y = samples[k, p, 0] - left, samples[k, p, 1] - top
             shade = samples[k, p, 3]
             if shade > 0 and 0 <= x < columns - 1 and 0 <= y < rows - 1:
                 i, j = int(x), int(y)
@@ -158,7 +204,9 @@ def _interpolated(textures: Picture, samples: Picture, out: Picture) -> None:
 
 
 @numba.njit(parallel=True, cache=True)
-def _nearest(textures: Picture, samples: Picture, fill: np.float32, out: Picture) -> None:
+def _nearest(
+    textures: Picture, samples: Picture, left: np.float32, top: np.float32, fill: np.float32, out: Picture
+) -> None:
     rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape
     share = np.float32(1.0 / (views * fill * fill))
@@ -167,7 +215,7 @@ def _nearest(textures: Picture, samples: Picture, fill: np.float32, out: Picture
         for q in range(patterns):
             out[q, p] = 0
         for k in range(views):
-            x, y = samples[k, p, 0], samples[k, p, 1]
+            x, y = samples[k, p, 0] - left, samples[k, p, 1] - top
             shade = samples[k, p, 3]
             i, j = np.floor(x + half), np.floor(y + half)
             if not (shade > 0 and 0 <= i < columns and 0 <= j < rows):

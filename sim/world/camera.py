@@ -85,9 +85,7 @@ class CameraWorld(Document):
 
     @model_validator(mode="after")
     def _every_pixel_has_a_ray(self) -> CameraWorld:
-        width, height = self.size
-        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
-        if np.isnan(self.model().normalise(corners)).any():
+        if not has_rays(self.model()):
             raise ValueError(
                 f"'distortion' is {list(self.distortion)}: it folds or has a pole before the image's corner; "
                 "must leave a ray to every pixel"
@@ -112,3 +110,10 @@ class CameraWorld(Document):
             for side, offset in zip(self.sensor_size, self.centre_offset_px, strict=True)
         )
         return Pinhole.from_focal(self.size, (focal, focal), (centre[0], centre[1]), self.distortion)
+
+
+def has_rays(camera: Pinhole) -> bool:
+    """Whether every pixel of a camera sees somewhere: its distortion neither folds nor has a pole in view."""
+    width, height = camera.size
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
+    return not np.isnan(camera.normalise(corners)).any()

@@ -10,7 +10,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from fpplab import config
 from fpplab.calibration import PoseFile
 from fpplab.config import Document
-from sim.world.numbers import NotNegative, Positive
+from sim.world.numbers import NotNegative, Positive, Share
 
 FileName = Annotated[str, Field(min_length=1)]
 
@@ -31,10 +31,21 @@ class PoseRules(Document):
 
 
 class BoardItem(Document):
-    """A characterisation board: its target file, and the poses it is held in. Its print is Lambertian."""
+    """A characterisation board: its target file, and the poses it is held in. Its print is Lambertian.
+
+    reflectance, ink: of the ground and of what is printed on it, in place of the target file's.
+    """
 
     target: FileName
+    reflectance: Share | None = None
+    ink: Share | None = None
     poses: PoseRules | Annotated[tuple[PoseFile, ...], Field(min_length=1)] = PoseRules()
+
+    @model_validator(mode="after")
+    def _print_shows(self) -> BoardItem:
+        if self.ink is not None and self.ink == self.reflectance:
+            raise ValueError(f"'ink' is {self.ink:g}, as 'reflectance' is: must differ, or nothing shows")
+        return self
 
 
 class ArtefactItem(Document):

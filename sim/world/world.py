@@ -9,11 +9,13 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fpplab import config
+from fpplab.calibration import CalibrationFile
 from fpplab.config import Document
 from fpplab.conventions import Floats
 from fpplab.errors import ConfigError
+from fpplab.files import write_text
 from fpplab.geometry import Pinhole, RigidTransform
-from sim.world.camera import Binning, CameraWorld
+from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, beside
 from sim.world.materials import Diffuse, Material, Translucent
 from sim.world.numbers import NotNegative
@@ -44,6 +46,9 @@ class StageWorld(Document):
 class World(Document):
     """The whole bench.
 
+    calibration: measured models of both devices and the pose between them with the stage at 0, in place of
+    the `focal_mm`, `centre_offset_px`, `throw_ratio`, `centre_px`, `distortion` and `T_camera_projector` of
+    `camera` and `projector`; a world file may name a calibration file. Apertures stay `focal_mm / f_number`.
     items: what the fixture can hold, by name. mounted: what it holds at first. material: of items that name
     none of `materials`. ambient: even light on everything in view, relative to the projector's white.
     vibration_mm: standard deviation, along each axis, of where the item is from frame to frame.
@@ -52,6 +57,7 @@ class World(Document):
     seed: Annotated[int, Field(ge=0)] = 0
     camera: CameraWorld = CameraWorld()
     projector: ProjectorWorld
+    calibration: CalibrationFile | None = None
     stage: StageWorld = StageWorld()
     items: dict[str, Item]
     mounted: str = "nothing"
@@ -89,6 +95,30 @@ class World(Document):
             )
         return self
 
+    @model_validator(mode="after")
+    def _calibration_fits(self) -> World:
+        if self.calibration is None:
+            return self
+        given, lattice = self.calibration, self.projector.lattice
+        for device, size in (("camera", self.camera.size), ("projector", self.projector.size)):
+            found = getattr(given, device).size
+            if found != size:
+                raise ValueError(
+                    f"'calibration' is for a {device} of {found[0]} x {found[1]}: must be {size[0]} x "
+                    f"{size[1]} as the world's"
+                )
+        if given.projector.lattice is not lattice:
+            raise ValueError(
+                f"'calibration' is for a projector on a {given.projector.lattice} lattice: must be "
+                f"{lattice} as the world's"
+            )
+        if not has_rays(self.camera_model()):
+            raise ValueError(
+                f"'calibration' has the camera distortion {list(given.camera.distortion)}: it folds or has "
+                "a pole before the image's corner; must leave a ray to every pixel"
+            )
+        return self
+
     @property
     def indirect(self) -> str | None:
         """What makes light arrive elsewhere than where it fell, if anything does."""
@@ -114,12 +144,28 @@ class World(Document):
     def load(cls, path: Path | str) -> World:
         """Read a world file, by path or by the name of one that comes with fpplab. Raises `ConfigError`.
 
-        A relative name of a mesh or target file is looked for beside the world file first.
+        A relative name of a mesh, target or calibration file is looked for beside the world file first.
         """
         found = config.find(path)
-        world = config.load(found, cls)
+        data = config.parse(config.read_text(found), found)
+        if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
+            measured = config.load(config.find(config.beside(name, found.parent)), CalibrationFile)
+            data["calibration"] = measured.model_dump(mode="json", exclude_none=True)
+        world = config.validate(data, cls, found)
         items = {name: beside(item, found.parent) for name, item in world.items.items()}
         return world.model_copy(update={"items": items})
+
+    def save(self, folder: Path, name: str = "world.yaml") -> Path:
+        """Write as a world file in `folder`, a calibration beside it as `calibration.yaml`; its path.
+
+        Names of mesh and target files stay as they are. Raises `DataError` when the place cannot be written.
+        """
+        data = self.model_dump(mode="json", exclude_none=True)
+        if self.calibration is not None:
+            write_text(folder / "calibration.yaml", config.dump(self.calibration))
+            data["calibration"] = "calibration.yaml"
+        write_text(folder / name, config.to_yaml(data))
+        return folder / name
 
     def binned(self, binning: Binning) -> World:
         """The same world, seen by its camera at another binning. Raises `ConfigError` when that cannot be."""
@@ -129,15 +175,18 @@ class World(Document):
 
     def camera_model(self) -> Pinhole:
         """The true camera."""
-        return self.camera.model()
+        return self.calibration.camera.model() if self.calibration else self.camera.model()
 
     def projector_model(self) -> Pinhole:
         """The true projector."""
-        return self.projector.model()
+        return self.calibration.projector.model() if self.calibration else self.projector.model()
 
     def T_projector_camera(self, stage_mm: float = 0.0) -> RigidTransform:
         """The true pose of the camera in the projector's frame, with the stage at `stage_mm`."""
-        pose = self.projector.T_camera_projector.transform()
+        if self.calibration:
+            pose = self.calibration.T_projector_camera.transform().inverse()
+        else:
+            pose = self.projector.T_camera_projector.transform()
         return RigidTransform(pose.rotation, pose.translation + self.stage.offset(stage_mm)).inverse()
 
     def item(self, name: str) -> Item:

@@ -15,6 +15,7 @@ from fpplab.devices import CameraSettings
 from fpplab.patterns import Pattern, uniform_patterns
 from sim.devices import SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
 from sim.light import Light, Picture, Setup, Show
+from sim.light.table import Table
 from sim.worker import Blender
 from sim.world import World
 
@@ -160,3 +161,11 @@ def grid(of: World) -> Floats:
     width, height = of.camera.size
     v, u = np.mgrid[0:height, 0:width].astype(np.float64)
     return np.stack([u, v], axis=-1)
+
+
+def samples_of_image(table: Table) -> Picture:
+    """A table's samples (K, height, width, 4) for the whole image, zeros where it has none."""
+    views, h, w, channels = table.samples.shape
+    (left, top), samples = table.corner, np.zeros((views, *table.albedo.shape, channels), np.float32)
+    samples[:, top : top + h, left : left + w] = table.samples
+    return samples

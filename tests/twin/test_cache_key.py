@@ -57,7 +57,7 @@ def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
         return changed
     if isinstance(value, bool):
         return not value
-    return value + 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
+    return value ^ 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
 
 
 PLACES = list(numbers((SCENE, SHIFTED)))

@@ -142,3 +142,32 @@ def test_sharp_mirrors_are_divided_out_alike() -> None:
     of_white.samples[0, 0, 1, 3] = 0.0
     found = of_white.divided_by(np.ones((1, 8, 10, 1), np.float32), fill=0.8).samples[0, 0, :, 3]
     np.testing.assert_allclose(found, [0.5, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("fill", [None, 1.0, 0.8])
+def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> None:
+    """Under the part of a texture that it looks at, too; beside the window it is dark."""
+    random = np.random.default_rng(7)
+    samples = np.zeros((2, 12, 15, 4), np.float32)
+    samples[:, 3:9, 4:11, :2] = random.uniform(8, 20, (2, 6, 7, 2))
+    samples[:, 3:9, 4:11, 2] = random.uniform(0, 1, (2, 6, 7))
+    samples[:, 3:9, 4:11, 3] = random.uniform(0.1, 1, (2, 6, 7))
+    samples[0, 5, 5, :2] = 1e9, -1e9
+    albedo = np.zeros((12, 15), np.float32)
+    whole = Table(samples, albedo)
+    window = Table(np.ascontiguousarray(samples[:, 3:9, 4:11]), albedo, (4, 3))
+    textures = random.random((2, 40, 30, 5), np.float32)
+    for of in (whole, window):
+        left, top, right, bottom = of.part((40, 30))
+        cut = np.ascontiguousarray(textures[:, top:bottom, left:right])
+        np.testing.assert_allclose(
+            of.look_up(cut, fill, (left, top)), whole.look_up(textures, fill), atol=2e-5
+        )
+    assert whole.look_up(textures, fill)[:, 3:9, 4:11].max() > 0.3
+
+
+def test_a_table_that_sees_nothing_lit_is_dark() -> None:
+    dark = Table(np.zeros((1, 3, 0, 4), np.float32), np.zeros((3, 5), np.float32), (5, 0))
+    left, top, right, bottom = dark.part((40, 30))
+    cut = np.ones((1, bottom - top, right - left, 2), np.float32)
+    np.testing.assert_array_equal(dark.look_up(cut, None, (left, top)), np.zeros((2, 3, 5)))

@@ -21,7 +21,7 @@ from sim.light import Light, Setup, Show
 from sim.scene import DIRECT, Effort, View, X, Z
 from sim.worker import Blender
 from sim.world import World
-from tests.twin.conftest import plain, world
+from tests.twin.conftest import plain, samples_of_image, world
 from tests.twin.raycaster import Box, Caster, Field, Plane, Seen, Shape, Sphere
 
 RADIUS, ACROSS, BLUR = 40.0, 2, 0.6
@@ -106,7 +106,7 @@ def test_irradiance_under_white(blender: Blender, bench: Bench, path: str) -> No
 
 def test_edges_and_shadows_lie_where_they_should(blender: Blender, bench: Bench) -> None:
     """Hardly a sample is lit in one and dark in the other, edges included."""
-    lit = Light(bench.world, blender).table(bench.setup).samples[..., 3] > 0
+    lit = samples_of_image(Light(bench.world, blender).table(bench.setup))[..., 3] > 0
     wrong = lit != (bench.seen.shade > 0)
     # An edge of a ball of facets is out by the facets' sag, and its terminator by their tilt.
     assert wrong.mean() < (3e-4 if bench.further else 2e-5)
@@ -115,7 +115,7 @@ def test_edges_and_shadows_lie_where_they_should(blender: Blender, bench: Bench)
 def test_projector_coordinates_in_the_table(blender: Blender, bench: Bench) -> None:
     of, seen = bench.world, bench.seen
     affine = of.projector.texture().affine
-    texels = Light(of, blender).table(bench.setup).samples[..., :2]
+    texels = samples_of_image(Light(of, blender).table(bench.setup))[..., :2]
     u, v = np.moveaxis((texels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T, -1, 0)
     for found, name in ((u, "u"), (v, "v")):
         expected = getattr(seen, name)
@@ -254,7 +254,7 @@ def test_light_comes_from_the_mirrors_that_points_project_to(
     lit = inside & (rendered[..., DIRECT] > 0.1)
     assert lit.sum() > 0.5 * lit.size
     by_light = rendered[lit][:, 1:3] / rendered[lit][:, :1] * max(texture.shape)
-    by_table = Light(of, blender).table(Setup("card")).samples[0, ::2, ::2][lit][:, :2]
+    by_table = samples_of_image(Light(of, blender).table(Setup("card")))[0, ::2, ::2][lit][:, :2]
     square, offset = texture.affine[:, :2], texture.affine[:, 2]
     for texels in (by_light, by_table.astype(np.float64)):
         found = (texels - offset) @ np.linalg.inv(square).T

@@ -69,3 +69,15 @@ def test_noise_follows_from_seed_and_counter() -> None:
 
     assert frame(1, 0) == frame(1, 0)
     assert len({frame(1, 0), frame(1, 1), frame(2, 0)}) == 3
+
+
+@pytest.mark.parametrize("irradiance", [0.0, 0.02, 0.4, 50.0])
+@pytest.mark.parametrize("settings", [CameraSettings(0.02), CameraSettings(0.005, 6.0, 12)])
+def test_expected_is_the_mean_of_frames(irradiance: float, settings: CameraSettings) -> None:
+    model = SensorModel(Sensor(black_level=0.03), 4, PHOTONS_PER_S, 1)
+    frames = np.stack([model.expose(flat(irradiance), settings, n) for n in range(4)]).astype(np.float64)
+    level = model.expected(flat(irradiance), settings)
+    assert level.dtype == np.float32
+    assert frames.mean() == pytest.approx(
+        level.mean(), abs=0.5 if frames.std() < 0.5 else 0.03 * frames.std()
+    )

@@ -7,6 +7,8 @@ import math
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fpplab.conventions import Lattice, mirror_centres
 from sim.texture import MirrorTexture, least_blur
@@ -80,3 +82,23 @@ def test_a_wide_circle_is_a_disc_and_no_bell() -> None:
     radius = np.hypot(row - middle[0], column - middle[1])
     np.testing.assert_allclose(texels[radius < 13.5], 1 / (np.pi * 15**2), rtol=0.02)
     assert np.abs(texels[radius > 16.5]).max() < 1e-9
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    lattice=st.sampled_from(Lattice),
+    blur=st.sampled_from([0.0, 0.4, 1.3]),
+    circle=st.sampled_from([0.0, 1.2, 3.4, 7.0]),
+    corner=st.tuples(st.integers(0, 30), st.integers(0, 30)),
+    size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+)
+def test_a_part_of_a_texture_is_cut_out_of_the_whole(
+    lattice: Lattice, blur: float, circle: float, corner: tuple[int, int], size: tuple[int, int]
+) -> None:
+    texture = MirrorTexture((23, 30), lattice, blur, widest=7.0)
+    light = np.random.default_rng(3).random((30, 23), np.float32)
+    whole = texture.spread(light, circle)
+    (x, y), (width, height) = corner, size
+    right, bottom = min(x + width, whole.shape[1]), min(y + height, whole.shape[0])
+    part = texture.spread(light, circle, (x, y, right, bottom))
+    np.testing.assert_allclose(part, whole[y:bottom, x:right], atol=1e-6)

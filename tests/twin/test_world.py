@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from fpplab import config
+from fpplab.calibration import Calibration, CalibrationFile
+from fpplab.conventions import Lattice
 from fpplab.errors import ConfigError
+from fpplab.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.build import Setup, build_scene
 from sim.items import item_poses
 from sim.world import Binning, World
-from tests.twin.conftest import plain, world
+from tests.twin.conftest import plain, world, write_world
 
 
 @pytest.mark.parametrize(("binning", "size"), [(4, (1368, 912)), (8, (684, 456)), (1, (5472, 3648))])
@@ -139,3 +145,107 @@ def test_unknown_artefact_and_target_are_refused() -> None:
     of = world(items={"vase": {"artefact": "vase", "pose": pose}})
     with pytest.raises(ConfigError, match="no artefact 'vase'"):
         build_scene(of, Setup("vase"))
+
+
+def _measured(of: World) -> Calibration:
+    """What no world says of itself: unequal focal lengths, eight coefficients, a pose of its own."""
+    camera, projector = of.camera_model(), of.projector_model()
+    matrix = camera.matrix * [[1.01, 1, 1.02], [1, 0.99, 1.01], [1, 1, 1]]
+    lens = np.array([-0.1, 0.1, 1e-4, 2e-4, 0.0, 0.05, 0.01, 0.002])
+    pose = RigidTransform.from_vectors(np.array([0.2, 0.3, -0.1]), np.array([-140.0, 3.0, 45.0]))
+    devices = (
+        replace(camera, matrix=matrix, distortion=lens),
+        replace(projector, matrix=projector.matrix * 1.0),
+    )
+    return Calibration(*devices, pose, {"camera": 0.05})
+
+
+def test_a_calibration_takes_the_place_of_the_nominal_geometry(tmp_path: Path) -> None:
+    """Named relative to the world file; the stage moves the projector from there."""
+    measured = _measured(world())
+    measured.save(tmp_path / "bench.yaml")
+    of = World.load(write_world(tmp_path, {**plain(), "calibration": "bench.yaml"}))
+    np.testing.assert_allclose(of.camera_model().matrix, measured.camera.matrix, rtol=1e-12)
+    np.testing.assert_allclose(of.camera_model().distortion, measured.camera.distortion, rtol=1e-12)
+    np.testing.assert_allclose(of.projector_model().matrix, measured.projector.matrix, rtol=1e-12)
+    pose, moved = of.T_projector_camera(), of.T_projector_camera(10.0)
+    np.testing.assert_allclose(pose.matrix, measured.T_projector_camera.matrix, atol=1e-9)
+    np.testing.assert_allclose(
+        moved.inverse().translation - pose.inverse().translation, [10, 0, 0], atol=1e-9
+    )
+    scene = build_scene(of, Setup("board"))[0]
+    np.testing.assert_allclose(scene.camera.matrix, measured.camera.matrix, rtol=1e-12)
+
+
+def test_a_world_is_saved_and_read_again(tmp_path: Path) -> None:
+    of = world(ambient=0.1, items={**plain()["items"], "board": {"target": "target_paper.yaml", "ink": 0.2}})
+    assert World.load(of.save(tmp_path / "without")) == of
+    assert not (tmp_path / "without/calibration.yaml").exists()
+    fitted = of.model_copy(update={"calibration": CalibrationFile.of(_measured(of))})
+    path = fitted.save(tmp_path / "with")
+    assert config.parse(path.read_text(), path)["calibration"] == "calibration.yaml"
+    assert World.load(path) == fitted
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda c: replace(c, camera=replace(c.camera, size=(96, 64))),
+            "camera of 96 x 64: must be 192 x 128",
+        ),
+        (
+            lambda c: replace(c, projector=replace(c.projector, size=(912, 570))),
+            "projector of 912 x 570: must be",
+        ),
+        (
+            lambda c: replace(c, projector=replace(c.projector, lattice=Lattice.SQUARE)),
+            "on a square lattice: must be diamond",
+        ),
+        (
+            lambda c: replace(c, camera=replace(c.camera, distortion=np.array([-20.0, *[0.0] * 7]))),
+            "must leave a ray to every pixel",
+        ),
+    ],
+)
+def test_a_calibration_of_another_bench_is_refused(
+    tmp_path: Path, change: Callable[[Calibration], Calibration], said: str
+) -> None:
+    change(_measured(world())).save(tmp_path / "other.yaml")
+    with pytest.raises(ConfigError, match=f"world.yaml: 'calibration' .*{said}"):
+        World.load(write_world(tmp_path, {**plain(), "calibration": "other.yaml"}))
+
+
+def test_a_calibration_that_is_not_there_or_no_calibration_is_named(tmp_path: Path) -> None:
+    path = write_world(tmp_path, {**plain(), "calibration": "none.yaml"})
+    with pytest.raises(ConfigError, match=r"none\.yaml: there is no such file"):
+        World.load(path)
+    (tmp_path / "none.yaml").write_text("camera: 1")
+    with pytest.raises(ConfigError, match=r"none\.yaml: 'camera' is 1"):
+        World.load(path)
+
+
+def test_a_board_has_its_own_reflectances_or_its_target_s() -> None:
+    def printed(**own: float) -> tuple[float, float]:
+        of = world(items={"board": {"target": "target_paper.yaml", **own}})
+        surface = build_scene(of, Setup("board"))[0].surfaces[0]
+        assert surface.picture is not None
+        assert (surface.picture.min(), surface.picture.max()) == (0, 255)
+        return surface.paint.reflectance, surface.paint.ink
+
+    assert printed() == (0.9, 0.05)
+    assert printed(reflectance=0.8) == (0.8, 0.05)
+    assert printed(ink=0.1) == (0.9, 0.1)
+    with pytest.raises(ConfigError, match=r"'ink' is 0\.3, as 'reflectance' is: must differ"):
+        printed(reflectance=0.3, ink=0.3)
+    with pytest.raises(ConfigError, match=r"'items\.board\.ink' is 1\.5"):
+        printed(ink=1.5)
+
+
+@pytest.mark.parametrize("name", ["hidden", "twin"])
+def test_the_hidden_bench_and_its_twin_are_alike_to_a_session(name: str) -> None:
+    """Same sizes, items and number of poses; nothing else need agree."""
+    of = World.load(f"world_{name}.yaml")
+    assert (of.camera.size, of.projector.size) == ((1368, 912), (912, 1140))
+    assert len(item_poses(of, "board")) == 20
+    assert {"pyramid", "pillars", "steps", "grey_card"} < set(of.items)

@@ -1,0 +1,220 @@
+"""The table of direct light on a flat, matt item by formula: what Blender renders for it, at a fraction of
+the time.
+
+A ray from a point of the lens meets the item's plane z = 0 in its own frame. With the lamp at height h above
+that plane, a point at depth z before the lamp and distance r from it has `cos(incidence) = h/r` and
+`cos(axis) = z/r`, and white light falls on it with
+
+    E = (D/r)² cos(incidence) / cos(axis)³ = D² h / z³
+
+for irradiance 1 on a facing surface at distance D (`sim.blender.projector` has the law of the lamp). Rays,
+lens points and their turning are those of `sim/blender/camera.osl`, in double precision.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.geometry import Pinhole, RigidTransform, distort
+from sim.light.table import Picture, Table, circle_level
+from sim.scene import Paint, Scene, Surface, View
+
+STEPS = 20
+SETTLED = 1e-20
+"""Square of a step of slopes, far below what a pixel can show, from which on rays are not corrected."""
+
+
+def can_compute(scene: Scene) -> bool:
+    """Whether the scene is one rectangle in its plane z = 0, of matt paint without relief."""
+    if len(scene.surfaces) != 1:
+        return False
+    surface = scene.surfaces[0]
+    flat = len(surface.vertices) == 4 and not surface.vertices[:, 2].any()
+    return flat and surface.paint == Paint(surface.paint.reflectance, ink=surface.paint.ink)
+
+
+def computed(scene: Scene, views: list[View]) -> Table:
+    """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes."""
+    camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
+    width, height = camera.size
+    pose = _transform(surface.T_camera_item)
+    lamp_pose = _transform(lamp.T_camera_projector)
+    left, top, right, bottom = scene.window
+    samples = np.zeros((len(views), max(bottom - top, 0), max(right - left, 0), 4), np.float32)
+    albedo = np.zeros((height, width), np.float32)
+    reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
+    _trace(
+        left,
+        top,
+        np.array([(*view.shift, *view.lens) for view in views], np.float64),
+        camera.matrix,
+        camera.distortion,
+        reach,
+        0.5 * scene.aperture.diameter_mm,
+        scene.aperture.focus_mm,
+        pose.inverse().matrix[:3],
+        (lamp_pose.inverse() @ pose).matrix[:3],
+        pose.inverse().apply(lamp_pose.translation),
+        np.cos(lamp.half_angle),
+        lamp.distance_mm,
+        lamp.optics.distortion,
+        lamp.affine @ lamp.optics.matrix,
+        lamp.texels_per_slope * lamp.aperture.diameter_mm,
+        1.0 / lamp.aperture.focus_mm,
+        np.array(lamp.circles, np.float64) ** 2,
+        surface.vertices[0, :2],
+        surface.vertices[2, :2],
+        _reflectance(surface),
+        samples,
+        albedo,
+    )
+    return Table(samples, albedo, (left, top))
+
+
+def _transform(matrix: Floats) -> RigidTransform:
+    return RigidTransform(matrix[:3, :3], matrix[:3, 3])
+
+
+def _reflectance(surface: Surface) -> Picture:
+    """[v, u] over the rectangle; a single number where it is even."""
+    paint, picture = surface.paint, surface.picture
+    share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
+    return np.asarray(paint.ink + (paint.reflectance - paint.ink) * share, np.float32)
+
+
+_distort = numba.njit(inline="always")(distort)
+
+
+@numba.njit(cache=True, inline="always")
+def _undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
+    """Slopes of the ray that the lens bends to (xd, yd): Newton's method, half way back beyond its reach."""
+    x, y, x0, y0 = xd, yd, 0.0, 0.0
+    for _ in range(STEPS):
+        if x * x + y * y >= reach * reach:
+            x, y = 0.5 * (x + x0), 0.5 * (y + y0)
+            continue
+        x0, y0 = x, y
+        bent_x, bent_y, xx, xy, yy = _distort(x, y, lens)
+        off_x, off_y = xd - bent_x, yd - bent_y
+        determinant = xx * yy - xy * xy
+        step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
+        x, y = x + step_x, y + step_y
+        if step_x * step_x + step_y * step_y < SETTLED:
+            break
+    return x, y
+
+
+@numba.njit(cache=True)
+def _rotated(x: np.uint32, bits: int) -> np.uint32:
+    return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
+
+
+@numba.njit(cache=True)
+def cell_noise(column: int, row: int) -> float:
+    """`cellnoise` of Open Shading Language at whole numbers, 0 … 1: Jenkins's hash of both (lookup3)."""
+    a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)
+    b = np.uint32(b + np.uint32(row & 0xFFFFFFFF))
+    a = np.uint32(a + np.uint32(column & 0xFFFFFFFF))
+    c = np.uint32((c ^ b) - _rotated(b, 14))
+    a = np.uint32((a ^ c) - _rotated(c, 11))
+    b = np.uint32((b ^ a) - _rotated(a, 25))
+    c = np.uint32((c ^ b) - _rotated(b, 16))
+    a = np.uint32((a ^ c) - _rotated(c, 4))
+    b = np.uint32((b ^ a) - _rotated(a, 14))
+    c = np.uint32((c ^ b) - _rotated(b, 24))
+    return float(np.float32(c) * np.float32(1.0 / 4294967295.0))
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _trace(
+    left: int,
+    top: int,
+    views: Floats,
+    matrix: Floats,
+    lens: Floats,
+    reach: float,
+    radius: float,
+    focus: float,
+    T_item_camera: Floats,
+    T_projector_item: Floats,
+    lamp: Floats,
+    cosine: float,
+    distance: float,
+    lamp_lens: Floats,
+    to_texel: Floats,
+    circle_scale: float,
+    inverse_focus: float,
+    squares: Floats,
+    low: Floats,
+    high: Floats,
+    reflectance: Picture,
+    samples: Picture,
+    albedo: Picture,
+) -> None:
+    """views: (K, 4) shift u, v and lens x, y. lamp: in the item's frame. low, high: corners (x, y), mm."""
+    _, rows, columns, _ = samples.shape
+    height = len(albedo)
+    R, t = T_item_camera[:, :3], T_item_camera[:, 3]
+    P, p = T_projector_item[:, :3], T_projector_item[:, 3]
+    share = 1.0 / len(views)
+    for row in numba.prange(rows):
+        v = top + row
+        for column in range(columns):
+            u = left + column
+            sine, turned = 0.0, 1.0
+            if radius > 0:
+                turn = 2 * np.pi * cell_noise(u, height - 1 - v)
+                sine, turned = np.sin(turn), np.cos(turn)
+            for k in range(len(views)):
+                x, y = _undistorted(
+                    (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
+                    (v + views[k, 1] - matrix[1, 2]) / matrix[1, 1],
+                    lens,
+                    reach,
+                )
+                # The shader's y points up.
+                ox = radius * (views[k, 2] * turned - views[k, 3] * sine)
+                oy = -radius * (views[k, 2] * sine + views[k, 3] * turned)
+                dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
+                start = R[2, 0] * ox + R[2, 1] * oy + t[2]
+                fall = -(R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz)
+                length = start / fall
+                if not length > 0:
+                    continue
+                cx, cy = ox + length * dx, oy + length * dy
+                ix = R[0, 0] * cx + R[0, 1] * cy + R[0, 2] * length + t[0]
+                iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
+                if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
+                    continue
+                grey = _between_pixels(
+                    reflectance, (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
+                )
+                albedo[v, u] += share * grey
+                qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
+                qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
+                qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
+                away = np.sqrt(qx * qx + qy * qy + qz * qz)
+                if start * lamp[2] <= 0 or qz <= cosine * away or grey <= 0:
+                    continue
+                xd, yd, _, _, _ = _distort(qx / qz, qy / qz, lamp_lens)
+                sample = samples[k, row, column]
+                sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
+                sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
+                sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
+                sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
+
+
+@numba.njit(cache=True, inline="always")
+def _between_pixels(picture: Picture, x: float, y: float) -> float:
+    """Linearly between the middles of a picture's pixels; x, y: 0 … 1 over the whole of it."""
+    rows, columns = picture.shape
+    u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
+    v = min(max(y * rows - 0.5, 0.0), rows - 1.0)
+    i, j = int(u), int(v)
+    right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    fu, fv = u - i, v - j
+    upper = picture[j, i] * (1 - fu) + picture[j, right] * fu
+    lower = picture[below, i] * (1 - fu) + picture[below, right] * fu
+    return float(upper * (1 - fv) + lower * fv)

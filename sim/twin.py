@@ -1,0 +1,226 @@
+"""The twin that a bench is matched to: a world whose parameters can be set, seen without a session.
+
+Boards and cards are flat, so their light is computed (`sim.light.plane`) and an evaluation takes no render.
+What the mirrors' clock does to broken exposures is left out: on average over its phases it does nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from fpplab import config
+from fpplab.calibration import Calibration, CalibrationFile, PoseFile
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings
+from fpplab.errors import ConfigError
+from fpplab.files import write_text
+from fpplab.gamma import Curve
+from fpplab.geometry import RigidTransform
+from fpplab.matching.twin import Levels, Parameters
+from fpplab.patterns import Pattern
+from fpplab.targets import Target
+from sim.build import Setup
+from sim.items import board_target, item_mesh, item_poses
+from sim.light import Light, Picture, Show
+from sim.sensor import SensorModel
+from sim.worker import Blender
+from sim.world import ArtefactItem, BoardItem, MeshItem, World
+
+
+class SimTwin:
+    """A `fpplab.matching.twin.Twin` of the world `nominal`, whose item `board` is looked at.
+
+    blender: the process that renders what is not flat. Raises `ConfigError` when the item is no board.
+    """
+
+    def __init__(self, nominal: World, board: str, blender: Blender) -> None:
+        item = nominal.item(board)
+        if not isinstance(item, BoardItem):
+            boards = ", ".join(name for name, i in nominal.items.items() if isinstance(i, BoardItem))
+            raise ConfigError(f"world: 'items.{board}' is no board; there are {boards or 'none'}")
+        self._nominal, self._board, self._blender = nominal, board, blender
+        self.target = board_target(board, item)
+        self._parameters = _parameters_of(nominal, board, self.target)
+        self._world = _world_of(nominal, board, self._parameters)
+        self._light = Light(self._world, blender, analytic=True)
+        self._frames_taken, self._settings = 0, CameraSettings(1.0)
+
+    @property
+    def parameters(self) -> Parameters:
+        """As it stands; at first what its own file says."""
+        return self._parameters
+
+    def become(self, parameters: Parameters) -> None:
+        """Go on with these. Tables of light are kept for all geometry that comes again.
+
+        Raises `ConfigError` for what no world can have.
+        """
+        world = _world_of(self._nominal, self._board, parameters)
+        light = Light(world, self._blender, analytic=True)
+        light.inherit(self._light)
+        self._parameters, self._world, self._light = parameters, world, light
+
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+        """What the camera sees of the board on average, (n, h, w)."""
+        return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
+
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+        """What the camera sees of another item of the world on average, (n, h, w)."""
+        self._world.item(item)
+        return self._expected(Setup(item), patterns, settings)
+
+    def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
+        """Frames of the board with the sensor's noise and the item's vibration."""
+        return self.scan(self._board, self._parameters.poses[pose], patterns, settings)
+
+    def scan(
+        self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
+    ) -> list[Image]:
+        """Frames of an item that is held in `pose`, with the sensor's noise and the item's vibration.
+
+        Vibration counts to first order in the displacement: four pictures of each pattern serve any number.
+        """
+        self._world.item(item)
+        shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
+        still, moved = Setup(item, held=pose), self._moved(item, pose)
+        pictures = []
+        for n in range(len(shown)):
+            shake = np.random.default_rng([self._world.seed, self._frames_taken + n]).standard_normal(
+                len(moved)
+            )
+            picture = np.float32(1 - shake.sum()) * self._irradiance(still, shown, n)
+            for share, place in zip(shake.tolist(), moved, strict=True):
+                picture += np.float32(share) * self._irradiance(place, shown, n)
+            pictures.append(np.maximum(picture, 0, out=picture))
+        counters = range(self._frames_taken, self._frames_taken + len(shown))
+        self._frames_taken = counters.stop
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
+
+    def mesh(self, item: str) -> trimesh.Trimesh:
+        """The true shape of an artefact or part, in its own frame in mm. Raises `ConfigError`."""
+        found = self._world.item(item)
+        if not isinstance(found, ArtefactItem | MeshItem):
+            raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
+        return item_mesh(found)
+
+    def save(self, folder: Path) -> Path:
+        """Leave `rig.yaml`, `world.yaml` and `calibration.yaml` in `folder`; the path of the rig file.
+
+        The camera's standing settings there are those that it was last looked through with.
+        """
+        world = self._world.save(folder)
+        devices: dict[str, dict[str, Any]] = {
+            name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
+        }
+        devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
+        bench = {"backend": "sim.devices:VirtualBench", "world": world.name}
+        path = folder / "rig.yaml"
+        write_text(path, config.to_yaml({"name": "Matched twin", "bench": bench, **devices}))
+        return path
+
+    def _expected(self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+        shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
+        width, height = self._world.camera.size
+        levels = np.empty((len(shown), height, width), np.float32)
+        for n, level in enumerate(levels):
+            level[:] = sensor.expected(self._irradiance(setup, shown, n), settings)
+        return levels
+
+    def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> Picture:
+        return self._light.irradiance(setup, Show(patterns, n))
+
+    def _moved(self, item: str, pose: RigidTransform) -> list[Setup]:
+        """Moved along each axis by the standard deviation of its vibration; none if it stands still."""
+        step = self._world.vibration_mm
+        if step == 0:
+            return []
+        places = [RigidTransform(pose.rotation, pose.translation + step * axis) for axis in np.eye(3)]
+        return [Setup(item, held=place) for place in places]
+
+
+_DEVICES = ("camera", "projector", "stage", "fixture")
+
+
+def _parameters_of(world: World, board: str, target: Target) -> Parameters:
+    camera, projector, response = world.camera, world.projector, world.projector.response
+    brightest = response.a + response.b
+    return Parameters(
+        calibration=Calibration(
+            world.camera_model(), world.projector_model(), world.T_projector_camera(), rms_px={}
+        ),
+        poses=item_poses(world, board),
+        white=1.0,
+        response=Curve(a=response.a / brightest, b=response.b / brightest, g=response.g),
+        ambient=world.ambient / brightest,
+        paper=target.background,
+        ink=target.foreground,
+        projector_blur=projector.blur,
+        projector_focus_mm=projector.focus_mm,
+        projector_aperture_mm=projector.aperture_mm,
+        camera_focus_mm=camera.focus_mm,
+        f_number=camera.f_number,
+        vignetting=camera.vignetting,
+        black_level=camera.sensor.black_level,
+        read_noise_e=camera.sensor.read_noise_e,
+        full_well_e=camera.sensor.full_well_e,
+        vibration_mm=world.vibration_mm,
+    )
+
+
+def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
+    """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
+    p, data = parameters, nominal.model_dump(mode="json")
+    response = nominal.projector.response
+    data["calibration"] = _plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
+    data["items"][board] |= {
+        "poses": [_plain(PoseFile.of(pose)) for pose in p.poses],
+        "reflectance": p.paper,
+        "ink": p.ink,
+    }
+    data["projector"] |= {
+        "response": {"a": p.response.a, "b": p.response.b, "g": p.response.g},
+        "blur": p.projector_blur,
+        "focus_mm": p.projector_focus_mm,
+        "aperture_mm": p.projector_aperture_mm,
+    }
+    data["camera"] |= {
+        "focus_mm": p.camera_focus_mm,
+        "f_number": p.f_number,
+        "vignetting": p.vignetting,
+    }
+    data["camera"]["sensor"] |= {
+        "black_level": p.black_level,
+        "read_noise_e": p.read_noise_e,
+        "full_well_e": p.full_well_e,
+    }
+    data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
+    world = config.validate(data, World, "the twin's parameters")
+    wanted = p.white * (response.a + response.b) * _white_level(nominal)
+    return _lit(world, wanted / _white_level(world))
+
+
+def _plain(document: config.Document) -> dict[str, Any]:
+    return document.model_dump(mode="json", exclude_none=True)
+
+
+def _white_level(world: World) -> float:
+    """Share of full scale above black that irradiance 1 gives, for each second at 0 dB."""
+    sensor = SensorModel.of(world)
+    return sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
+
+
+def _lit(world: World, factor: float) -> World:
+    """The same with so many times the light."""
+    leds = {
+        name: led.model_copy(update={"lumens": factor * led.lumens})
+        for name, led in world.projector.leds.items()
+    }
+    return world.model_copy(update={"projector": world.projector.model_copy(update={"leds": leds})})
