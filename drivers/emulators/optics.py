@@ -1,0 +1,117 @@
+"""The optics of an emulated bench: another rig, which is shown light and gives pictures of it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.conventions import Image
+from fpplab.devices import CameraSettings, Projector
+from fpplab.patterns import Pattern
+from fpplab.rig import Rig
+
+Greys = NDArray[np.uint8]
+TOGETHER = 128
+"""Patterns given to the projector at once, at most."""
+PATIENCE_S = 60.0
+
+
+class Optics:
+    """A rig in place of light, lens and sensor, used as any program would.
+
+    Its projector needs 8 bits; mirrors that it has not are left out, evenly.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._slides = Slides(rig.projector)
+        self._settings: CameraSettings | None = None
+        self._stage_mm = 0.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the pictures, (width, height)."""
+        return self._rig.camera.caps.size
+
+    def place(self, stage_mm: float) -> None:
+        """Carry the stage to a position; it is homed before it first moves."""
+        stage = self._rig.stage
+        if stage is None or stage_mm == self._stage_mm:
+            return
+        if self._stage_mm == 0.0:
+            stage.home()
+        stage.move_to(stage_mm)
+        self._stage_mm = stage_mm
+
+    def picture(
+        self, settings: CameraSettings, greys: Greys | None, others: Callable[[], Iterable[Greys]]
+    ) -> Image:
+        """What the camera sees in this light, or in the dark: raw integers of `settings.bits` [v, u].
+
+        others: what may be asked for next, see `Slides.show`. A depth that the camera has not is given by its
+        next lower one, shifted up.
+        """
+        camera = self._rig.camera
+        bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
+        wanted = CameraSettings(settings.exposure_s, settings.gain_db, bits)
+        if wanted != self._settings:
+            self._settings = None
+            camera.configure(wanted)
+            self._settings = wanted
+        if greys is None:
+            self._rig.projector.blank()
+        else:
+            self._slides.show(greys, others)
+        image = camera.snap(settings.exposure_s + PATIENCE_S).image
+        if bits == settings.bits:
+            return image
+        return np.left_shift(image.astype(np.uint16), settings.bits - bits, dtype=np.uint16)
+
+
+class Slides:
+    """The patterns of a projector, each known by what it shows: what it has already is not loaded again."""
+
+    def __init__(self, projector: Projector) -> None:
+        self._projector, self._size = projector, projector.caps.size
+        self._most = min(TOGETHER, projector.caps.max_patterns)
+        self._loaded: dict[bytes, Pattern] = {}
+        self._places: dict[bytes, int] = {}
+
+    def show(self, greys: Greys, others: Callable[[], Iterable[Greys]]) -> None:
+        """Show grey levels, uint8 (height, width) of any size.
+
+        others: asked when they are not loaded, for more to be loaded with them: a twin computes faster what
+        it knows to belong together.
+        """
+        fitted = self._fitted(greys)
+        key = _key(fitted)
+        if key not in self._places:
+            images = {_key(image): image for image in map(self._fitted, others())} | {key: fitted}
+            self._load(images if len(images) <= self._most else {key: fitted})
+        self._projector.show(self._places[key])
+
+    def _load(self, images: dict[bytes, Greys]) -> None:
+        self._loaded = {key: self._loaded.get(key) or _pattern(key, image) for key, image in images.items()}
+        self._places = {}
+        self._projector.load(list(self._loaded.values()))
+        self._places = {key: place for place, key in enumerate(self._loaded)}
+
+    def _fitted(self, greys: Greys) -> Greys:
+        (height, width), (columns, rows) = greys.shape, self._size
+        if (width, height) == self._size:
+            return greys
+        places = np.ix_(np.arange(rows) * height // rows, np.arange(columns) * width // columns)
+        return np.asarray(greys[places], np.uint8)
+
+
+def _key(image: Greys) -> bytes:
+    return hashlib.blake2b(image.tobytes(), digest_size=16).digest()
+
+
+def _pattern(key: bytes, image: Greys) -> Pattern:
+    own = image.copy()
+    own.flags.writeable = False
+    return Pattern(key.hex(), own)

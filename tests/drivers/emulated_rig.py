@@ -1,0 +1,111 @@
+"""The real drivers on an emulated bench whose optics are the reference rig, and what is to be seen there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.dlp4500.flash.firmware import Firmware, arranged
+from drivers.dlp4500.index import FlashIndex
+from drivers.dlp4500.sequence import SIZE
+from drivers.emulators.bench import EmulatedBench, EmulatedFixture
+from fpplab import config
+from fpplab.acquisition import expose
+from fpplab.conventions import Image, Lattice
+from fpplab.devices import CameraSettings
+from fpplab.patterns import Pattern, make_patterns
+from fpplab.plan import FringeSet, Plan
+from fpplab.rig import Rig, RigFile
+from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
+from tests.drivers.flash_files import maker_firmware
+
+FULL = {"red": 255, "green": 255, "blue": 255}
+PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=4), FringeSet(axis="y", stripes=1, steps=4)))
+"""Eight patterns, three images: no two look alike."""
+REFERENCE = Path(__file__).parents[1] / "conformance" / "rigs" / "rig_reference.yaml"
+
+
+def patterns() -> tuple[Pattern, ...]:
+    return make_patterns(PLAN, SIZE, Lattice.DIAMOND)
+
+
+def burn(folder: Path) -> None:
+    """The patterns as firmware and index."""
+    base = folder / "base.bin"
+    base.write_bytes(maker_firmware())
+    (folder / "patterns.bin").write_bytes(Firmware.load(base).with_patterns(patterns(), base).content)
+    index = FlashIndex.of(patterns(), arranged(patterns()))
+    (folder / "patterns.yaml").write_text(config.dump(index), encoding="utf-8")
+
+
+def rig_file(
+    folder: Path,
+    bench: dict[str, Any] | None = None,
+    camera: dict[str, Any] | None = None,
+    projector: dict[str, Any] | None = None,
+) -> Rig:
+    """The rig, not open yet; the sections hold what differs."""
+    own = "drivers.emulators.bench:"
+    sections = {
+        "bench": {"backend": own + "EmulatedBench", "optics": str(REFERENCE), "firmware": "patterns.bin"},
+        "camera": {
+            "backend": "drivers.basler:BaslerCamera",
+            "serial": "0815-0000",
+            "bits": 12,
+            "roi": [0, 0, *CAMERA_SIZE],
+        },
+        "projector": {
+            "backend": "drivers.dlp4500:Dlp4500",
+            "flash": "patterns.yaml",
+            "led_levels": FULL,
+        },
+        "stage": {"backend": "drivers.stage_grbl:GrblStage"},
+        "fixture": {"backend": own + "EmulatedFixture"},
+    }
+    for name, other in (("bench", bench), ("camera", camera), ("projector", projector)):
+        sections[name] |= other or {}
+    file = config.validate({"name": "emulated", **sections}, RigFile, "rig")
+    return Rig(file, folder, "rig.yaml")
+
+
+def on_video(folder: Path, camera: dict[str, Any] | None = None) -> Rig:
+    """The rig with its patterns from the video port, not open yet."""
+    return rig_file(folder, {"firmware": None}, camera, {"flash": None, "video": {"display": 0}})
+
+
+def bench_of(rig: Rig) -> EmulatedBench:
+    """What is behind the wires."""
+    assert isinstance(rig.fixture, EmulatedFixture)
+    return rig.fixture.bench
+
+
+def taken(rig: Rig, plan: Plan = PLAN, shown: Sequence[Pattern] | None = None) -> Iterator[Image]:
+    """The frames of a plan."""
+    for frame in expose(rig, shown or patterns(), rig.camera_settings(plan.exposure_s), plan):
+        yield frame.image
+
+
+@contextmanager
+def reference() -> Iterator[Rig]:
+    """The optics by themselves, as new."""
+    with Rig.load(REFERENCE) as rig:
+        yield rig
+
+
+def seen(
+    rig: Rig, image: np.ndarray[Any, Any] | None, bits: int = 12, exposure_s: float = PLAN.exposure_s
+) -> Image:
+    """What the optics see of grey levels on the projector's mirrors, or in the dark."""
+    if image is None:
+        rig.projector.blank()
+    else:
+        (columns, rows), (width, height) = PROJECTOR_SIZE, SIZE
+        places = np.ix_(np.arange(rows) * height // rows, np.arange(columns) * width // columns)
+        rig.projector.load([Pattern("seen", np.asarray(image, np.uint8)[places])])
+        rig.projector.show(0)
+    rig.camera.configure(CameraSettings(exposure_s, 0.0, bits))
+    return rig.camera.snap().image
