@@ -133,8 +133,12 @@ class Light:
         return self._tables.get(key, lambda: self._found(setup, key))
 
     def inherit(self, other: Light) -> None:
-        """Take over the tables of another world, to have those that hold in this one as well."""
+        """Take over the tables of another world, to have those that hold in this one as well.
+
+        The other lets go of everything: it would be a long time until Python finds that nobody wants it.
+        """
         self._tables.take(other._tables)
+        other.forget()
 
     def forget(self) -> None:
         """Let go of every picture."""
