@@ -35,6 +35,7 @@ from fpplab.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, raw_pe
 from fpplab.devices import Frame
 from fpplab.errors import DataError, DeviceError
 from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.matching.record import Epoch
 from fpplab.patterns import pattern_image
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.plan import Plan
@@ -222,6 +223,17 @@ class Viewer:
             colours = _coloured(cloud.points[:, 2], "viridis_r", (float(low), float(high)))
         points = rr.Points3D(cloud.points, colors=colours, radii=rr.Radius.ui_points(1.2))
         self._log("world/cloud", points, static=True)
+
+    @_harmless
+    def epoch(self, epoch: Epoch) -> None:
+        """One epoch of a matching: both devices where the twin has them now, and curves of loss and parts."""
+        import rerun as rr
+
+        self.calibration(epoch.parameters.parameters().calibration)
+        self._stream.set_time("epoch", sequence=epoch.epoch)
+        for name in ("loss", "loss_board", "ssim", "ssim_board", "epsilon_d_px"):
+            self._log(f"match/{name}", rr.Scalars(epoch.loss[name]))
+        self._log("match/difference", rr.Scalars(epoch.difference))
 
     def _device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach: float) -> None:
         import rerun as rr

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from fpplab.clouds import Cloud
     from fpplab.plan import Plan
 
-LISTS = ("--spheres", "--planes")
+LISTS = ("--spheres", "--planes", "--reference", "--scan")
 
 
 class TakesLists(TyperCommand):
-    """Lets `--spheres` and `--planes` be followed by any number of paths."""
+    """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, spread(args))

@@ -1,0 +1,164 @@
+"""A twin made of a bench's recordings."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab import console
+from fpplab.cli.accept import TakesLists
+from fpplab.cli.app import Force, Json, Out, app
+from fpplab.errors import ConfigError
+
+
+@app.command(cls=TakesLists)
+def match(
+    twin: Annotated[str, typer.Option("--twin", help="Rig file of the nominal twin: what data sheets tell.")],
+    reference: Annotated[
+        list[Path],
+        typer.Option("--reference", help="The bench's sessions of a board, or the folder that holds them."),
+    ],
+    out: Out,
+    gamma: Annotated[
+        Path | None, typer.Option("--gamma", help="The bench's response, written by `fpplab gamma`.")
+    ] = None,
+    scan: Annotated[
+        list[str] | None,
+        typer.Option("--scan", help="ITEM=SESSION: the bench's scan of an artefact, for the judgement."),
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option("--target", help="Target file of the board; the twin's own by default.")
+    ] = None,
+    item: Annotated[str, typer.Option("--item", help="What the twin's fixture calls the board.")] = "board",
+    epochs: Annotated[int, typer.Option("--epochs", min=1, help="At most so many.")] = 25,
+    seconds: Annotated[float, typer.Option("--seconds", min=1, help="At most so long.")] = 900.0,
+    alpha: Annotated[float, typer.Option("--alpha", min=0, help="Of log(1 + |ε_d|) in the loss.")] = 0.2,
+    beta: Annotated[float, typer.Option("--beta", min=0, help="Of 1 - SSIM in the loss.")] = 0.8,
+    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Match a twin to a bench, from the bench's recordings alone.
+
+    Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`. OUT gets the
+    matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
+    An interrupted matching goes on by the same command.
+
+    Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
+    --out matched`
+    """
+    from fpplab.matching.record import EPOCHS
+    from fpplab.matching.run import Wanted, match_sessions, twin_of
+    from fpplab.measurement import REPORT
+    from fpplab.rig import Rig
+    from fpplab.session import recorded_sessions
+    from fpplab.targets import Target
+
+    _make_way(out, force, EPOCHS, REPORT)
+    sessions = recorded_sessions(reference)
+    wanted = Wanted(
+        board=item,
+        response=_response(gamma),
+        scans=_scans(scan or []),
+        weights=_weights(alpha, beta),
+        limits=_limits(epochs, seconds),
+    )
+    with ExitStack() as stack, console.stopwatch() as elapsed:
+        rig = stack.enter_context(Rig.load(twin))
+        known = twin_of(rig, item)
+        board = Target.load(target) if target else known.target
+
+        from fpplab.live import Viewer
+        from fpplab.matching.record import Epoch
+        from fpplab.report.matching import write_matching_report
+
+        viewer = stack.enter_context(Viewer.open()) if view else None
+        if viewer and viewer.fault is None:
+            console.say(f"Watch it at {viewer.where}")
+
+        def observe(epoch: Epoch) -> None:
+            loss = epoch.loss
+            console.say(
+                f"epoch {epoch.epoch}, {epoch.step}: loss {loss['loss']:.4f}, over the board "
+                f"{loss['loss_board']:.4f}, SSIM {loss['ssim']:.4f} / {loss['ssim_board']:.4f}, ε_d "
+                f"{loss['epsilon_d_px']:.4f} px{'' if epoch.accepted else ', taken back'}"
+            )
+            if viewer:
+                viewer.epoch(epoch)
+
+        with console.progress("Matching") as report:
+            found = match_sessions(known, sessions, board, out, wanted, progress=report, observe=observe)
+        write_matching_report(out / REPORT, found, known)
+        result = {
+            **found.summary(),
+            "seconds": elapsed(),
+            "rig": str(out / "rig.yaml"),
+            "report": str(out / REPORT),
+        }
+    console.answer(result, json, lambda: _show(result))
+
+
+def _make_way(out: Path, force: bool, record: str, page: str) -> None:
+    """A finished matching is not overwritten; an unfinished one goes on."""
+    if (out / page).is_file() and not force:
+        raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
+    if out.exists() and not (out / record).is_file() and any(out.iterdir()):
+        raise ConfigError(f"{out}: exists and holds no matching; name another output")
+    if force:
+        for name in (record, page):
+            (out / name).unlink(missing_ok=True)
+
+
+def _response(gamma: Path | None) -> Any:
+    from fpplab.gamma import Response
+
+    return None if gamma is None else Response.load(gamma)
+
+
+def _scans(words: list[str]) -> dict[str, Any]:
+    from fpplab.session import Session
+
+    found = {}
+    for word in words:
+        name, equals, path = word.partition("=")
+        if not (name and equals and path):
+            raise ConfigError(f"--scan: '{word}' must be ITEM=SESSION, such as pyramid=scans/pyramid")
+        if name in found:
+            raise ConfigError(f"--scan: {name} is given twice")
+        found[name] = Session.open(Path(path))
+    return found
+
+
+def _weights(alpha: float, beta: float) -> Any:
+    from fpplab.matching.loss import Weights
+
+    return Weights(alpha=alpha, beta=beta)
+
+
+def _limits(epochs: int, seconds: float) -> Any:
+    from fpplab.matching.match import Limits
+
+    return Limits(epochs=epochs, seconds=seconds)
+
+
+YES = {True: "yes", False: "no"}
+
+
+def _show(result: dict[str, Any]) -> None:
+    rows = [
+        [YES[r["refined"]], YES[r["with_gamma"]], r["ssim"], r["ssim_board"], r["epsilon_d_px"], r["loss"]]
+        for r in result["rows"]
+    ]
+    console.table("Matching", ["refined", "gamma", "SSIM", "on the board", "ε_d px", "loss"], rows)
+    if result["artefacts"]:
+        columns = ["item", "bench_um", "twin_um", "delta_um", "delta_percent"]
+        scans = [[one[name] for name in columns] for one in result["artefacts"]]
+        console.table("Artefacts", ["item", "bench µm", "twin µm", "Δ µm", "Δ %"], scans)
+    console.stdout.print(
+        f"{result['epochs']} epochs, {result['seconds']:.0f} s, {result['ended']}; twin: {result['rig']}, "
+        f"report: {result['report']}",
+        markup=False,
+    )

@@ -1,0 +1,101 @@
+"""A twin judged as the bench is: its own noisy frames, compared image by image and characterised alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
+from fpplab.conventions import Image
+from fpplab.errors import CalibrationError
+from fpplab.matching.bench import Bench
+from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
+from fpplab.matching.twin import Twin
+from fpplab.measurement import Progress, mean_of, nothing
+from fpplab.phase import decode
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The loss, and the characterisation of the twin's own frames where it was made."""
+
+    loss: Loss
+    characterisation: Characterisation | None
+
+
+def evaluate(
+    bench: Bench,
+    twin: Twin,
+    weights: Weights,
+    epsilon_v: float | None = None,
+    images: Sequence[int] | None = None,
+    progress: Progress = nothing,
+) -> Evaluation:
+    """Compare the twin's frames with the bench's, pose by pose.
+
+    epsilon_v: the twin's RMS in px where it is known; otherwise all its frames are taken and characterised.
+    images: that are compared, one of each set by default. Raises `CalibrationError` when the twin's own
+    frames cannot be characterised.
+    """
+    compared = bench.one_of_each_set if images is None else tuple(images)
+    every = tuple(range(len(bench.patterns)))
+    taken = every if epsilon_v is None else compared
+    poses = len(twin.parameters.poses)
+    pairs: list[tuple[float, float]] = []
+    seen: list[Observation] = []
+    with ThreadPoolExecutor(2) as pool:
+        for pose in range(poses):
+            frames = dict(zip(taken, twin.frames(pose, bench.shown(taken), bench.settings), strict=True))
+            pairs += pool.map(_Compared(bench, twin, pose, frames), compared)
+            if epsilon_v is None and (observed := _observed(bench, pose, [frames[i] for i in every])):
+                seen.append(observed)
+            progress((pose + 1) / poses)
+    similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
+    found = _characterised(bench, seen) if epsilon_v is None else None
+    own = found.calibration.rms_px["joint"] if found else epsilon_v
+    assert own is not None
+    return Evaluation(Loss(weights, bench.epsilon_r, own, similarity), found)
+
+
+class _Compared:
+    """The SSIM of one image, for a pool of threads."""
+
+    def __init__(self, bench: Bench, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
+        now = twin.parameters
+        self._board = board_mask(now.calibration.camera, now.poses[pose], bench.target)
+        self._bench, self._pose, self._frames = bench, pose, frames
+
+    def __call__(self, index: int) -> tuple[float, float]:
+        real = self._bench.frames(self._pose, [index])[0]
+        return ssim(real, self._frames[index], self._bench.full_scale, self._board)
+
+
+def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation | None:
+    """The board in the twin's frames of a pose; None where it is not found, as on a bench."""
+    plan, (size, _) = bench.plan, bench.projector
+    finest = plan.sets_along(plan.axes[0])[-1]
+    chosen = [frame for frame, (fringes, _, _) in zip(frames, plan.steps(), strict=True) if fringes == finest]
+    name = bench.sessions[pose].path.name
+    bits = bench.settings.bits
+    try:
+        decoded = decode(list(frames), plan, size, bits, f"the twin's {name}")
+        return observe(name, mean_of(chosen, bits), decoded, bench.target, finest_periods(plan, size))
+    except CalibrationError:
+        return None
+
+
+def _characterised(bench: Bench, seen: Sequence[Observation]) -> Characterisation:
+    found, (size, lattice) = bench.characterisation, bench.projector
+    width, height, _ = bench.sessions[0].format
+    return characterise(
+        seen,
+        bench.target,
+        (width, height),
+        size,
+        lattice,
+        level=found.level,
+        refine_board=found.drawn is not None,
+    )

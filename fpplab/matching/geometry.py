@@ -1,0 +1,265 @@
+"""Where everything stands: by the points that were observed, and by the images themselves.
+
+By images: a pixel's level is what is printed at the place (x, y) of the board that it looks at, times the
+light at the place (u, v) of the projector's picture that falls there. How the level changes with these four
+is asked of the twin, by moving board and picture a little; how they change with every parameter is plain
+geometry. So five pictures of a pose give the slopes by all parameters: Gauss-Newton on image residuals, as in
+image alignment (Baker and Matthews, "Lucas-Kanade 20 years on", 2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from fpplab.calibration import INTRINSICS, Calibration
+from fpplab.characterisation import Characterisation
+from fpplab.characterisation.bundle import Level, Model, Solution, fit, vectors_of
+from fpplab.characterisation.zhang import matrix_of, transform
+from fpplab.conventions import Floats
+from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.matching.bench import Bench
+from fpplab.matching.loss import board_mask
+from fpplab.matching.twin import Levels, Parameters, Twin
+
+SHIFT_MM, SHIFT_PX = 0.02, 0.05
+"""By how much board and projector's picture are moved to see what changes: less than any detail of either."""
+BEYOND_PX = 3
+"""The board's edge tells where it is, so its surroundings belong to the picture."""
+PIXELS = 40_000
+"""Of a pose that are looked at: evenly thinned to so many."""
+SOFT = 3.0
+"""Residuals beyond this many robust standard deviations count linearly (Huber)."""
+ROUNDING = 0.29
+"""Standard deviation of rounding to integers, under which no residual can be."""
+STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
+TURN_RAD, MOVE_MM = 1e-6, 1e-3
+NUISANCES = 6
+
+
+def solution_of(parameters: Parameters, board: Floats) -> Solution:
+    """The geometry as the bundle adjustment has it. board: (P, 3) in mm."""
+    known = parameters.calibration
+    return Solution(
+        _intrinsics(known.camera),
+        _intrinsics(known.projector),
+        vectors_of(known.T_projector_camera),
+        np.stack([vectors_of(pose) for pose in parameters.poses]),
+        board,
+    )
+
+
+def with_solution(parameters: Parameters, found: Solution) -> Parameters:
+    """The parameters with another geometry; what was known of the old one's uncertainty is dropped."""
+    known = parameters.calibration
+    calibration = Calibration(
+        replace(known.camera, matrix=matrix_of(found.camera), distortion=found.camera[4:]),
+        replace(known.projector, matrix=matrix_of(found.projector), distortion=found.projector[4:]),
+        transform(found.T_projector_camera),
+        {},
+    )
+    return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in found.poses))
+
+
+def _intrinsics(device: Pinhole) -> Floats:
+    k = device.matrix
+    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion])
+
+
+def by_reprojection(parameters: Parameters, found: Characterisation) -> Parameters:
+    """The geometry nearest to `parameters` that explains the observed points best, in both devices.
+
+    Raises `CalibrationError` when there is none.
+    """
+    model = Model(found.level, found.board)
+    return with_solution(parameters, fit(found.observations, solution_of(parameters, found.board), model))
+
+
+def by_images(bench: Bench, twin: Twin, level: Level) -> Parameters:
+    """The twin's parameters after one Gauss-Newton step of the geometry on the images' residuals.
+
+    level: which terms of the distortion are free. What light and sharpness still lack must not be taken for
+    motion, so every pose has a gain, linear over the board, an offset, a bend of its response and a blur of
+    its own besides (`NUISANCES`). Each image has the board displaced a little, as far as it vibrates.
+    """
+    start = twin.parameters
+    free = len(level.terms)
+    shared = 2 * free + 6
+    each = 6 + NUISANCES
+    size = shared + each * len(start.poses)
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    for pose in range(len(start.poses)):
+        view = _look(bench, twin, start, pose)
+        columns = np.append(np.arange(shared), shared + each * pose + np.arange(each))
+        moves = slice(shared + 3, shared + 6)
+        for slopes, residual in view.slopes(start, pose, free):
+            block, pull = _equations(slopes, residual, moves, start.vibration_mm)
+            normal[np.ix_(columns, columns)] += block
+            gradient[columns] += pull
+    twin.become(start)
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0] = 1.0
+    step = np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
+    return _moved(start, step, free, shared, each)
+
+
+def _equations(slopes: Floats, residual: Floats, moves: slice, vibration_mm: float) -> tuple[Floats, Floats]:
+    """Normal equations (C, C), (C,) of one image, in units of its noise, its own displacement eliminated.
+
+    moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`.
+    """
+    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING)
+    weight = np.minimum(1.0, SOFT * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
+    weighted = slopes * weight[:, None]
+    block, pull = slopes.T @ weighted, weighted.T @ residual
+    if vibration_mm == 0:
+        return block, pull
+    own = block[moves, moves] + np.eye(3) / vibration_mm**2
+    share = np.linalg.solve(own, block[moves])
+    return block - block[:, moves] @ share, pull - share.T @ pull[moves]
+
+
+def _moved(start: Parameters, step: Floats, free: int, shared: int, each: int) -> Parameters:
+    now = solution_of(start, np.zeros((0, 3)))
+    camera, projector = now.camera.copy(), now.projector.copy()
+    camera[:free] += step[:free]
+    projector[:free] += step[free : 2 * free]
+    moves = step[shared:].reshape(-1, each)[:, :6]
+    poses = np.stack([_turned(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
+    pair = _turned(now.T_projector_camera, step[2 * free : shared])
+    return with_solution(start, Solution(camera, projector, pair, poses, now.board))
+
+
+def _turned(pose: Floats, move: Floats) -> Floats:
+    """A pose (6,) turned by a small rotation about the device's axes, and moved."""
+    turn = RigidTransform.from_vectors(move[:3], np.zeros(3)).rotation
+    held = transform(pose)
+    return vectors_of(RigidTransform(turn @ held.rotation, held.translation + move[3:]))
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Some pixels of some images of one pose.
+
+    pixels: (P, 2). expected, residual: (n, P), what the twin sees and the bench less that. bent: (n, P), the
+    Laplacian of what the twin sees, to which a little more blur is proportional.
+    by_place: (n, P, 4), how the level changes with x, y on the board in mm and u, v of the projector in px.
+    """
+
+    pixels: Floats
+    expected: Floats
+    residual: Floats
+    bent: Floats
+    by_place: Floats
+
+    def slopes(self, at: Parameters, pose: int, free: int) -> Iterator[tuple[Floats, Floats]]:
+        """Of each image, slopes (P, C) by the parameters of `by_images`, and residuals (P,)."""
+        places = _places(self.pixels, at.calibration, at.poses[pose], free)
+        across, down = ((self.pixels - self.pixels.mean(axis=0)) / np.ptp(self.pixels, axis=0)).T
+        for seen, residual, bent, by_place in zip(
+            self.expected, self.residual, self.bent, self.by_place, strict=True
+        ):
+            geometric = np.einsum("pk,pkc->pc", by_place, places)
+            other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, bent]
+            yield np.column_stack([geometric, *other]), residual
+
+
+def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
+    images = bench.finest_spread
+    looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
+    v, u = np.nonzero(looked_at)
+    thin = max(1, int(np.sqrt(len(u) / PIXELS)))
+    chosen = (v % thin == 0) & (u % thin == 0)
+    v, u = v[chosen], u[chosen]
+    seen = bench.frames(pose, images)[:, v, u]
+
+    def expected(parameters: Parameters) -> Levels:
+        twin.become(parameters)
+        return twin.expected(pose, bench.shown(images), bench.settings)
+
+    def picked(levels: Levels) -> Floats:
+        return np.asarray(levels[:, v, u], np.float64)
+
+    whole = expected(start)
+    here = picked(whole)
+    bent = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
+    slopes = [(sign * (picked(expected(there)) - here) / by) for there, by, sign in _shifted(start, pose)]
+    # Where there is no light there is no noise either, and rounding errors are all the same.
+    dark = start.black_level * bench.full_scale + 1.0
+    clear = (seen < bench.full_scale) & (here < bench.full_scale) & (here > dark)
+    return View(
+        np.stack([u, v], axis=-1).astype(np.float64),
+        here,
+        np.where(clear, seen - here, 0.0),
+        bent * clear,
+        np.stack(slopes, axis=-1) * clear[..., None],
+    )
+
+
+def _shifted(start: Parameters, pose: int) -> list[tuple[Parameters, float, float]]:
+    """The twin with the board shifted in its plane, and with the projector's picture shifted.
+
+    With each, how far, and the sign with which the place looked at moves.
+    """
+    held = start.poses[pose]
+    found = []
+    for axis in range(2):
+        there = RigidTransform(held.rotation, held.translation + SHIFT_MM * held.rotation[:, axis])
+        poses = (*start.poses[:pose], there, *start.poses[pose + 1 :])
+        found.append((replace(start, poses=poses), SHIFT_MM, -1.0))
+    for axis in range(2):
+        known = start.calibration
+        matrix = known.projector.matrix.copy()
+        matrix[axis, 2] += SHIFT_PX
+        moved = replace(known, projector=replace(known.projector, matrix=matrix))
+        found.append((replace(start, calibration=moved), SHIFT_PX, 1.0))
+    return found
+
+
+def _places(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
+    """How the places that pixels look at, (x, y, u, v), change with every parameter, (P, 4, C)."""
+    camera, projector, pair = known.camera, known.projector, known.T_projector_camera
+    slopes = camera.normalise(pixels)
+    here = _place(slopes, projector, pair, pose)
+
+    def change(there: Floats, step: float) -> Floats:
+        return (there - here) / step
+
+    columns = []
+    for term in INTRINSICS[:free]:
+        seen = _other(camera, term).normalise(pixels)
+        columns.append(change(_place(seen, projector, pair, pose), STEPS[term]))
+    for term in INTRINSICS[:free]:
+        columns.append(change(_place(slopes, _other(projector, term), pair, pose), STEPS[term]))
+    for move, step in _small_moves():
+        columns.append(
+            change(_place(slopes, projector, transform(_turned(vectors_of(pair), move)), pose), step)
+        )
+    for move, step in _small_moves():
+        columns.append(
+            change(_place(slopes, projector, pair, transform(_turned(vectors_of(pose), move))), step)
+        )
+    return np.stack(columns, axis=-1)
+
+
+def _small_moves() -> list[tuple[Floats, float]]:
+    steps = [TURN_RAD] * 3 + [MOVE_MM] * 3
+    return [(step * row, step) for step, row in zip(steps, np.eye(6), strict=True)]
+
+
+def _other(device: Pinhole, term: str) -> Pinhole:
+    intrinsics = _intrinsics(device)
+    intrinsics[INTRINSICS.index(term)] += STEPS[term]
+    return replace(device, matrix=matrix_of(intrinsics), distortion=intrinsics[4:])
+
+
+def _place(slopes: Floats, projector: Pinhole, pair: RigidTransform, pose: RigidTransform) -> Floats:
+    """Where rays of the camera (P, 2) meet the board, and where the projector lights that: (P, 4)."""
+    rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=-1)
+    normal = pose.rotation[:, 2]
+    points = rays * ((normal @ pose.translation) / (rays @ normal))[:, None]
+    on_board = pose.inverse().apply(points)
+    return np.concatenate([on_board[:, :2], projector.project(points, pair)], axis=-1)

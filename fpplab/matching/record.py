@@ -1,0 +1,115 @@
+"""The epochs of a matching on disk: one line of JSON each, from which an interrupted one goes on.
+
+A line holds the step, whether it was accepted, the loss with its parts, and all parameters.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from fpplab import config
+from fpplab.calibration import CalibrationFile, PoseFile
+from fpplab.config import Document
+from fpplab.errors import DataError
+from fpplab.files import append_line
+from fpplab.gamma import Curve
+from fpplab.matching.twin import Parameters
+
+EPOCHS = "match.jsonl"
+_PLAIN = (
+    "white", "ambient", "paper", "ink", "projector_blur", "projector_focus_mm", "projector_aperture_mm",
+    "camera_focus_mm", "f_number", "vignetting", "black_level", "read_noise_e", "full_well_e", "vibration_mm",
+)  # fmt: skip
+
+
+class ParametersFile(Document):
+    """`Parameters` as plain data; poses in degrees and mm."""
+
+    calibration: CalibrationFile
+    poses: tuple[PoseFile, ...]
+    white: float
+    response: Curve
+    ambient: float
+    paper: float
+    ink: float
+    projector_blur: float
+    projector_focus_mm: float | None = None
+    projector_aperture_mm: float
+    camera_focus_mm: float | None = None
+    f_number: float
+    vignetting: float
+    black_level: float
+    read_noise_e: float
+    full_well_e: float
+    vibration_mm: float
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> ParametersFile:
+        return cls(
+            calibration=CalibrationFile.of(parameters.calibration),
+            poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
+            response=parameters.response,
+            **{name: getattr(parameters, name) for name in _PLAIN},
+        )
+
+    def parameters(self) -> Parameters:
+        return Parameters(
+            calibration=self.calibration.calibration(),
+            poses=tuple(pose.transform() for pose in self.poses),
+            response=self.response,
+            **{name: getattr(self, name) for name in _PLAIN},
+        )
+
+
+class Epoch(Document):
+    """One line.
+
+    step: what was tried. accepted: whether the loss let it stand. loss: as `Loss.summary`. difference: RMS of
+    bench less twin over the board, in raw levels. seconds: since the matching began, all its runs together.
+    """
+
+    epoch: Annotated[int, Field(ge=0)]
+    step: str
+    accepted: bool
+    loss: dict[str, float]
+    difference: float
+    seconds: float
+    parameters: ParametersFile
+
+
+@dataclass(frozen=True)
+class Record:
+    """The epochs in a folder."""
+
+    folder: Path
+
+    def read(self) -> list[Epoch]:
+        """What is there; a torn last line is an epoch that was not recorded. Raises `DataError`."""
+        path = self.folder / EPOCHS
+        if not path.is_file():
+            return []
+        epochs = []
+        for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], 1):
+            try:
+                epochs.append(Epoch.model_validate_json(line))
+            except ValidationError as error:
+                raise DataError(f"{path} line {number}: is no epoch ({config.describe(error)})") from error
+        return epochs
+
+    def add(self, epoch: Epoch) -> None:
+        """Put one on disk before returning."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / EPOCHS
+        if path.is_file():
+            whole = path.read_bytes()
+            if not whole.endswith(b"\n") and whole:
+                path.write_bytes(whole[: whole.rfind(b"\n") + 1])
+        else:
+            path.touch()
+        plain: dict[str, Any] = epoch.model_dump(mode="json", exclude_none=True)
+        append_line(path, json.dumps(plain))

@@ -1,0 +1,180 @@
+"""The whole of a matching: from recorded sessions to a twin that runs in every command, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from fpplab.calibration import Calibration
+from fpplab.characterisation import Characterisation
+from fpplab.errors import ConfigError
+from fpplab.gamma import Response
+from fpplab.matching import wrong
+from fpplab.matching.bench import Bench
+from fpplab.matching.evaluation import evaluate
+from fpplab.matching.gamma import GammaMatch, match_gamma
+from fpplab.matching.judgement import Judgement, judge
+from fpplab.matching.loss import Weights
+from fpplab.matching.match import Limits, Matched, Observer, match, unseen
+from fpplab.matching.record import Record
+from fpplab.matching.twin import Parameters, Twin
+from fpplab.measurement import Progress, characterise_sessions, nothing
+from fpplab.rig import Rig
+from fpplab.session import Session
+from fpplab.targets import Target
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How to match.
+
+    board, card: what the twin's fixture calls them. response: the bench's. scans: by item, for the judgement.
+    """
+
+    board: str = "board"
+    card: str = "grey_card"
+    response: Response | None = None
+    scans: Mapping[str, Session] = field(default_factory=dict)
+    weights: Weights = field(default_factory=Weights)
+    limits: Limits = field(default_factory=Limits)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the paper's table: whether geometry and light were refined, whether the response was."""
+
+    refined: bool
+    gamma: bool
+    loss: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Everything a matching found.
+
+    start: where it began, with the response matched. nominal: what the twin's own file says, in the bench's
+    geometry. rows: the paper's table; those with the response only where it was measured.
+    """
+
+    bench: Bench
+    nominal: Parameters
+    start: Parameters
+    gamma: GammaMatch | None
+    matched: Matched
+    rows: tuple[Row, ...]
+    judgements: tuple[Judgement, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """The figures for a machine to read, as the command line prints them."""
+        loss, found = self.matched.final.loss.summary(), self.matched.parameters
+        light = {
+            name: getattr(found, name)
+            for name in vars(found)
+            if name not in ("calibration", "poses", "response")
+        }
+        return {
+            **loss,
+            "epochs": len(self.matched.epochs) - 1,
+            "ended": self.matched.ended,
+            "gamma": self.gamma.summary() if self.gamma else None,
+            "rows": [{"refined": r.refined, "with_gamma": r.gamma, **r.loss} for r in self.rows],
+            "explained": self.matched.explained,
+            "unexplained_levels": self.matched.unexplained,
+            "parameters": {**light, "response": found.response.model_dump()},
+            "baseline_mm": found.calibration.baseline_mm,
+            "poses": len(found.poses),
+            "artefacts": [one.summary() for one in self.judgements],
+        }
+
+
+def twin_of(rig: Rig, board: str) -> Twin:
+    """The twin behind an open rig. Raises `ConfigError` when it has none."""
+    if not hasattr(rig.bench, "twin"):
+        raise ConfigError(
+            "--twin: its bench cannot be matched, for it is no simulation; name a rig such as rig_twin"
+        )
+    twin: Twin = rig.bench.twin(board)
+    return twin
+
+
+def match_sessions(
+    twin: Twin,
+    sessions: Sequence[Session],
+    target: Target,
+    folder: Path,
+    wanted: Wanted,
+    *,
+    progress: Progress = nothing,
+    observe: Observer = unseen,
+) -> Outcome:
+    """Match the twin to recorded board sessions, and save it in `folder`.
+
+    Goes on where a record in `folder` ends. Raises `ConfigError` and `CalibrationError` that say what does
+    not fit when the twin is not the bench's.
+    """
+    wrong.check_devices(twin, sessions[0])
+    wrong.check_board(twin, target, "--target")
+    nominal = twin.parameters
+    found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
+    wrong.check_near(found.calibration, nominal.calibration)
+    bench = Bench.of(sessions, target, found, wanted.response)
+    nominal = in_place(nominal, found)
+    twin.become(nominal)
+    gamma = None
+    if wanted.response is not None:
+        gamma = match_gamma(twin, wanted.response, wanted.card, bench.settings)
+    start = twin.parameters
+    matched = match(
+        bench,
+        twin,
+        start,
+        Record(folder),
+        wanted.weights,
+        wanted.limits,
+        progress=lambda share: progress(0.1 + 0.7 * share),
+        observe=observe,
+    )
+    wrong.check_alike(matched.final.loss, matched.unexplained)
+    wrong.check_sharpness(bench, twin)
+    rows = _table(bench, twin, wanted.weights, nominal, matched, gamma is not None)
+    twin.become(matched.parameters)
+    twin.save(folder)
+    own = matched.final.characterisation
+    assert own is not None  # the last evaluation characterises
+    judgements = judge(
+        twin,
+        wanted.scans,
+        found.calibration,
+        own.calibration,
+        lambda share: progress(0.85 + 0.15 * share),
+    )
+    return Outcome(bench, nominal, start, gamma, matched, rows, tuple(judgements))
+
+
+def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
+    """The nominal twin in the geometry that the bench found of itself."""
+    known = found.calibration
+    calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {})
+    return replace(nominal, calibration=calibration, poses=found.poses)
+
+
+def _table(
+    bench: Bench, twin: Twin, weights: Weights, nominal: Parameters, matched: Matched, gamma: bool
+) -> tuple[Row, ...]:
+    """The paper's table: before and after, without and with the response."""
+    before, after = matched.epochs[0].loss, matched.final.loss.summary()
+    if not gamma:
+        return Row(False, False, before), Row(True, False, after)
+
+    def without(parameters: Parameters) -> dict[str, float]:
+        twin.become(replace(parameters, response=nominal.response, white=nominal.white))
+        return evaluate(bench, twin, weights).loss.summary()
+
+    return (
+        Row(False, False, without(nominal)),
+        Row(False, True, before),
+        Row(True, False, without(matched.parameters)),
+        Row(True, True, after),
+    )

@@ -1,0 +1,228 @@
+"""A matching as a page: the paper's table, how the loss fell, what each effect explains, and the images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.figure import Figure as Sheet
+from numpy.typing import NDArray
+
+from fpplab.matching.bench import Bench
+from fpplab.matching.gamma import GammaMatch
+from fpplab.matching.judgement import Judgement
+from fpplab.matching.match import EXPLAINS
+from fpplab.matching.record import Epoch
+from fpplab.matching.run import Outcome
+from fpplab.matching.twin import Parameters, Twin
+from fpplab.report.drawing import ACCENT, FULL, SECOND, blank, colour_bar, map_height, pair, picture, show
+from fpplab.report.figures import error_map
+from fpplab.report.page import Figure, Section, Table, write_page
+
+Picture = NDArray[np.float32]
+
+COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
+SHOWN_POSES = 2
+"""Poses whose images are shown: the nearest and the farthest."""
+
+
+def write_matching_report(path: Path, found: Outcome, twin: Twin) -> None:
+    """Write the matching as one HTML file; the twin is left matched. Raises `DataError`."""
+    sections = [_epochs_section(found)]
+    if found.gamma:
+        sections.append(_gamma_section(found.gamma))
+    sections += [_images_section(found, twin), _parameters_section(found)]
+    sections += [_artefact_section(one) for one in found.judgements]
+    facts = {
+        "Ended": found.matched.ended,
+        "Poses": str(len(found.matched.parameters.poses)),
+        "Left unexplained": f"{found.matched.unexplained:.2f} levels RMS over the board",
+    }
+    write_page(path, "Matching of a twin", _summary(found), sections, facts)
+
+
+def _summary(found: Outcome) -> list[Table]:
+    rows = tuple(
+        (
+            "yes" if row.refined else "no",
+            "matched" if row.gamma else "nominal",
+            *(f"{row.loss[k]:.4f}" for k in ("ssim", "ssim_board", "epsilon_d_px", "loss", "loss_board")),
+        )
+        for row in found.rows
+    )
+    tables = [
+        Table(COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM), with the twin's noise in its images.")
+    ]
+    if found.judgements:
+        judged = tuple(
+            (
+                one.item,
+                f"{one.bench_um:.1f}",
+                f"{one.twin_um:.1f}",
+                f"{one.delta_um:+.1f}",
+                f"{one.summary()['delta_percent']:.1f}",
+            )
+            for one in found.judgements
+        )
+        columns = ("Artefact", "Bench in µm", "Twin in µm", "Difference in µm", "Difference in %")
+        tables.append(Table(columns, judged, "Symmetric mean distance between points and true surface."))
+    return tables
+
+
+def _epochs_section(found: Outcome) -> Section:
+    columns = ("Epoch", "Step", "SSIM", "over the board", "ε_d in px", "Loss", "over the board", "Stands")
+    rows = tuple(
+        (
+            str(epoch.epoch),
+            epoch.step,
+            f"{epoch.loss['ssim']:.4f} ± {epoch.loss['ssim_spread']:.4f}",
+            f"{epoch.loss['ssim_board']:.4f} ± {epoch.loss['ssim_board_spread']:.4f}",
+            f"{epoch.loss['epsilon_d_px']:.4f}",
+            f"{epoch.loss['loss']:.4f}",
+            f"{epoch.loss['loss_board']:.4f}",
+            "yes" if epoch.accepted else "no",
+        )
+        for epoch in found.matched.epochs
+    )
+    explained = tuple(
+        (step, f"{100 * share:.1f} %", EXPLAINS.get(step, "a flat board casts none"))
+        for step, share in found.matched.explained.items()
+    )
+    words = Table(
+        ("Effect", "Share", "What it is"),
+        explained,
+        "Share of the images' mean square difference, as it was before its step, that each effect took away.",
+    )
+    drawn = Figure.of(
+        loss_curve(found.matched.epochs),
+        "Loss by epoch",
+        "The loss and its parts, with their spread.",
+        wide=True,
+    )
+    return Section("Epochs", tables=(Table(columns, rows), words), figures=(drawn,))
+
+
+@picture
+def loss_curve(epochs: Sequence[Epoch]) -> Sheet:
+    """Loss and 1 - SSIM by epoch with their spread over the images, and ε_d; epochs taken back are hollow."""
+    figure, (left, right) = pair(3.0, (1.4, 1.0))
+    numbers = [epoch.epoch for epoch in epochs]
+    for key, colour, words in (("loss", ACCENT, "whole image"), ("loss_board", SECOND, "over the board")):
+        values = np.array([epoch.loss[key] for epoch in epochs])
+        left.plot(numbers, values, "-", color=colour, linewidth=1.2, label=words)
+        for epoch, value in zip(epochs, values, strict=True):
+            fill = colour if epoch.accepted else "white"
+            left.plot(epoch.epoch, value, "o", color=colour, markerfacecolor=fill, markersize=4)
+    spread = np.array([epoch.loss["loss_spread"] for epoch in epochs])
+    whole = np.array([epoch.loss["loss"] for epoch in epochs])
+    left.fill_between(numbers, np.maximum(whole - spread, 1e-5), whole + spread, color=ACCENT, alpha=0.15)
+    left.set(xlabel="epoch", ylabel="loss", yscale="log")
+    left.legend(loc="upper right")
+    right.plot(numbers, [epoch.difference for epoch in epochs], "o-", color=ACCENT, markersize=3)
+    right.set(xlabel="epoch", ylabel="difference over the board, levels RMS", yscale="log")
+    return figure
+
+
+def _gamma_section(found: GammaMatch) -> Section:
+    rows = tuple(
+        (
+            str(number),
+            f"{epoch.parameters.white:.4f}",
+            f"{epoch.parameters.response.a:.4f}",
+            f"{epoch.parameters.response.b:.4f}",
+            f"{epoch.parameters.response.g:.4f}",
+            f"{epoch.sum_of_squares:.2g}",
+        )
+        for number, epoch in enumerate(found.epochs)
+    )
+    table = Table(("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1: W takes the scale.")
+    drawn = Figure.of(
+        gamma_curves(found), "Response by epoch", "Bench and twin by epoch, and what is left.", True
+    )
+    return Section("Gamma matching", tables=(table,), figures=(drawn,))
+
+
+@picture
+def gamma_curves(found: GammaMatch) -> Sheet:
+    """Levels seen of the levels shown, of the bench and of the twin in every epoch, and their difference."""
+    figure, (left, right) = pair(3.0, (1.2, 1.0))
+    for number, epoch in enumerate(found.epochs):
+        shade = 0.25 + 0.75 * (number + 1) / len(found.epochs)
+        left.plot(found.shown, epoch.levels, "-", color=ACCENT, alpha=shade, label=f"twin, epoch {number}")
+        right.plot(found.shown, 255 * (epoch.levels - found.seen), "-", color=ACCENT, alpha=shade)
+    left.plot(found.shown, found.seen, "o", color=SECOND, markersize=3.5, label="bench")
+    left.set(xlabel="level shown, of full scale", ylabel="level seen, of full scale")
+    left.legend(loc="upper left")
+    right.axhline(0, color=SECOND, linewidth=1.0)
+    right.set(xlabel="level shown, of full scale", ylabel="twin − bench, in grey levels of 255")
+    return figure
+
+
+def _images_section(found: Outcome, twin: Twin) -> Section:
+    bench, figures = found.bench, []
+    images = bench.finest[:1]
+    for pose in bench.spread_poses(SHOWN_POSES):
+        before, after = (
+            _seen(bench, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
+        )
+        real = bench.frames(pose, images)[0]
+        name = bench.sessions[pose].path.name
+        caption = f"{name}: the bench, the matched twin; the bench less the twin before and after."
+        figures.append(Figure.of(differences(real, before, after), f"Images of {name}", caption, wide=True))
+    return Section("Images", figures=tuple(figures))
+
+
+def _seen(bench: Bench, twin: Twin, parameters: Parameters, pose: int, images: Sequence[int]) -> Picture:
+    twin.become(parameters)
+    return np.asarray(twin.expected(pose, bench.shown(images), bench.settings)[0])
+
+
+@picture
+def differences(real: Picture, before: Picture, after: Picture) -> Sheet:
+    """The bench's image and the matched twin's, and the difference before and after, in raw levels."""
+    figure = blank(FULL, 2 * map_height(real.shape, FULL / 2))
+    (a, b), (c, d) = cast(Any, figure.subplots(2, 2))
+    bright = max(float(np.percentile(real, 99.8)), 1.0)
+    for axes, image, title in ((a, real, "bench"), (b, after, "matched twin")):
+        show(axes, image, "gray", (0.0, bright))
+        axes.set_title(title, fontsize=8.5)
+    for axes, image, title in ((c, real - before, "difference before"), (d, real - after, "after")):
+        limit = max(float(np.percentile(np.abs(image), 99.5)), 1.0)
+        drawn = show(axes, image, "RdBu_r", (-limit, limit))
+        colour_bar(figure, axes, drawn, "levels")
+        axes.set_title(title, fontsize=8.5)
+    return figure
+
+
+def _parameters_section(found: Outcome) -> Section:
+    names = [n for n in vars(found.matched.parameters) if n not in ("calibration", "poses", "response")]
+    before, after = found.nominal, found.matched.parameters
+
+    def word(value: float | None) -> str:
+        return "sharp" if value is None else f"{value:.4g}"
+
+    rows = [(n, word(getattr(before, n)), word(getattr(after, n))) for n in names]
+    rows += [
+        (f"response {k}", word(getattr(before.response, k)), word(getattr(after.response, k))) for k in "abg"
+    ]
+    rows.append(
+        ("baseline in mm", f"{before.calibration.baseline_mm:.3f}", f"{after.calibration.baseline_mm:.3f}")
+    )
+    return Section("Parameters", tables=(Table(("Parameter", "Before", "Matched"), tuple(rows)),))
+
+
+def _artefact_section(one: Judgement) -> Section:
+    figures = tuple(
+        Figure.of(
+            error_map(cloud, comparison.distances_mm, comparison.counted),
+            f"Errors of the {who}",
+            f"{who.capitalize()}: signed distance from the true shape.",
+        )
+        for who, cloud, comparison in (
+            ("bench", one.bench_cloud, one.bench),
+            ("twin", one.twin_cloud, one.twin),
+        )
+    )
+    return Section(f"Artefact {one.item}", figures=figures)

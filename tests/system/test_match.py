@@ -1,0 +1,69 @@
+"""`fpplab match` as a user runs it: a small hidden bench, and a nominal twin of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fpplab import config
+from fpplab.measurement import take_poses
+from fpplab.plan import FringeSet, Plan
+from fpplab.rig import Rig
+from tests.system.conftest import Command
+
+PLAN = Plan(
+    fringes=tuple(
+        FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 48)
+    )
+)
+POSES = 4
+
+pytestmark = pytest.mark.slow
+
+
+def small(name: str, folder: Path) -> Path:
+    """A rig that comes with fpplab, at an eighth of the sensor's pixels along each side."""
+    found = config.find(name)
+    data = config.parse(config.read_text(found), found)
+    data["bench"]["binning"] = 8
+    path = folder / found.name
+    path.write_text(config.to_yaml(data))
+    return path
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hidden")
+    with Rig.load(small("rig_hidden", folder)) as rig:
+        take_poses(rig, PLAN, "board", POSES, folder / "board", force=False)
+    return folder / "board"
+
+
+def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    twin, out = small("rig_twin", tmp_path), tmp_path / "matched"
+    done = fpplab("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--json")
+    assert done.code == 0, done.err
+    answer = done.json
+    assert {"ssim", "epsilon_d_px", "loss", "epochs", "gamma"} <= answer.keys()
+    assert answer["epochs"] == 2
+    first, last = answer["rows"]
+    assert last["loss_board"] < first["loss_board"]
+    epochs = [json.loads(line) for line in (out / "match.jsonl").read_text().splitlines()]
+    assert [e["step"] for e in epochs] == ["start", "points", "light"]
+    assert "paper" in (out / "report.html").read_text()
+    with Rig.load(out / "rig.yaml") as rig:
+        assert rig.camera.caps.size == (684, 456)
+        assert rig.fixture is not None
+        assert rig.fixture.caps.items["board"] == POSES
+    again = fpplab("match", "--twin", twin, "--reference", board, "--out", out, "--json")
+    assert again.code == 2
+    assert "exists already" in again.json["error"]
+
+
+def test_a_twin_of_another_camera_is_refused(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    done = fpplab("match", "--twin", "rig_twin", "--reference", board, "--out", tmp_path / "no", "--json")
+    assert done.code == 2
+    assert "684 x 456 pixels, the twin's 1368 x 912" in done.json["error"]
+    assert not (tmp_path / "no").exists()
