@@ -55,6 +55,7 @@ def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  
     assert len(found["warnings"]) == 1
 
 
+@pytest.mark.slow
 def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
     folder = calibration[0].parent
     done = fpplab(

@@ -63,7 +63,9 @@ def test_decode_gives_maps(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     assert int(np.isfinite(maps["u"]).sum()) == done.json["valid"] > 1000
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".xyz", ".npz"])
+@pytest.mark.parametrize(
+    "suffix", [".ply", *(pytest.param(other, marks=pytest.mark.slow) for other in (".xyz", ".npz"))]
+)
 def test_reconstruct_again_gives_the_scan_s_points(
     fpplab: Command, demo: Demo, tmp_path: Path, suffix: str
 ) -> None:
@@ -96,6 +98,7 @@ def test_characterise_from_recorded_sessions(fpplab: Command, demo: Demo, tmp_pa
     assert out.read_text() == (demo.folder / "calibration.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_a_session_without_its_board_is_named_and_left_out(
     fpplab: Command, demo: Demo, tmp_path: Path
 ) -> None:
@@ -111,6 +114,7 @@ def test_a_session_without_its_board_is_named_and_left_out(
     assert "left out: pose_00" in done.err
 
 
+@pytest.mark.slow
 def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     sessions = [tmp_path / f"none_{k}" for k in range(3)]
     assert _scan_of_nothing(fpplab, demo, sessions[0]).code == 0

@@ -178,6 +178,7 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
 # Real captures
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
 def test_real_captures_are_characterised() -> None:
     plan, target = Plan.load("plan_slstudio_board"), Target.load("target_slstudio")

@@ -247,6 +247,7 @@ def test_alignment_corrects_a_small_motion_exactly() -> None:
     assert np.abs(rest.apply(mesh.vertices) - mesh.vertices).max() < 0.01
 
 
+@pytest.mark.slow
 def test_alignment_finds_a_printed_part_from_far() -> None:
     """The grooves between its layers have undersides, which say nothing about the side that is seen."""
     printed = artefacts.sliced(artefacts.make("pyramid"), 0.4, 0.06)

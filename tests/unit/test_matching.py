@@ -215,12 +215,12 @@ def test_shares_count_from_what_was_left_before() -> None:
         epoch("start", 4.0),
         epoch("depth of field", 2.0),
         epoch("vignetting", 3.0, False),
-        epoch("noise", 1.0),
+        epoch("ambient light", 1.0),
     ]
     found = shares(steps)
     assert found["depth of field"] == pytest.approx(0.75)
     assert found["vignetting"] == 0.0
-    assert found["noise"] == pytest.approx(0.75)
+    assert found["ambient light"] == pytest.approx(0.75)
 
 
 def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) -> None:
