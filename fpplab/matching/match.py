@@ -125,7 +125,8 @@ AGAIN = (Step("together", _together), Step("images", _by_images))
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Where a matching ended. explained: by step, share of the mean square difference that it took away.
+    """Where a matching ended. explained: by step, share of the mean square difference that it took away; of
+    noise the share of what is left at the end that the twin's own noise makes.
 
     unexplained: RMS over the board of what is left, in raw levels; ended: why it stopped.
     """
@@ -191,8 +192,10 @@ def match(
     ended = _run(state, limits, progress, observe)
     twin.become(state.best.parameters.parameters())
     final = evaluate(bench, twin, weights)
-    left = float(np.sqrt(light.difference(bench, twin, _looked(bench, twin.parameters))))
-    return Matched(twin.parameters, tuple(state.epochs), final, shares(state.epochs), left, ended)
+    state.at = replace(state.at, looked=_looked(bench, twin.parameters))
+    left = _difference(state)
+    explained = shares(state.epochs) | {"noise": _noise(state) / left**2}
+    return Matched(twin.parameters, tuple(state.epochs), final, explained, left, ended)
 
 
 def epochs_best(epochs: Sequence[Epoch]) -> Parameters:
@@ -201,13 +204,13 @@ def epochs_best(epochs: Sequence[Epoch]) -> Parameters:
 
 
 def shares(epochs: Sequence[Epoch]) -> dict[str, float]:
-    """Of what each step of `EXPLAINS` found before it, the share of the mean square that it took away.
+    """Of what each step of `EXPLAINS` but noise found before it, the share of the mean square it took away.
 
     Shadows need relief: a flat board has none, so nothing of its images is theirs.
     """
     found, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
-        if epoch.step in EXPLAINS and last.difference > 0:
+        if epoch.step in EXPLAINS and epoch.step != "noise" and last.difference > 0:
             gained = 1.0 - (epoch.difference / last.difference) ** 2
             found[epoch.step] = gained if epoch.accepted else 0.0
         if epoch.accepted:
@@ -268,6 +271,19 @@ def _accepted(state: _State, best: Epoch, found: Evaluation) -> bool:
 
 def _difference(state: _State) -> float:
     return float(np.sqrt(light.difference(state.at.bench, state.at.twin, state.at.looked)))
+
+
+def _noise(state: _State) -> float:
+    """Mean square of the twin's own noise where the images are looked at: noise is in no expected image."""
+    bench, twin = state.at.bench, state.at.twin
+    squares = []
+    for sample in state.at.looked:
+        patterns = bench.shown(sample.images)
+        expected = twin.expected(sample.pose, patterns, bench.settings)
+        for frame, level in zip(twin.frames(sample.pose, patterns, bench.settings), expected, strict=True):
+            off = frame.astype(np.float64) - level
+            squares.append(float(np.mean(off[sample.rows, sample.columns] ** 2)))
+    return float(np.mean(squares))
 
 
 def _note(
