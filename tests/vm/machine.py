@@ -28,8 +28,8 @@ MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "vhci_hcd", "usbhid", 
 LIBRARIES = ("usr/lib/x86_64-linux-gnu", "lib/x86_64-linux-gnu")
 MEMORY_MB = 1536
 LONGEST_S = 900
-PASSED = 33
-"""How QEMU ends when the guest writes 16 to its exit port."""
+PASSED, FAILED = 33, 35
+"""How QEMU ends when the guest writes 16 or 17 to its exit port."""
 
 
 class NotHere(Exception):  # noqa: N818 - no fault of the program
@@ -121,7 +121,10 @@ class Machine:
                 yield name
 
     def run(self, words: Sequence[str]) -> int:
-        """Boot and run pytest with these words, its output to stdout; 0 when all passed, else 1."""
+        """Boot and run pytest with these words, its output to stdout; 0 when all passed, else 1.
+
+        Raises `NotHere` when the machine does not come as far as the tests.
+        """
         libraries = ":".join(str(self._root / place) for place in LIBRARIES)
         unpacked = self._root / "usr" / "bin" / "qemu-system-x86_64"
         data = [str(self._root / "usr" / "share" / name) for name in ("qemu", "seabios")]
@@ -148,6 +151,8 @@ class Machine:
         except subprocess.TimeoutExpired:
             sys.stderr.write(f"the virtual machine was still running after {LONGEST_S} s, and was stopped\n")
             return 1
+        if done.returncode not in (PASSED, FAILED):
+            raise NotHere(f"the virtual machine does not start here: QEMU ends with {done.returncode}")
         return 0 if done.returncode == PASSED else 1
 
 
