@@ -92,6 +92,6 @@ def test_the_report_shows_it(matching: Matching, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     write_matching_report(page, matching.outcome, matching.twin)
     text = page.read_text()
-    for words in ("SSIM over the board", "projector defocus", "the bench less the twin", "paper"):
+    for words in ("SSIM over the board", "ambient light", "the bench less the twin", "paper"):
         assert words in text
     assert np.isfinite(matching.outcome.matched.unexplained)
