@@ -139,6 +139,12 @@ class Plan(Document):
         chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
         return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
 
+    @property
+    def finest_images(self) -> tuple[int, ...]:
+        """Indices of the images of the finest set along the first coded axis."""
+        finest = self.sets_along(self.axes[0])[-1]
+        return tuple(image for image, (index, _, _) in enumerate(self.steps()) if index == finest)
+
     def steps(self) -> Iterator[tuple[int, int, str]]:
         """(fringe set, step, pattern id) of every image, in the order shown."""
         for index, fringe in enumerate(self.fringes):

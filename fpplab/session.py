@@ -221,8 +221,7 @@ class Session:
     def finest(self) -> tuple[FringeSet, list[Image]]:
         """The finest fringe set along the first coded axis, and its frames; checksums are taken as good."""
         finest = self.plan.sets_along(self.plan.axes[0])[-1]
-        chosen = [i for i, (fringe, _, _) in enumerate(self.plan.steps()) if fringe == finest]
-        return self.plan.fringes[finest], [self.read(i, verify=False) for i in chosen]
+        return self.plan.fringes[finest], [self.read(i, verify=False) for i in self.plan.finest_images]
 
     @property
     def format(self) -> tuple[int, int, int]:

@@ -101,12 +101,6 @@ class Bench:
                 found.append(index)
         return tuple(found)
 
-    @cached_property
-    def finest_along_first(self) -> tuple[int, ...]:
-        """All images of the finest set along the first axis."""
-        wanted = self.plan.sets_along(self.plan.axes[0])[-1]
-        return tuple(index for index, (fringes, _, _) in enumerate(self.plan.steps()) if fringes == wanted)
-
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
         """The patterns of some images."""
         return tuple(self.patterns[index] for index in images)

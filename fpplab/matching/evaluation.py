@@ -76,8 +76,7 @@ class _Compared:
 def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation | None:
     """The board in the twin's frames of a pose; None where it is not found, as on a bench."""
     plan, (size, _) = bench.plan, bench.projector
-    finest = plan.sets_along(plan.axes[0])[-1]
-    chosen = [frame for frame, (fringes, _, _) in zip(frames, plan.steps(), strict=True) if fringes == finest]
+    chosen = [frames[image] for image in plan.finest_images]
     name = bench.sessions[pose].path.name
     bits = bench.settings.bits
     try:

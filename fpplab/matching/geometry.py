@@ -22,19 +22,13 @@ from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.conventions import Floats
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.matching.bench import Bench
-from fpplab.matching.loss import board_mask
+from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
 from fpplab.matching.twin import Levels, Parameters, Twin
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
 """By how much board and projector's picture are moved to see what changes: less than any detail of either."""
-BEYOND_PX = 3
-"""The board's edge tells where it is, so its surroundings belong to the picture."""
 PIXELS = 40_000
 """Of a pose that are looked at: evenly thinned to so many."""
-SOFT = 3.0
-"""Residuals beyond this many robust standard deviations count linearly (Huber)."""
-ROUNDING = 0.29
-"""Standard deviation of rounding to integers, under which no residual can be."""
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCES = 6
@@ -111,9 +105,8 @@ def _equations(slopes: Floats, residual: Floats, moves: slice, vibration_mm: flo
 
     moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`.
     """
-    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING)
-    weight = np.minimum(1.0, SOFT * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
-    weighted = slopes * weight[:, None]
+    weight, sigma = soft_weights(residual)
+    weighted = slopes * (weight / sigma**2)[:, None]
     block, pull = slopes.T @ weighted, weighted.T @ residual
     if vibration_mm == 0:
         return block, pull
@@ -170,10 +163,7 @@ class View:
 def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     images = bench.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
-    v, u = np.nonzero(looked_at)
-    thin = max(1, int(np.sqrt(len(u) / PIXELS)))
-    chosen = (v % thin == 0) & (u % thin == 0)
-    v, u = v[chosen], u[chosen]
+    v, u = thinned(looked_at, PIXELS)
     seen = bench.frames(pose, images)[:, v, u]
 
     def expected(parameters: Parameters) -> Levels:

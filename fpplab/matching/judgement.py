@@ -104,6 +104,5 @@ def _scanned(twin: Twin, item: str, session: Session, stands: Any, calibration: 
     settings = session.records[0].settings
     frames = twin.scan(item, stands, make_patterns(plan, size, lattice), settings)
     decoded = decode(frames, plan, size, settings.bits, f"the twin's {item}")
-    finest = plan.sets_along(plan.axes[0])[-1]
-    chosen = [frame for frame, (fringes, _, _) in zip(frames, plan.steps(), strict=True) if fringes == finest]
+    chosen = [frames[image] for image in plan.finest_images]
     return triangulate(decoded, calibration, mean_of(chosen, settings.bits))

@@ -12,22 +12,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.conventions import Floats
 from fpplab.gamma import Curve
 from fpplab.matching.bench import Bench
-from fpplab.matching.loss import board_mask
+from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
 from fpplab.matching.twin import Parameters, Twin
 
-BEYOND_PX = 3
 PIXELS = 20_000
 """Of a pose that are looked at."""
 ROUNDS = 3
 SETTLED = 1e-3
 """Relative gain of a round from which it is the last."""
 HALVINGS = 4
-SOFT, ROUNDING = 3.0, 0.29
-"""As in `fpplab.matching.geometry`."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,8 @@ class Sample:
 
     pose: int
     images: tuple[int, ...]
-    rows: Any
-    columns: Any
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
     seen: Floats
 
 
@@ -103,11 +101,9 @@ def samples(
 
     def one(pose: int) -> Sample:
         area = board_mask(parameters.calibration.camera, parameters.poses[pose], bench.target, -BEYOND_PX)
-        v, u = np.nonzero(area)
-        thin = max(1, int(np.sqrt(len(u) / PIXELS)))
-        chosen = (v % thin == 0) & (u % thin == 0)
-        seen = bench.frames(pose, images)[:, v[chosen], u[chosen]].astype(np.float64)
-        return Sample(pose, tuple(images), v[chosen], u[chosen], seen)
+        v, u = thinned(area, PIXELS)
+        seen = bench.frames(pose, images)[:, v, u].astype(np.float64)
+        return Sample(pose, tuple(images), v, u, seen)
 
     return [one(pose) for pose in poses]
 
@@ -145,7 +141,7 @@ def _round(
     bench: Bench, twin: Twin, names: Sequence[str], looked: Sequence[Sample], start: Parameters, left: Floats
 ) -> tuple[float, Parameters, Floats]:
     """One step: the relative gain, the parameters and what they leave."""
-    weight = _weights(left)
+    weight, _ = soft_weights(left)
     cost = float(np.sum(weight * left**2))
     slopes = []
     for name in names:
@@ -178,11 +174,6 @@ def _tries(
             tried = knob.turned(tried, knob.read(start) + by / 2**halving)
         twin.become(tried)
         yield tried, residuals(bench, twin, looked)
-
-
-def _weights(left: Floats) -> Floats:
-    sigma = max(1.4826 * float(np.median(np.abs(left))), ROUNDING)
-    return np.asarray(np.minimum(1.0, SOFT * sigma / np.maximum(np.abs(left), 1e-12)))
 
 
 def coarse_focus(

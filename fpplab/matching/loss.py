@@ -23,6 +23,13 @@ EDGE_POINTS = 50
 MARGIN_PX = 4
 """How far inside its outline a board begins: half of the SSIM's window of 7 px, rounded up."""
 
+BEYOND_PX = 3
+"""The board's edge tells where it is, so its surroundings belong to the picture."""
+SOFT = 3.0
+"""Residuals beyond this many robust standard deviations count linearly (Huber)."""
+ROUNDING = 0.29
+"""Standard deviation of rounding to integers, under which no residual can be."""
+
 
 class Weights(Document):
     """Of the loss; what suits a system with much noise is a lesser beta."""
@@ -117,3 +124,17 @@ def board_mask(
         away = cv2.erode(area, square, borderValue=(0,)) if margin_px > 0 else cv2.dilate(area, square)
         area = np.asarray(away, np.uint8)
     return np.asarray(area, np.bool_)
+
+
+def thinned(area: Mask, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of an area's pixels, evenly thinned to about `most`."""
+    v, u = np.nonzero(area)
+    thin = max(1, int(np.sqrt(len(u) / most)))
+    chosen = (v % thin == 0) & (u % thin == 0)
+    return v[chosen], u[chosen]
+
+
+def soft_weights(residual: Floats) -> tuple[Floats, float]:
+    """Huber's weights, 1 for what is no outlier, and the robust standard deviation, in raw levels."""
+    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING)
+    return np.minimum(1.0, SOFT * sigma / np.maximum(np.abs(residual), 1e-12)), sigma

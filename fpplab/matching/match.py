@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -146,11 +146,10 @@ class _State:
     record: Record
     epochs: list[Epoch]
     started: float
-    explained: dict[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> Epoch:
-        return next(epoch for epoch in reversed(self.epochs) if epoch.accepted)
+        return _best(self.epochs)
 
     @property
     def seconds(self) -> float:
@@ -181,14 +180,15 @@ def match(
     cannot be characterised, or no step can be made.
     """
     epochs = record.read()
-    twin.become(epochs_best(epochs) if epochs else start)
+    begin = _best(epochs).parameters.parameters() if epochs else start
+    twin.become(begin)
     white = "paper" if bench.response is not None else "white"
-    looked = _looked(bench, start if not epochs else epochs_best(epochs))
+    looked = _looked(bench, begin)
     before = epochs[-1].seconds if epochs else 0.0
     state = _State(Context(bench, twin, looked, white), weights, record, epochs, time.monotonic() - before)
     if not epochs:
         first = evaluate(bench, twin, weights)
-        _note(state, "start", first, twin.parameters, True, observe)
+        _note(state, "start", first, _difference(state), True, observe)
     ended = _run(state, limits, progress, observe)
     twin.become(state.best.parameters.parameters())
     final = evaluate(bench, twin, weights)
@@ -198,9 +198,9 @@ def match(
     return Matched(twin.parameters, tuple(state.epochs), final, explained, left, ended)
 
 
-def epochs_best(epochs: Sequence[Epoch]) -> Parameters:
-    """The parameters of the last epoch that was accepted."""
-    return next(epoch for epoch in reversed(epochs) if epoch.accepted).parameters.parameters()
+def _best(epochs: Sequence[Epoch]) -> Epoch:
+    """The last that was accepted."""
+    return next(epoch for epoch in reversed(epochs) if epoch.accepted)
 
 
 def shares(epochs: Sequence[Epoch]) -> dict[str, float]:
@@ -258,15 +258,16 @@ def _take(state: _State, step: Step, observe: Observer) -> None:
     known = None if step.characterises else best.loss["epsilon_v_px"]
     found = evaluate(state.at.bench, twin, state.weights, known)
     state.at = replace(state.at, looked=_looked(state.at.bench, tried))
-    _note(state, step.name, found, tried, _accepted(state, best, found), observe)
+    difference = _difference(state)
+    _note(state, step.name, found, difference, _accepted(best, found, difference), observe)
 
 
-def _accepted(state: _State, best: Epoch, found: Evaluation) -> bool:
+def _accepted(best: Epoch, found: Evaluation, difference: float) -> bool:
     """By the loss over the board; where that is a tie, by the images' mean difference."""
     gain = best.loss["loss_board"] - found.loss.board
     if abs(gain) > TIE:
         return gain > 0
-    return _difference(state) <= best.difference * (1.0 + 1e-3)
+    return difference <= best.difference * (1.0 + 1e-3)
 
 
 def _difference(state: _State) -> float:
@@ -287,7 +288,7 @@ def _noise(state: _State) -> float:
 
 
 def _note(
-    state: _State, name: str, found: Evaluation, parameters: Parameters, accepted: bool, observe: Observer
+    state: _State, name: str, found: Evaluation, difference: float, accepted: bool, observe: Observer
 ) -> None:
     if not np.isfinite(found.loss.board):
         raise CalibrationError(f"the step '{name}' led to no image that can be compared")
@@ -296,9 +297,9 @@ def _note(
         step=name,
         accepted=accepted,
         loss=found.loss.summary(),
-        difference=_difference(state),
+        difference=difference,
         seconds=state.seconds,
-        parameters=ParametersFile.of(parameters),
+        parameters=ParametersFile.of(state.at.twin.parameters),
     )
     state.record.add(epoch)
     state.epochs.append(epoch)

@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.conventions import Floats, Image
 from fpplab.geometry import RigidTransform
 from fpplab.matching.bench import Bench
-from fpplab.matching.loss import board_mask
+from fpplab.matching.loss import board_mask, thinned
 from fpplab.matching.twin import Parameters, Twin
 
 STEP_MM = 0.02
@@ -49,7 +50,7 @@ def match_noise(bench: Bench, twin: Twin, poses: Sequence[int]) -> Parameters:
     Read noise is changed only where it shows beside rounding. Leaves the twin as it is.
     """
     now = twin.parameters
-    images = bench.finest_along_first
+    images = bench.plan.finest_images
     patterns = bench.shown(images)
     own = [twin.frames(pose, patterns, bench.settings) for pose in poses]
     real = [[np.asarray(f) for f in bench.frames(pose, images)] for pose in poses]
@@ -69,17 +70,14 @@ def match_noise(bench: Bench, twin: Twin, poses: Sequence[int]) -> Parameters:
 class _View:
     """Pixels of a pose: rows, columns (P,); levels expected (n, P), and by displacement in mm (n, P, 3)."""
 
-    rows: Floats
-    columns: Floats
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
     expected: Floats
     slopes: Floats
 
     @classmethod
     def of(cls, bench: Bench, twin: Twin, now: Parameters, pose: int, images: Sequence[int]) -> _View:
-        v, u = np.nonzero(board_mask(now.calibration.camera, now.poses[pose], bench.target))
-        thin = max(1, int(np.sqrt(len(u) / PIXELS)))
-        chosen = (v % thin == 0) & (u % thin == 0)
-        v, u = v[chosen], u[chosen]
+        v, u = thinned(board_mask(now.calibration.camera, now.poses[pose], bench.target), PIXELS)
 
         def expected(parameters: Parameters) -> Floats:
             twin.become(parameters)

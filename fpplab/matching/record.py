@@ -21,10 +21,6 @@ from fpplab.gamma import Curve
 from fpplab.matching.twin import Parameters
 
 EPOCHS = "match.jsonl"
-_PLAIN = (
-    "white", "ambient", "paper", "ink", "projector_blur", "projector_focus_mm", "projector_aperture_mm",
-    "camera_focus_mm", "f_number", "vignetting", "black_level", "read_noise_e", "full_well_e", "vibration_mm",
-)  # fmt: skip
 
 
 class ParametersFile(Document):
@@ -54,7 +50,7 @@ class ParametersFile(Document):
             calibration=CalibrationFile.of(parameters.calibration),
             poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
             response=parameters.response,
-            **{name: getattr(parameters, name) for name in _PLAIN},
+            **{name: getattr(parameters, name) for name in PLAIN},
         )
 
     def parameters(self) -> Parameters:
@@ -62,8 +58,12 @@ class ParametersFile(Document):
             calibration=self.calibration.calibration(),
             poses=tuple(pose.transform() for pose in self.poses),
             response=self.response,
-            **{name: getattr(self, name) for name in _PLAIN},
+            **{name: getattr(self, name) for name in PLAIN},
         )
+
+
+PLAIN = tuple(n for n in ParametersFile.model_fields if n not in ("calibration", "poses", "response"))
+"""The parameters that are numbers."""
 
 
 class Epoch(Document):

@@ -18,7 +18,7 @@ from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.judgement import Judgement, judge
 from fpplab.matching.loss import Weights
 from fpplab.matching.match import Limits, Matched, Observer, match, unseen
-from fpplab.matching.record import Record
+from fpplab.matching.record import PLAIN, Record
 from fpplab.matching.twin import Parameters, Twin
 from fpplab.measurement import Progress, characterise_sessions, nothing
 from fpplab.rig import Rig
@@ -69,11 +69,7 @@ class Outcome:
     def summary(self) -> dict[str, Any]:
         """The figures for a machine to read, as the command line prints them."""
         loss, found = self.matched.final.loss.summary(), self.matched.parameters
-        light = {
-            name: getattr(found, name)
-            for name in vars(found)
-            if name not in ("calibration", "poses", "response")
-        }
+        light = {name: getattr(found, name) for name in PLAIN}
         return {
             **loss,
             "epochs": len(self.matched.epochs) - 1,
