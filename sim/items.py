@@ -12,6 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from fpplab import artefacts, config
+from fpplab.artefacts.models import Lengths
 from fpplab.artefacts.parts import load_part
 from fpplab.artefacts.slicing import sliced
 from fpplab.conventions import Floats
@@ -39,14 +40,16 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
 def item_mesh(item: ArtefactItem | MeshItem) -> trimesh.Trimesh:
     """The true shape of an artefact or part, in its own frame; not to be changed. Raises `ConfigError`."""
     if isinstance(item, ArtefactItem):
-        return _artefact(item.artefact, item.layer_mm, item.bead_mm)
+        return _artefact(item.artefact, tuple(item.sizes.items()), item.layer_mm, item.bead_mm)
     path = Path(item.mesh)
     return _part(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache(maxsize=8)
-def _artefact(name: str, layer_mm: float | None, bead_mm: float) -> trimesh.Trimesh:
-    mesh = artefacts.make(name)
+def _artefact(
+    name: str, sizes: tuple[tuple[str, Lengths], ...], layer_mm: float | None, bead_mm: float
+) -> trimesh.Trimesh:
+    mesh = artefacts.make(name, dict(sizes))
     return mesh if layer_mm is None else sliced(mesh, layer_mm, bead_mm)
 
 
@@ -113,7 +116,10 @@ _PLATE_UV = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def _print_resolution(world: World, pose: RigidTransform) -> float:
-    """Pixels per mm of a board's picture: twice what the camera resolves, within reason."""
+    """Pixels per mm of a board's picture: twice what the camera resolves or more, within reason.
+
+    A power of two, so that a board that moves a little keeps its picture.
+    """
     camera = world.camera_model()
     resolved = camera.matrix[0, 0] / max(pose.translation[2], 1.0)
-    return float(np.clip(2 * resolved, *PRINT_PX_PER_MM))
+    return float(np.clip(2 ** np.ceil(np.log2(2 * resolved)), *PRINT_PX_PER_MM))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.calibration import INTRINSICS, Calibration
 from fpplab.characterisation import Characterisation
@@ -32,6 +33,8 @@ PIXELS = 40_000
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCES = 6
+SHAKES = 2
+"""Rounds in which the displacement of one image is found."""
 
 
 def solution_of(parameters: Parameters, board: Floats) -> Solution:
@@ -89,8 +92,9 @@ def by_images(bench: Bench, twin: Twin, level: Level) -> Parameters:
         view = _look(bench, twin, start, pose)
         columns = np.append(np.arange(shared), shared + each * pose + np.arange(each))
         moves = slice(shared + 3, shared + 6)
-        for slopes, residual in view.slopes(start, pose, free):
-            block, pull = _equations(slopes, residual, moves, start.vibration_mm)
+        for image, slopes in enumerate(view.slopes(start, free)):
+            own, residual = _shaken(bench, twin, start, view, image, slopes[:, shared + 3 :])
+            block, pull = _equations(slopes, residual, moves, own, start.vibration_mm)
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += pull
     twin.become(start)
@@ -100,19 +104,46 @@ def by_images(bench: Bench, twin: Twin, level: Level) -> Parameters:
     return _moved(start, step, free, shared, each)
 
 
-def _equations(slopes: Floats, residual: Floats, moves: slice, vibration_mm: float) -> tuple[Floats, Floats]:
+def _shaken(
+    bench: Bench, twin: Twin, start: Parameters, view: View, image: int, slopes: Floats
+) -> tuple[Floats, Floats]:
+    """By how much the board was displaced (3,) in mm while one image was taken, and what that leaves (P,).
+
+    slopes: (P, 3 + NUISANCES), by the displacement and what else is the image's own. An edge's level is
+    no straight line over the displacement, so the twin is looked at once more where the board was.
+    """
+    residual, own = view.residual[image], np.zeros(3)
+    if start.vibration_mm == 0:
+        return own, residual
+    held = start.poses[view.pose]
+    u, v = view.pixels.astype(np.intp).T
+    solve = np.linalg.solve(slopes.T @ slopes, slopes.T)[:3]
+    for _ in range(SHAKES):
+        own = own + solve @ residual
+        there = RigidTransform(held.rotation, held.translation + own)
+        twin.become(replace(start, poses=(*start.poses[: view.pose], there, *start.poses[view.pose + 1 :])))
+        level = twin.expected(view.pose, bench.shown([view.images[image]]), bench.settings)[0]
+        changed = np.where(view.clear[image], level[v, u] - view.expected[image], 0.0)
+        residual = view.residual[image] - changed
+    return own, residual
+
+
+def _equations(
+    slopes: Floats, residual: Floats, moves: slice, own: Floats, vibration_mm: float
+) -> tuple[Floats, Floats]:
     """Normal equations (C, C), (C,) of one image, in units of its noise, its own displacement eliminated.
 
-    moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`.
+    moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`, and
+    `own` of it is in the residual already.
     """
     weight, sigma = soft_weights(residual)
     weighted = slopes * (weight / sigma**2)[:, None]
     block, pull = slopes.T @ weighted, weighted.T @ residual
     if vibration_mm == 0:
         return block, pull
-    own = block[moves, moves] + np.eye(3) / vibration_mm**2
-    share = np.linalg.solve(own, block[moves])
-    return block - block[:, moves] @ share, pull - share.T @ pull[moves]
+    normal = block[moves, moves] + np.eye(3) / vibration_mm**2
+    share = np.linalg.solve(normal, block[moves])
+    return block - block[:, moves] @ share, pull - share.T @ (pull[moves] - own / vibration_mm**2)
 
 
 def _moved(start: Parameters, step: Floats, free: int, shared: int, each: int) -> Parameters:
@@ -137,27 +168,28 @@ def _turned(pose: Floats, move: Floats) -> Floats:
 class View:
     """Some pixels of some images of one pose.
 
-    pixels: (P, 2). expected, residual: (n, P), what the twin sees and the bench less that. bent: (n, P), the
-    Laplacian of what the twin sees, to which a little more blur is proportional.
+    pixels: (P, 2). expected, residual: (n, P), what the twin sees and the bench less that, where the levels
+    are `clear`. bent: (n, P), the Laplacian of what the twin sees, to which a bit more blur is proportional.
     by_place: (n, P, 4), how the level changes with x, y on the board in mm and u, v of the projector in px.
     """
 
+    pose: int
+    images: tuple[int, ...]
     pixels: Floats
+    clear: NDArray[np.bool_]
     expected: Floats
     residual: Floats
     bent: Floats
     by_place: Floats
 
-    def slopes(self, at: Parameters, pose: int, free: int) -> Iterator[tuple[Floats, Floats]]:
-        """Of each image, slopes (P, C) by the parameters of `by_images`, and residuals (P,)."""
-        places = _places(self.pixels, at.calibration, at.poses[pose], free)
+    def slopes(self, at: Parameters, free: int) -> Iterator[Floats]:
+        """Of each image, slopes (P, C) by the parameters of `by_images`."""
+        places = _places(self.pixels, at.calibration, at.poses[self.pose], free)
         across, down = ((self.pixels - self.pixels.mean(axis=0)) / np.ptp(self.pixels, axis=0)).T
-        for seen, residual, bent, by_place in zip(
-            self.expected, self.residual, self.bent, self.by_place, strict=True
-        ):
+        for seen, bent, by_place in zip(self.expected, self.bent, self.by_place, strict=True):
             geometric = np.einsum("pk,pkc->pc", by_place, places)
             other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, bent]
-            yield np.column_stack([geometric, *other]), residual
+            yield np.column_stack([geometric, *other])
 
 
 def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
@@ -181,7 +213,10 @@ def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     dark = start.black_level * bench.full_scale + 1.0
     clear = (seen < bench.full_scale) & (here < bench.full_scale) & (here > dark)
     return View(
+        pose,
+        tuple(images),
         np.stack([u, v], axis=-1).astype(np.float64),
+        clear,
         here,
         np.where(clear, seen - here, 0.0),
         bent * clear,

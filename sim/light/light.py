@@ -16,21 +16,25 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from fpplab.conventions import Floats, full_scale
+from fpplab.geometry import Pinhole
 from fpplab.patterns import Pattern
 from sim.build import Setup, build_scene
 from sim.light.basis import Basis, Picture, span
 from sim.light.cache import TableCache, digest
 from sim.light.kept import Kept
+from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import Table
 from sim.scene import COLOURS, Effort, Scene, View
 from sim.texture import MirrorTexture, Part
 from sim.worker import Blender
 from sim.world import World
+from sim.world.render import shifts
 
 KEEP_BYTES = 1 << 29
 TOGETHER, TOGETHER_BYTES = 12, 1 << 27
@@ -125,7 +129,7 @@ class Light:
     def table(self, setup: Setup) -> Table:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
-        key = digest(scene, self._views)
+        key = digest(scene, self._views(scene))
         if any(setup.shake_mm):  # the next frame has another
             if self._shaken is None or self._shaken[0] != key:
                 self._shaken = (key, self._found(setup, key))
@@ -256,8 +260,8 @@ class Light:
 
     def _found(self, setup: Setup, key: str) -> Table:
         _, scene, _ = self._built(setup)
-        if self._analytic and can_compute(scene):
-            return computed(scene, self._views)
+        if self._computes(scene):
+            return computed(scene, self._views(scene), spots=True)
         keep = self._cache if not any(setup.shake_mm) else None
         table = keep.load(key) if keep else None
         if table is None:
@@ -292,17 +296,16 @@ class Light:
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
 
-    @property
-    def _views(self) -> list[View]:
-        """Points of pixel and lens, one of each; paired at random, so that neither follows the other."""
-        shifts = self._world.render.shifts
+    def _views(self, scene: Scene) -> list[View]:
+        render = self._world.render
+        computes = self._computes(scene) and render.computed_subpixels
+        places = shifts(computes or render.subpixels)
         if not self._world.camera.aperture_mm:
-            return [View(shift) for shift in shifts]
-        # Vogel's spiral covers the disc evenly with any number of points.
-        n = np.random.default_rng(0).permutation(len(shifts))
-        radius, angle = np.sqrt((n + 0.5) / len(shifts)), n * np.pi * (3 - np.sqrt(5))
-        lens = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
-        return [View(shift, (float(x), float(y))) for shift, (x, y) in zip(shifts, lens, strict=True)]
+            return [View(place) for place in places]
+        return [View(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]
+
+    def _computes(self, scene: Scene) -> bool:
+        return self._analytic and can_compute(scene)
 
     def _built(self, setup: Setup) -> tuple[Setup, Scene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
@@ -310,10 +313,10 @@ class Light:
         return self._scene
 
     def _render(self, setup: Setup, textures: Picture | None, effort: Effort) -> Picture:
-        views = self._views
+        _, scene, _ = self._built(setup)
+        views = self._views(scene)
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
-        _, scene, _ = self._built(setup)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
 
 
@@ -331,7 +334,15 @@ def _vignette(world: World) -> Picture | None:
     if exponent == 0:
         return None
     camera = world.camera_model()
-    width, height = camera.size
-    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+    return _falloff(camera.size, tuple(camera.matrix.ravel()), tuple(camera.distortion)) ** np.float32(
+        exponent
+    )
+
+
+@lru_cache(maxsize=2)
+def _falloff(size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]) -> Picture:
+    """Cosine of the angle between each pixel's ray and the axis, (height, width)."""
+    camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
+    v, u = np.mgrid[0 : size[1], 0 : size[0]].astype(np.float64)
     slopes = camera.normalise(np.stack([u, v], axis=-1))
-    return np.asarray((1 + (slopes**2).sum(axis=-1)) ** (-exponent / 2), np.float32)
+    return np.asarray((1 + (slopes**2).sum(axis=-1)) ** -0.5, np.float32)

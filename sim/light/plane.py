@@ -9,10 +9,19 @@ that plane, a point at depth z before the lamp and distance r from it has `cos(i
 
 for irradiance 1 on a facing surface at distance D (`sim.blender.projector` has the law of the lamp). Rays,
 lens points and their turning are those of `sim/blender/camera.osl`, in double precision.
+
+Where Blender's rays see points, ours can see spots: of K samples of a pixel each then stands for a K-th of
+what the pixel and the lens spread, and the print is blurred by as much before it is looked at. On a plane
+only the sum of a place in the pixel and of a point of the lens matters, so both go in step instead of at
+random, as far as the sum's variance allows. Few samples then see an edge as very many would, in all pixels
+alike.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import cv2
 import numba
 import numpy as np
 
@@ -22,6 +31,10 @@ from sim.light.table import Picture, Table, circle_level
 from sim.scene import Paint, Scene, Surface, View
 
 STEPS = 20
+SPOTS = 4
+"""Sizes of spots for which the print is blurred beforehand; what lies between is interpolated."""
+RIM = 4.0
+"""Of the print, in standard deviations of its blur, beyond the item's edges."""
 SETTLED = 1e-20
 """Square of a step of slopes, far below what a pixel can show, from which on rays are not corrected."""
 
@@ -35,8 +48,11 @@ def can_compute(scene: Scene) -> bool:
     return flat and surface.paint == Paint(surface.paint.reflectance, ink=surface.paint.ink)
 
 
-def computed(scene: Scene, views: list[View]) -> Table:
-    """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes."""
+def computed(scene: Scene, views: list[View], spots: bool = False) -> Table:
+    """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes.
+
+    spots: whether samples see spots instead of points.
+    """
     camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
     width, height = camera.size
     pose = _transform(surface.T_camera_item)
@@ -45,14 +61,22 @@ def computed(scene: Scene, views: list[View]) -> Table:
     samples = np.zeros((len(views), max(bottom - top, 0), max(right - left, 0), 4), np.float32)
     albedo = np.zeros((height, width), np.float32)
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
+    radius = 0.5 * scene.aperture.diameter_mm
+    spots = spots and surface.picture is not None  # what is even has nothing to blur
+    prints = _spotted(scene, len(views)) if spots else _pointed(surface)
+    shifts = np.array([view.shift for view in views])
+    lens = _in_step(shifts) if spots else np.array([view.lens for view in views])
+    if spots and len(views) > 1:
+        shifts *= np.sqrt(_places_share(len(views)) / (1.0 - 1.0 / len(views)))
     _trace(
         left,
         top,
-        np.array([(*view.shift, *view.lens) for view in views], np.float64),
+        np.column_stack([shifts, lens]).astype(np.float64),
+        _joint_variance(shifts, lens),
         camera.matrix,
         camera.distortion,
         reach,
-        0.5 * scene.aperture.diameter_mm,
+        radius,
         scene.aperture.focus_mm,
         pose.inverse().matrix[:3],
         (lamp_pose.inverse() @ pose).matrix[:3],
@@ -64,13 +88,113 @@ def computed(scene: Scene, views: list[View]) -> Table:
         lamp.texels_per_slope * lamp.aperture.diameter_mm,
         1.0 / lamp.aperture.focus_mm,
         np.array(lamp.circles, np.float64) ** 2,
-        surface.vertices[0, :2],
-        surface.vertices[2, :2],
-        _reflectance(surface),
+        prints.low,
+        prints.high,
+        prints.variances,
+        prints.pictures,
         samples,
         albedo,
     )
     return Table(samples, albedo, (left, top))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prints:
+    """A rectangle's reflectance (sizes, rows, columns) between its corners low and high (x, y) in mm.
+
+    variances: (sizes,) in mm², of the blur of each; evenly apart.
+    """
+
+    pictures: Picture
+    low: Floats
+    high: Floats
+    variances: Floats
+
+
+def _pointed(surface: Surface) -> _Prints:
+    return _Prints(_reflectance(surface)[None], surface.vertices[0, :2], surface.vertices[2, :2], np.zeros(1))
+
+
+def _spotted(scene: Scene, samples: int) -> _Prints:
+    """The print blurred for all sizes of spots on it; nothing comes back from beside it."""
+    surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
+    low, high = surface.vertices[0, :2], surface.vertices[2, :2]
+    pose = _transform(surface.T_camera_item)
+    places = np.linspace(low, high, 5)
+    on_print = np.stack([*np.meshgrid(*places.T), np.zeros((5, 5))], axis=-1)
+    seen = pose.apply(on_print.reshape(-1, 3))
+    spread = [
+        _spot(
+            float(point[2]),
+            float(abs(pose.rotation[:, 2] @ point) / point[2]),
+            1.0 / (camera.matrix[0, 0] * camera.matrix[1, 1]),
+            0.5 * aperture.diameter_mm,
+            aperture.focus_mm,
+            samples,
+        )
+        for point in seen
+    ]
+    variances = np.linspace(min(spread), max(spread), SPOTS)
+    grey = _reflectance(surface)
+    scale = np.array(grey.shape[::-1]) / (high - low)
+    rim = np.ceil(RIM * np.sqrt(variances[-1]) * scale).astype(int) + 1
+    across, down = rim.tolist()
+    wide = np.pad(grey, ((down, down), (across, across)))
+    pictures = []
+    for sigma in np.sqrt(variances).tolist():
+        x, y = sigma * scale
+        pictures.append(cv2.GaussianBlur(wide, (0, 0), x, sigmaY=y, borderType=cv2.BORDER_CONSTANT))
+    return _Prints(np.stack(pictures), low - rim / scale, high + rim / scale, variances)
+
+
+def _in_step(shifts: Floats) -> Floats:
+    """Points of the unit disc (K, 2), y up, for places in a pixel: squares around its middle turn circles."""
+    u, v = 2 * shifts.T
+    wide = np.abs(u) >= np.abs(v)
+    radius = np.where(wide, np.abs(u), np.abs(v))
+    least = np.where(wide, v, u) / np.maximum(radius, 1e-12) * np.pi / 4
+    along, across = radius * np.cos(least), radius * np.sin(least)
+    x = np.where(wide, np.sign(u) * along, across)
+    y = np.where(wide, across, np.sign(v) * along)
+    return np.stack([x, -y], axis=-1)
+
+
+def _joint_variance(shifts: Floats, lens: Floats) -> tuple[float, float]:
+    """Along u, of the points of the lens, and between them and the places in the pixel."""
+    return float(np.mean(lens**2)), float(np.mean(shifts[:, 0] * lens[:, 0]))
+
+
+@numba.njit(cache=True, inline="always")
+def _places_share(samples: int) -> float:
+    """Of the variance of pixel and lens, what the places of the samples have; the rest is the spots' own.
+
+    Spots are half as wide, in standard deviations, as they are apart: narrower ones would leave gaps, in
+    which an edge jumps from spot to spot.
+    """
+    return (samples - 1.0) / (samples + 2.0)
+
+
+@numba.njit(cache=True, inline="always")
+def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float:
+    """What share of the lens its points may span, for pixel and lens to spread as if they were independent.
+
+    circle: radius of the circle of confusion in px, negative where the picture is turned over.
+    """
+    own, common = variance
+    wanted = _places_share(samples) * circle * circle / 4.0
+    span = (np.sqrt(common * common + own * wanted) - common) / own
+    return float(span / circle)
+
+
+@numba.njit(cache=True, inline="always")
+def _spot(depth: float, fall: float, pixel: float, radius: float, focus: float, samples: int) -> float:
+    """Variance in mm² of what one of a pixel's samples stands for, on a plane that rays meet at `depth`.
+
+    fall: of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of side 1 has
+    the variance 1/12, a disc of radius 1 has 1/4; a solid angle is wider on a tilted plane.
+    """
+    lens = radius * (1.0 / depth - 1.0 / focus)
+    return float((1.0 - _places_share(samples)) * (pixel / 12.0 + lens * lens / 4.0) * depth * depth / fall)
 
 
 def _transform(matrix: Floats) -> RigidTransform:
@@ -132,6 +256,7 @@ def _trace(
     left: int,
     top: int,
     views: Floats,
+    variance: tuple[float, float],
     matrix: Floats,
     lens: Floats,
     reach: float,
@@ -149,24 +274,36 @@ def _trace(
     squares: Floats,
     low: Floats,
     high: Floats,
-    reflectance: Picture,
+    variances: Floats,
+    prints: Picture,
     samples: Picture,
     albedo: Picture,
 ) -> None:
-    """views: (K, 4) shift u, v and lens x, y. lamp: in the item's frame. low, high: corners (x, y), mm."""
+    """views: (K, 4) shift u, v and lens x, y, with their joint `variance`. lamp: in the item's frame.
+
+    low, high, variances, prints: as in `_Prints`.
+    """
     _, rows, columns, _ = samples.shape
     height = len(albedo)
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
+    pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
     for row in numba.prange(rows):
         v = top + row
         for column in range(columns):
             u = left + column
             sine, turned = 0.0, 1.0
-            if radius > 0:
+            if radius > 0 and len(variances) == 1:
                 turn = 2 * np.pi * cell_noise(u, height - 1 - v)
                 sine, turned = np.sin(turn), np.cos(turn)
+            reached = radius
+            if radius > 0 and len(variances) > 1 and len(views) > 1:
+                x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
+                middle = -t[2] / (R[2, 0] * x + R[2, 1] * y + R[2, 2])
+                circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
+                if circle != 0:
+                    reached = radius * _opened(circle, len(views), variance)
             for k in range(len(views)):
                 x, y = _undistorted(
                     (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
@@ -175,8 +312,8 @@ def _trace(
                     reach,
                 )
                 # The shader's y points up.
-                ox = radius * (views[k, 2] * turned - views[k, 3] * sine)
-                oy = -radius * (views[k, 2] * sine + views[k, 3] * turned)
+                ox = reached * (views[k, 2] * turned - views[k, 3] * sine)
+                oy = -reached * (views[k, 2] * sine + views[k, 3] * turned)
                 dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
                 start = R[2, 0] * ox + R[2, 1] * oy + t[2]
                 fall = -(R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz)
@@ -188,9 +325,14 @@ def _trace(
                 iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
                 if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
                     continue
-                grey = _between_pixels(
-                    reflectance, (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
-                )
+                across, down = (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
+                if len(variances) == 1:
+                    grey = _between_pixels(prints[0], across, down)
+                else:
+                    spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
+                    size, more = _between_sizes(spot, variances)
+                    grey = (1 - more) * _between_pixels(prints[size], across, down)
+                    grey += more * _between_pixels(prints[size + 1], across, down)
                 albedo[v, u] += share * grey
                 qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
                 qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
@@ -204,6 +346,16 @@ def _trace(
                 sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
                 sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
                 sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
+
+
+@numba.njit(cache=True, inline="always")
+def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
+    """The size below, and how far on to the next: 0 … 1."""
+    step = variances[1] - variances[0]
+    at = (spot - variances[0]) / step if step > 0 else 0.0
+    at = min(max(at, 0.0), len(variances) - 1.0)
+    size = min(int(at), len(variances) - 2)
+    return size, at - size
 
 
 @numba.njit(cache=True, inline="always")

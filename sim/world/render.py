@@ -17,20 +17,22 @@ class Render(Document):
 
     path: `transport` (direct light, any pattern by table), `linear` (a basis of the loaded patterns),
     `reference` (every pattern rendered), or `auto`: transport where all light is direct, else linear.
-    subpixels: points of a pixel along each side. samples: light paths for each of them; more than one
-    matters to bounced light alone. bounces: between surfaces. device: what Cycles computes on.
+    subpixels: points of a pixel along each side; computed_subpixels: where light on flat items is computed,
+    as many as `subpixels` unless told. samples: light paths for each of them; more than one matters to
+    bounced light alone. bounces: between surfaces. device: what Cycles computes on.
     cache: keep tables of direct light on disk, for worlds that are met again.
     """
 
     path: Literal["auto", "transport", "linear", "reference"] = "auto"
     subpixels: Annotated[int, Field(ge=1, le=8)] = 2
+    computed_subpixels: Annotated[int, Field(ge=1, le=8)] | None = None
     samples: Annotated[int, Field(ge=1, le=4096)] = 1
     bounces: Annotated[int, Field(ge=0, le=16)] = 0
     device: Literal["CPU", "CUDA", "OPTIX", "HIP", "METAL", "ONEAPI"] = "CPU"
     cache: bool = True
 
-    @property
-    def shifts(self) -> list[tuple[float, float]]:
-        """Where in a pixel to look, relative to its centre: the middles of equal squares, in px."""
-        steps = (np.arange(self.subpixels) + 0.5) / self.subpixels - 0.5
-        return [(float(u), float(v)) for v in steps for u in steps]
+
+def shifts(subpixels: int) -> list[tuple[float, float]]:
+    """Where in a pixel to look, relative to its centre: the middles of equal squares, in px."""
+    steps = (np.arange(subpixels) + 0.5) / subpixels - 0.5
+    return [(float(u), float(v)) for v in steps for u in steps]

@@ -6,15 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fpplab.patterns import make_patterns, uniform_patterns
 from fpplab.plan import FringeSet, Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
+from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.scene import View
 from sim.worker import Blender
 from sim.world import World
+from sim.world.render import shifts
 from tests.twin.conftest import plain, world
 from tests.twin.raycaster import Caster, Plane
 
@@ -48,13 +51,19 @@ def _world(subpixels: int, focus_mm: float | None, projector_focus_mm: float | N
     "setup", [Setup("card"), Setup("board", 1), Setup("board", 3, stage_mm=7.0)], ids=str
 )
 def test_light_by_formula_is_blender_s(
-    blender: Blender, setup: Setup, subpixels: int, focus_mm: float | None, projector_focus_mm: float | None
+    monkeypatch: pytest.MonkeyPatch,
+    blender: Blender,
+    setup: Setup,
+    subpixels: int,
+    focus_mm: float | None,
+    projector_focus_mm: float | None,
 ) -> None:
     """Through the same points of every lens: the pixels' turns are the shader's own.
 
     Blender aims some thousandths of a pixel beside, so a sample at the item's edge may miss it.
     """
     of = _world(subpixels, focus_mm, projector_focus_mm)
+    monkeypatch.setattr("sim.light.light.computed", lambda scene, views, spots: computed(scene, views))
     ours, theirs = Light(of, blender, analytic=True), Light(of, blender)
     table, rendered = ours.table(setup), theirs.table(setup)
     assert table.corner == rendered.corner
@@ -74,6 +83,25 @@ def test_light_by_formula_is_blender_s(
         show = Show(patterns, n)
         error = (ours.irradiance(setup, show) - theirs.irradiance(setup, show))[same]
         assert np.sqrt(np.mean(error**2)) < 2e-4
+
+
+@pytest.mark.parametrize("focus_mm", [None, 445.0, 500.0], ids=["sharp", "nearer", "farther"])
+@pytest.mark.parametrize("pose", range(2))
+def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -> None:
+    """Nearer to 400 points of pixel and lens than so many points are, and not beside their places."""
+
+    def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
+        places = shifts(subpixels)
+        lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
+        return computed(scene, [View(*both) for both in zip(places, lens, strict=True)], spots).albedo
+
+    scene = build_scene(_world(1, focus_mm, None), Setup("board", pose))[0]
+
+    many, points, spots = seen(20, False), seen(4, False), seen(4, True)
+    assert np.std(spots - many) < 0.65 * np.std(points - many)
+    assert spots.sum() == pytest.approx(many.sum(), rel=2e-4)
+    for slope in np.gradient(many):  # the displacement that explains the difference best
+        assert abs(np.sum(slope * (spots - many)) / np.sum(slope**2)) < 5e-3
 
 
 @pytest.mark.parametrize("turned", [[8, -5, 0], [0, 60, 0], [0, -75, 20], [180, 12, 0]])

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
@@ -121,7 +122,7 @@ def test_images_put_the_geometry_right(truth: Parameters, bench: Bench) -> None:
 def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Bench) -> None:
     twin = PlaneTwin(truth)
     view = geometry._look(bench, twin, truth, 0)
-    slopes, _ = next(view.slopes(truth, 0, 5))
+    slopes = next(view.slopes(truth, 5))
     move = np.zeros(6)
     move[3:] = 0.01, -0.01, 0.02
     there = geometry._turned(geometry.vectors_of(truth.poses[0]), move)
@@ -134,6 +135,21 @@ def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Bench)
     rest = (change - predicted)[looked_at]
     # The plane twin looks mirrors up bilinearly, so its slopes jump from mirror to mirror.
     assert np.std(rest) < 0.1 * np.std(change[looked_at])
+
+
+def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters, bench: Bench) -> None:
+    """Though it was displaced by a third of a pixel, over which an edge's level is no straight line."""
+    twin, move = PlaneTwin(replace(truth, vibration_mm=0.05)), np.array([0.06, -0.04, 0.03])
+    view = geometry._look(bench, twin, twin.parameters, 0)
+    slopes = next(view.slopes(truth, 5))[:, 2 * 5 + 6 + 3 :]
+    there = geometry._turned(geometry.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
+    twin.become(replace(truth, poses=(geometry.transform(there), *truth.poses[1:])))
+    u, v = view.pixels.astype(int).T
+    seen = twin.expected(0, bench.shown(view.images[:1]), SETTINGS)[0, v, u]
+    view.residual[0] = np.where(view.clear[0], seen - view.expected[0], 0.0)
+    own, left = geometry._shaken(bench, twin, replace(truth, vibration_mm=0.05), view, 0, slopes)
+    assert np.all(np.abs(own - move) < [2e-3, 2e-3, 0.02])  # depth is known the least
+    assert np.std(left) < 0.1 * np.std(view.residual[0])
 
 
 def test_light_is_found(truth: Parameters, bench: Bench) -> None:
@@ -290,6 +306,15 @@ def test_a_focus_that_moved_is_told(truth: Parameters, bench: Bench) -> None:
         CalibrationError, match=r"pose_03: its edges are .* softer .* the bench's focus moved"
     ):
         wrong.check_sharpness(replace(bench, sessions=sessions), PlaneTwin(truth))
+
+
+def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(truth: Parameters, bench: Bench) -> None:
+    twin = PlaneTwin(truth, 2)
+    seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(bench.sessions))]
+    blurred = [replace(s, images=[cv2.GaussianBlur(i, (0, 0), 1.0) for i in s.images]) for s in seen]
+    softer = replace(bench, sessions=cast(Any, tuple(blurred)))
+    assert wrong.edge_contrast(softer, PlaneTwin(truth)).max() < 1 - wrong.SHARPER
+    wrong.check_sharpness(softer, PlaneTwin(truth))
 
 
 def test_an_end_that_is_no_match_is_refused() -> None:
