@@ -6,7 +6,8 @@ import errno
 import io
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,7 +42,7 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(name, path)
-        _flush_folder(path.parent)
+        flush_folder(path.parent)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
         if isinstance(error, OSError):
@@ -49,7 +50,7 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
         raise
 
 
-def _flush_folder(folder: Path) -> None:
+def flush_folder(folder: Path) -> None:
     """Have a new name itself on disk, not only what it names: power may fail between the two."""
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -94,6 +95,15 @@ def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
             draft.mkdir()
             fill(draft)
             draft.rename(path)
+    except OSError as error:
+        raise DataError(_cannot_write(path, error)) from error
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell of a refusal of the system to write `path` as `DataError`."""
+    try:
+        yield
     except OSError as error:
         raise DataError(_cannot_write(path, error)) from error
 

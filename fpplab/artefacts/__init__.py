@@ -1,6 +1,16 @@
 """True shapes: artefacts, a ball bar, parts read from files, and each of them as a printer makes it."""
 
-from fpplab.artefacts.models import NAMES, ROUND, STANDARDS, Pillars, Pyramid, Steps, make, save_stl
+from fpplab.artefacts.models import (
+    NAMES,
+    ROUND,
+    STANDARDS,
+    Pillars,
+    Pyramid,
+    Steps,
+    make,
+    save_stl,
+    usual_sizes,
+)
 from fpplab.artefacts.parts import check_solid, load_part
 from fpplab.artefacts.slicing import layer_count, sliced
 from fpplab.artefacts.standards import BallBar
@@ -19,4 +29,5 @@ __all__ = [
     "make",
     "save_stl",
     "sliced",
+    "usual_sizes",
 ]

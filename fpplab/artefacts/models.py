@@ -10,8 +10,8 @@ Frame: mm, base on z = 0, z up towards the viewer, centred on x = y = 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -119,7 +119,7 @@ class Steps:
         return _body([*parts, _strip(_upright(outline, half), _upright(outline, -half))])
 
 
-_BUILDERS: dict[str, Callable[[], Pyramid | Pillars | Steps | BallBar]] = {
+_BUILDERS: dict[str, Callable[..., Pyramid | Pillars | Steps | BallBar]] = {
     "pyramid": Pyramid,
     "pillars": Pillars,
     "steps": Steps,
@@ -127,17 +127,41 @@ _BUILDERS: dict[str, Callable[[], Pyramid | Pillars | Steps | BallBar]] = {
 NAMES = tuple(_BUILDERS)
 """What a measurement is compared with."""
 
-_STANDARDS: dict[str, Callable[[], Pyramid | Pillars | Steps | BallBar]] = {"ball_bar": BallBar}
+_STANDARDS: dict[str, Callable[..., Pyramid | Pillars | Steps | BallBar]] = {"ball_bar": BallBar}
 STANDARDS = tuple(_STANDARDS)
 """What an acceptance test measures."""
 
 
-def make(name: str) -> trimesh.Trimesh:
-    """The artefact or standard of that name in its usual size. Raises `ConfigError` that lists them."""
+Lengths = float | tuple[float, ...]
+"""A field of an artefact, in mm."""
+
+
+def make(name: str, sizes: Mapping[str, Lengths] | None = None) -> trimesh.Trimesh:
+    """The artefact or standard of that name, in its usual size but for the lengths in `sizes`.
+
+    Raises `ConfigError` that lists the names, or says which length it cannot have.
+    """
+    usual = usual_sizes(name)
+    for field, value in (sizes or {}).items():
+        if field not in usual:
+            raise ConfigError(f"'{name}' has no length '{field}'; it has {', '.join(usual)}")
+        if np.shape(value) != np.shape(usual[field]):
+            raise ConfigError(
+                f"'{name}' needs for '{field}' as many lengths as in {usual[field]}, not {value}"
+            )
+    return _builder(name)(**(sizes or {})).mesh()
+
+
+def usual_sizes(name: str) -> dict[str, Lengths]:
+    """The lengths of the artefact or standard of that name, in mm, by field. Raises `ConfigError`."""
+    return asdict(_builder(name)())
+
+
+def _builder(name: str) -> Callable[..., Pyramid | Pillars | Steps | BallBar]:
     known = _BUILDERS | _STANDARDS
     if name not in known:
         raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(known)}")
-    return known[name]().mesh()
+    return known[name]
 
 
 def save_stl(mesh: trimesh.Trimesh, path: Path) -> None:

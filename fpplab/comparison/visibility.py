@@ -34,6 +34,14 @@ class Shape:
         cosine = np.einsum("ij,ij->i", towards, self.normals[faces]) / np.linalg.norm(towards, axis=1)
         return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
+    def first(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
+        """The face (N,) that rays from a centre along directions (N, 3) meet first, -1 without."""
+        origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
+        hits = self._scene.run(
+            np.ascontiguousarray(origins), directions.astype(np.float32), query="INTERSECT"
+        )
+        return np.asarray(hits, np.int64)
+
     def depth(self, centre: Floats, directions: Floats) -> Floats:
         """Distance in mm (N,) from the centre to the first hit along unit directions (N, 3), inf without."""
         origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)

@@ -51,10 +51,12 @@ class BoardItem(Document):
 class ArtefactItem(Document):
     """An artefact of `fpplab.artefacts` by name, and its pose T_camera_item.
 
-    layer_mm, bead_mm: as a printer slices it; without a layer it is as designed. material: by name.
+    sizes: its lengths in mm by field, where they are not the usual ones. layer_mm, bead_mm: as a printer
+    slices it; without a layer it is as designed. material: by name.
     """
 
     artefact: str
+    sizes: Annotated[dict[str, Positive | tuple[Positive, ...]], Field(default_factory=dict)]
     pose: PoseFile
     layer_mm: Positive | None = None
     bead_mm: NotNegative = 0.0

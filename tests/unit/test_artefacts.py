@@ -69,6 +69,22 @@ def test_unknown_artefact_is_refused_with_the_known_ones() -> None:
         artefacts.make("cube")
 
 
+def test_artefacts_of_other_sizes() -> None:
+    low, high = artefacts.make(
+        "steps", {"footprint": (60.0, 40.0), "heights": (1.0, 2.0, 3.0, 4.0, 6.0)}
+    ).bounds
+    np.testing.assert_allclose([low, high], [[-30, -20, 0], [30, 20, 6]])
+    assert artefacts.make("pyramid", {"height": 30.0}).bounds[1, 2] == 30.0
+    with pytest.raises(ConfigError, match="'steps' has no length 'hight'; it has footprint, heights"):
+        artefacts.make("steps", {"hight": 3.0})
+    with pytest.raises(
+        ConfigError, match=r"'pyramid' needs for 'foot' as many lengths as in \(80.0, 60.0\), not 5"
+    ):
+        artefacts.make("pyramid", {"foot": 5.0})
+    with pytest.raises(ConfigError, match="must be lengths above 0 mm"):
+        artefacts.make("pyramid", {"height": -1.0})
+
+
 @pytest.mark.parametrize(
     ("build", "field"),
     [

@@ -1,0 +1,56 @@
+"""Labelled captures for those who learn from them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Json, Out, PlanName, RigName, app
+
+
+@app.command()
+def dataset(
+    rig: RigName,
+    count: Annotated[int, typer.Option("--count", min=1, help="How many samples.")],
+    out: Out,
+    plan: PlanName = "plan_paper.yaml",
+    scenes: Annotated[
+        str, typer.Option("--scenes", help="Ranges that scenes are drawn from.")
+    ] = "dataset_demo.yaml",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other scenes.")] = 0,
+    shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,
+    json: Json = False,
+) -> None:
+    """Make labelled captures of random scenes, on a rig that is simulated.
+
+    Each sample has the frames, wrapped phase, what decoding finds, and the truth: absolute phase, depth,
+    normals, mask, calibration, and all that was drawn. OUT holds shards of NumPy files, `card.json` and
+    `README.md`; `fpplab.dataset.Dataset(OUT)` reads it. An interrupted data set is completed by the same
+    command; run twice at once, the two share the work.
+
+    Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
+    """
+    from fpplab.dataset.scenes import Scenes
+    from fpplab.dataset.studio import need_simulation
+    from fpplab.plan import Plan
+    from fpplab.rig import Rig
+
+    wanted_plan, ranges, devices = Plan.load(plan), Scenes.load(scenes), Rig.load(rig)
+    need_simulation(devices, rig)
+    with console.stopwatch() as seconds, devices as bench:
+        from fpplab.dataset import Dataset
+        from fpplab.dataset.making import Maker, Wanted
+
+        maker = Maker(bench, Wanted(wanted_plan, ranges, count, seed, shard_size))
+        with console.progress("Making samples") as report:
+            card = maker.make(out, report)
+        result = {
+            "samples": len(Dataset(out)),
+            "shards": card["shards"],
+            "splits": card["splits"],
+            "bytes": card["bytes"],
+            "seconds": seconds(),
+        }
+    console.answer({**result, "dataset": str(out)}, json)

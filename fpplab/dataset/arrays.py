@@ -1,0 +1,51 @@
+"""From frames, and what is true of them, to the arrays of a sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fpplab.conventions import Image, axis_length, phase_of_coordinate
+from fpplab.dataset.fields import FRAMES, Arrays
+from fpplab.dataset.labels import Labels
+from fpplab.dataset.studio import Truth
+from fpplab.phase import decode, wrapped_phase
+from fpplab.plan import Plan
+
+
+def arrays_of(
+    frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: Truth, labels: Labels
+) -> Arrays:
+    """Every field of a sample from its frames and what is true of it."""
+    devices = truth.calibration
+    size = devices.projector.size
+    decoded = decode(frames, plan, size, bits)
+    starts = np.cumsum([0, *(fringe.steps for fringe in plan.fringes)])
+    wrapped = [
+        wrapped_phase(frames[start : start + fringe.steps], fringe).phase
+        for fringe, start in zip(plan.fringes, starts, strict=False)
+    ]
+    coordinates = {"x": labels.u, "y": labels.v}
+    absolute = [
+        phase_of_coordinate(coordinates[f.axis].astype(np.float64), f.stripes, axis_length(size, f.axis))
+        for f in plan.fringes
+    ]
+    return {
+        FRAMES: np.stack(frames),
+        "exposure_s": np.array(exposure_s),
+        "wrapped_phase": np.stack(wrapped),
+        "decoded_u": decoded.u,
+        "decoded_v": decoded.v,
+        "decoded_sigma": decoded.sigma,
+        "modulation": decoded.modulation,
+        "absolute_phase": np.stack(absolute).astype(np.float32),
+        "projector_u": labels.u,
+        "projector_v": labels.v,
+        "depth": labels.depth,
+        "normals": labels.normals,
+        "mask": labels.mask,
+        "camera_matrix": devices.camera.matrix,
+        "camera_distortion": devices.camera.distortion,
+        "projector_matrix": devices.projector.matrix,
+        "projector_distortion": devices.projector.distortion,
+        "T_projector_camera": devices.T_projector_camera.matrix,
+    }

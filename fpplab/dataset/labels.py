@@ -1,0 +1,79 @@
+"""What is true at every pixel's centre, from the shapes and the devices' models: nothing here is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.comparison.visibility import Shape
+from fpplab.conventions import Floats, Map, Mask
+from fpplab.dataset.studio import Truth
+from fpplab.reconstruction import camera_slopes
+
+GRAZING = 0.01
+"""Cosine of incidence below which a surface counts as unseen: rays are traced in single precision, and the
+place where one meets a surface that it hardly meets is not known better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """True maps of the camera, [v, u] and float32 but for the mask.
+
+    depth: z in mm, NaN where nothing is seen. normals: (3, h, w), unit, towards the camera, of the facets of
+    the shape's mesh; NaN likewise. mask: seen and lit by the projector, shadows counted. u, v: projector
+    coordinates in px of what is seen, NaN outside the mask.
+    """
+
+    depth: Map
+    normals: Map
+    mask: Mask
+    u: Map
+    v: Map
+
+
+def labels_of(truth: Truth) -> Labels:
+    """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
+    devices, shape = truth.calibration, Shape(truth.mesh)
+    slopes = camera_slopes(devices.camera)
+    rays = np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1).reshape(-1, 3)
+    faces = shape.first(np.zeros(3), rays)
+    pixels = np.flatnonzero(faces >= 0)
+    met, rays = faces[pixels], rays[pixels]
+    normals = shape.normals[met]
+    towards = -np.einsum("ij,ij->i", normals, rays)
+    if not truth.mesh.is_watertight:  # a plate has no inside, so its side is the one that is looked at
+        normals, towards = np.sign(towards)[:, None] * normals, np.abs(towards)
+    plain = towards > GRAZING * np.linalg.norm(rays, axis=1)
+    pixels, met, rays, normals, towards = (values[plain] for values in (pixels, met, rays, normals, towards))
+    # The face is known from single precision, the place on it in double.
+    depth = -np.einsum("ij,ij->i", normals, shape.triangles[met, 0]) / towards
+    points = depth[:, None] * rays
+    lit = _lit(truth, shape, points, normals)
+    coordinates = devices.projector.project(points[lit], devices.T_projector_camera)
+    size = slopes.shape[1:]
+    mask = np.zeros(size, np.bool_)
+    mask.flat[pixels[lit]] = True
+    return Labels(
+        depth=_map(size, pixels, depth),
+        normals=np.stack([_map(size, pixels, normals[:, axis]) for axis in range(3)]),
+        mask=mask,
+        u=_map(size, pixels[lit], coordinates[:, 0]),
+        v=_map(size, pixels[lit], coordinates[:, 1]),
+    )
+
+
+def _lit(truth: Truth, shape: Shape, points: Floats, normals: Floats) -> Mask:
+    """Which points of the surface (N, 3) the projector's light reaches."""
+    devices, lamp = truth.calibration, truth.calibration.projector_centre
+    facing = np.einsum("ij,ij->i", normals, lamp - points) > 0
+    reached = devices.projector.sees(points, devices.T_projector_camera) & shape.lit(lamp, points)
+    return np.asarray(facing & reached)
+
+
+def _map(
+    size: tuple[int, ...], pixels: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Floats
+) -> Map:
+    filled = np.full(size, np.nan, np.float32)
+    filled.flat[pixels] = values
+    return filled

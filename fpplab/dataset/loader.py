@@ -1,0 +1,97 @@
+"""A data set, read sample by sample, with the indexing of PyTorch's map-style data sets."""
+
+from __future__ import annotations
+
+import json
+import operator
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from fpplab import config
+from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
+from fpplab.dataset.fields import Arrays
+from fpplab.dataset.shard import SCENES, check_shard, file_of, shard_name
+from fpplab.errors import ConfigError, DataError
+from fpplab.plan import Plan
+
+
+class Dataset:
+    """The samples of a folder that `fpplab dataset` made, `len()` and `[k]` of them.
+
+    Of one that is still being made these are the samples of whole shards. It holds no open file, so that it
+    may be pickled and shared by the processes of a loader. fields: of every sample, all by default; see
+    `card`.
+    Raises `DataError` when the folder holds no data set, `ConfigError` for a field that it does not have.
+    """
+
+    def __init__(self, folder: Path | str, fields: Iterable[str] | None = None) -> None:
+        self.folder = Path(folder)
+        self.card = read_card(self.folder)
+        known = [field["name"] for field in self.card["fields"]]
+        self.fields = tuple(known if fields is None else fields)
+        for name in self.fields:
+            if name not in known:
+                raise ConfigError(f"{self.folder}: has no field '{name}'; it has {', '.join(known)}")
+        size = self.card["shard_size"]
+        there = {n for n in range(self.card["shards"]) if (self.folder / shard_name(n)).is_dir()}
+        self.indices = [k for k in range(self.card["samples"]) if k // size in there]
+
+    def split(self, name: str) -> Self:
+        """The samples of one split: train, validation or test."""
+        if name not in SPLITS:
+            raise ConfigError(
+                f"{self.folder}: has no split '{name}'; it has {', '.join(dict.fromkeys(SPLITS))}"
+            )
+        part = type(self)(self.folder, self.fields)
+        part.indices = [k for k in self.indices if split_of(k) == name]
+        return part
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, k: int) -> Arrays:
+        """Sample `k`, counted within the split: arrays of its own by field, see `card["fields"]`.
+
+        Raises `IndexError`, `DataError` when a file is missing or damaged.
+        """
+        shard, row = self._place(k)
+        return {name: _read(shard / file_of(name), row) for name in self.fields}
+
+    def scene(self, k: int) -> dict[str, Any]:
+        """What was drawn for sample `k`: its `index`, `split`, `scene`, and the whole `world`."""
+        shard, row = self._place(k)
+        try:
+            lines = (shard / SCENES).read_text(encoding="utf-8").splitlines()
+            found: dict[str, Any] = json.loads(lines[row])
+        except (OSError, ValueError, IndexError) as error:
+            raise DataError(f"{shard / SCENES}: cannot be read ({error})") from error
+        return found
+
+    @cached_property
+    def plan(self) -> Plan:
+        """What was projected; the exposure is each sample's own."""
+        return config.load(self.folder / PLAN, Plan)
+
+    def check(self) -> None:
+        """Compare every file with its checksum. Raises `DataError` that names the first damaged one."""
+        for number in sorted({k // self.card["shard_size"] for k in self.indices}):
+            check_shard(self.folder / shard_name(number))
+
+    def _place(self, k: int) -> tuple[Path, int]:
+        """Shard and row."""
+        index = self.indices[operator.index(k)]
+        number, row = divmod(index, self.card["shard_size"])
+        return self.folder / shard_name(number), row
+
+
+def _read(path: Path, row: int) -> np.ndarray[Any, Any]:
+    try:
+        return np.array(np.load(path, mmap_mode="r")[row])
+    except (OSError, ValueError, IndexError) as error:
+        raise DataError(
+            f"{path}: is missing or damaged ({error}); `Dataset.check` tells which files are"
+        ) from error

@@ -1,0 +1,152 @@
+"""A data set from a rig with a simulation: scene by scene, through the rig's own devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fpplab.acquisition import expose
+from fpplab.conventions import Image
+from fpplab.dataset.arrays import arrays_of
+from fpplab.dataset.card import begin, fields_of, make_card, split_of
+from fpplab.dataset.fields import Arrays, letters_of
+from fpplab.dataset.labels import labels_of
+from fpplab.dataset.scenes import Scene, Scenes, draw, draw_stage
+from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
+from fpplab.dataset.studio import Studio
+from fpplab.errors import ConfigError
+from fpplab.measurement import Progress, nothing
+from fpplab.patterns import make_patterns
+from fpplab.phase import check_unwrapping
+from fpplab.plan import Plan
+from fpplab.rig import Rig
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a data set follows from beside the rig: nothing else changes a sample.
+
+    samples, shard_size: at least 1. seed: at least 0.
+    """
+
+    plan: Plan
+    scenes: Scenes
+    samples: int
+    seed: int = 0
+    shard_size: int = 8
+
+    def shard(self, number: int) -> range:
+        """The samples of a shard."""
+        return range(number * self.shard_size, min((number + 1) * self.shard_size, self.samples))
+
+
+class Maker:
+    """Makes the samples of a data set on an open rig that is a simulation, in any order.
+
+    Raises `ConfigError` for a plan or for scenes that the rig cannot have.
+    """
+
+    def __init__(self, rig: Rig, wanted: Wanted) -> None:
+        check_unwrapping(wanted.plan, "plan")
+        wanted.plan.check_projector(rig.projector.caps.size, "plan")
+        _check_ranges(rig, wanted.scenes)
+        self._rig, self._wanted = rig, wanted
+        self._studio: Studio = rig.bench.studio()
+        self._fields = fields_of(rig.file.camera.bits)
+        self._letters = letters_of(wanted.plan, rig.camera.caps.size)
+        if rig.stage is not None:
+            rig.stage.home()
+
+    def card(self) -> dict[str, Any]:
+        """The data set's card."""
+        wanted = self._wanted
+        asked = {
+            "samples": wanted.samples,
+            "shard_size": wanted.shard_size,
+            "seed": wanted.seed,
+            "plan": wanted.plan.model_dump(mode="json", exclude_none=True),
+            "scenes": wanted.scenes.model_dump(mode="json", exclude={"licence"}),
+            "rig": self._rig.described(),
+            "world": self._studio.nominal(),
+        }
+        return make_card(asked, self._fields, self._letters, wanted.scenes.licence)
+
+    def make(self, folder: Path, progress: Progress = nothing) -> dict[str, Any]:
+        """Make every shard that is missing in `folder`, and return the card.
+
+        Shards that are there are checked; one that another process is at is left to it. An interrupted data
+        set goes on by the same call, and ends as if nothing had happened.
+        Raises `ConfigError` when the folder holds something else, `DataError` when a shard is damaged or the
+        disk is full, `DeviceError`.
+        """
+        card, wanted = self.card(), self._wanted
+        begin(folder, card)
+        for number in range(card["shards"]):
+            if (folder / shard_name(number)).exists():
+                check_shard(folder / shard_name(number))
+            else:
+                self._shard(folder, number, lambda index: progress(index / wanted.samples))
+            progress(wanted.shard(number).stop / wanted.samples)
+        return card
+
+    def _shard(self, folder: Path, number: int, begun: Callable[[int], None]) -> None:
+        samples = self._wanted.shard(number)
+        with claimed(folder, number) as draft:
+            if draft is None:
+                return
+            with ShardWriter(draft, self._fields, len(samples), self._letters) as shard:
+                for index in samples:
+                    begun(index)
+                    shard.add(*self.sample(index))
+
+    def sample(self, index: int) -> tuple[Arrays, dict[str, Any]]:
+        """All arrays of one sample, and what was drawn for it."""
+        wanted, studio = self._wanted, self._studio
+        scene = self._scene(index)
+        studio.arrange(scene)
+        frames = self._frames(scene)
+        truth = studio.truth()
+        bits = self._rig.file.camera.bits
+        arrays = arrays_of(frames, wanted.plan, scene.exposure_s, bits, truth, labels_of(truth))
+        record = {
+            "index": index,
+            "split": split_of(index),
+            "scene": scene.model_dump(mode="json", exclude_none=True),
+            "world": studio.world(),
+        }
+        return arrays, record
+
+    def _scene(self, index: int) -> Scene:
+        wanted = self._wanted
+        stage_mm = draw_stage(wanted.scenes, wanted.seed, index)
+        return draw(wanted.scenes, wanted.seed, index, self._studio.calibration(stage_mm), stage_mm)
+
+    def _frames(self, scene: Scene) -> list[Image]:
+        rig, plan = self._rig, self._wanted.plan
+        if rig.stage is not None:
+            rig.stage.move_to(scene.stage_mm)
+        # Noise counts from the camera's opening, so that a sample does not depend on those before it.
+        rig.camera.close()
+        rig.camera.open()
+        caps = rig.projector.caps
+        patterns = make_patterns(plan, caps.size, caps.lattice)
+        with closing(expose(rig, patterns, rig.camera_settings(scene.exposure_s), plan)) as shots:
+            return [shot.image for shot in shots]
+
+
+def _check_ranges(rig: Rig, scenes: Scenes) -> None:
+    """Refuse what the devices cannot do, before the first scene: `ConfigError`."""
+    travel = rig.stage.caps.travel_mm if rig.stage is not None else (0.0, 0.0)
+    limits = {
+        "exposure_s": (rig.camera.caps.exposure_s, "the camera's exposure"),
+        "stage_mm": (travel, "the stage's travel" if rig.stage is not None else "a rig without a stage"),
+    }
+    for name, ((least, most), what) in limits.items():
+        low, high = getattr(scenes, name)
+        if not least <= low <= high <= most:
+            raise ConfigError(
+                f"scenes: '{name}' is [{low:g}, {high:g}]: outside {what}, {least:g} to {most:g}"
+            )
