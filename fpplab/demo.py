@@ -14,6 +14,7 @@ from fpplab.calibration import Calibration
 from fpplab.comparison import Comparison, compare
 from fpplab.errors import ConfigError
 from fpplab.files import refuse_existing, write_text
+from fpplab.filtering import removal
 from fpplab.measurement import (
     CALIBRATION,
     REPORT,
@@ -24,21 +25,25 @@ from fpplab.measurement import (
     take_poses,
 )
 from fpplab.plan import Plan
+from fpplab.reconstruction import triangulate
 from fpplab.report import ScanSection, scan_section, write_report
 from fpplab.rig import Rig
 from fpplab.targets import Target
 
 POSES = 12
+UNFILTERED = ("points", "surface_smcd_um", "surface_rms_um", "surface_p95_um", "completeness", "outliers")
+"""What is also told of all points, so that the filter's effect can be seen."""
 TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 
 @dataclass(frozen=True)
 class Scan:
-    """One artefact, measured and compared with its true shape."""
+    """One artefact, measured and compared with its true shape, and so without the plan's filter."""
 
     name: str
     section: ScanSection
     comparison: Comparison
+    unfiltered: Comparison
 
     def summary(self) -> dict[str, Any]:
         """The keys of one scan in `fpplab demo --json`."""
@@ -47,6 +52,8 @@ class Scan:
             "images": self.section.images,
             **self.comparison.summary(),
             "points": len(self.section.cloud.points),
+            "removed": removal(self.section.decoded),
+            "unfiltered": {name: getattr(self.unfiltered, name) for name in UNFILTERED},
         }
 
 
@@ -109,4 +116,5 @@ def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Pat
     artefacts.save_stl(truth, out / TRUTH)
     with console.progress(f"Comparing the {name}"):
         comparison = compare(cloud, truth, calibration, align=True)
-    return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison)
+        unfiltered = compare(triangulate(decoded, calibration, normals=False), truth, calibration, align=True)
+    return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison, unfiltered)

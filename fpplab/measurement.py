@@ -28,11 +28,12 @@ from fpplab.clouds import Cloud, save_cloud
 from fpplab.conventions import Floats, Image, raw_per_grey
 from fpplab.devices import Frame
 from fpplab.errors import CalibrationError, DataError
+from fpplab.filtering import filtered
 from fpplab.gamma import Response
 from fpplab.greys import Greys, fit_greys, pixels_of_regions, statistics
 from fpplab.patterns import uniform_patterns
 from fpplab.phase import Decoded, decode
-from fpplab.plan import GreyLevels, Plan
+from fpplab.plan import FilterRules, GreyLevels, Plan
 from fpplab.reconstruction import triangulate
 from fpplab.rig import Mounted, Rig
 from fpplab.session import Session
@@ -67,6 +68,8 @@ def take(
     instead of refusing it.
     """
     session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+    if plan.stage_mm is not None and session.missing():
+        rig.place_stage(plan.stage_mm)
     if mount is not None and session.missing():
         rig.need_fixture(f"mounting the {mount[0]}").mount(*mount)
 
@@ -109,18 +112,33 @@ def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
 
 
 def reconstruct(
-    session: Session, calibration: Calibration, progress: Progress = nothing
+    session: Session, calibration: Calibration, progress: Progress = nothing, *, filtering: bool | None = None
 ) -> tuple[Decoded, Cloud]:
-    """Decode, triangulate, and say how well each point is known.
+    """Decode, triangulate, filter, and say how well each point is known.
 
+    filtering: whether to filter; by default as the session's plan says. A plan without rules means the usual.
     Raises `CalibrationError` when the calibration is of another rig.
     """
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
     decoded = decode_session(session, lambda share: progress(0.6 * share))
-    cloud = triangulate(decoded, calibration, mean_image(session))
+    plan = session.plan
+    if filtering is not None:
+        plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
+    decoded, cloud = points_of(decoded, calibration, plan, mean_image(session))
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
+
+
+def points_of(
+    decoded: Decoded, calibration: Calibration, plan: Plan, texture: NDArray[np.uint8] | None = None
+) -> tuple[Decoded, Cloud]:
+    """Triangulate, and filter as the plan says: the cloud, and the maps that know what was removed.
+
+    texture: as in `triangulate`, and the same errors.
+    """
+    cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
+    return filtered(decoded, cloud, plan, calibration.projector.size)
 
 
 def finish_scan(

@@ -48,6 +48,19 @@ class MaskRules(Document):
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
 
 
+class FilterRules(Document):
+    """What a measured point must satisfy to be kept (`fpplab.filtering`).
+
+    disagreement_max: greatest contradiction between the fringe sets, in units of what noise explains.
+    light_min: least modulation of a point at an edge, as a share of that of the surface it continues.
+    patch_min: least number of pixels that a surface hangs together over. 25 are what a normal is taken from.
+    """
+
+    disagreement_max: Annotated[float, Field(ge=2)] = 4.0
+    light_min: Annotated[float, Field(ge=0, lt=1)] = 0.9
+    patch_min: Annotated[int, Field(ge=1)] = 25
+
+
 class OrderVote(Document):
     """Repair of fringe orders by local majority, for coarse fringes biased by stray light.
 
@@ -83,7 +96,9 @@ class Plan(Document):
     of a command, because it is part of what is shown: a scan, its resumption, its replay and the
     search that wrote the plan then cannot differ in it. `load` puts the values in place of the
     name, so that a session's plan says by itself how its patterns were made.
+    filter: which points are removed as lying on no surface, `{}` for the usual rules; by default none.
     greys: how the response itself is measured; uniform greys are never corrected.
+    stage_mm: where the rig's stage stands meanwhile; by default where it is.
     """
 
     fringes: Annotated[tuple[FringeSet, ...], Field(min_length=1)]
@@ -93,8 +108,10 @@ class Plan(Document):
     trigger: Literal["stepped", "triggered"] = "stepped"
     masks: MaskRules = MaskRules()
     order_vote: OrderVote | None = None
+    filter: FilterRules | None = None
     response: Curve | None = None
     greys: GreyLevels = GreyLevels()
+    stage_mm: float | None = None
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:

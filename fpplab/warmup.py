@@ -23,9 +23,9 @@ from fpplab.conventions import (
     raw_dtype,
 )
 from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.measurement import points_of
 from fpplab.phase import Decoded, decode
 from fpplab.plan import Plan
-from fpplab.reconstruction import triangulate
 
 DISTANCE_MM = 400.0
 SIZE = 96, 64
@@ -63,7 +63,7 @@ def warm_up() -> int:
     plan = Plan.load("plan_paper.yaml")
     for bits in (16, 8):
         decoded: Decoded = decode(frames_of_plane(plan, rig, bits), plan, rig.projector.size, bits)
-    cloud = triangulate(decoded, rig)
+    _, cloud = points_of(decoded, rig, plan)
     plate = trimesh.creation.box((300.0, 200.0, 10.0))
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))
     compare(cloud, plate, rig, density=0.5)

@@ -58,7 +58,7 @@ def scan(
     """Measure: project the plan, and leave the session with its cloud in OUT.
 
     An interrupted scan is completed by the same command. OUT holds the frames, `decoded.npz`,
-    `cloud.ply` and `report.html`.
+    `cloud.ply` and `report.html`. `removed` says how many points the plan's filter took out, by rule.
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
@@ -82,6 +82,7 @@ def scan(
 
         # Only now the heavy modules: wrong input is told at once.
         from fpplab.acquisition import unseen
+        from fpplab.filtering import removal
         from fpplab.live import Viewer
         from fpplab.measurement import CLOUD, REPORT, finish_scan, take
         from fpplab.report import write_scan_report
@@ -109,7 +110,12 @@ def scan(
         with console.progress("Reconstructing") as report:
             decoded, cloud = finish_scan(session, known, report)
             write_scan_report(out / REPORT, session, decoded, cloud)
-        result = {"points": len(cloud.points), "images": wanted.images, "seconds": seconds()}
+        result = {
+            "points": len(cloud.points),
+            "images": wanted.images,
+            "removed": removal(decoded),
+            "seconds": seconds(),
+        }
         if viewer and viewer.fault is None:
             viewer.decoded(decoded)
             viewer.cloud(cloud)
@@ -151,17 +157,23 @@ def reconstruct(
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
     calibration: CalibrationFile,
     out: Out,
+    filtering: Annotated[
+        bool | None,
+        typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
 
-    A report with its pictures is left beside it.
+    A report with its pictures is left beside it. `removed` says how many points the plan's filter took out,
+    by rule.
     """
     from fpplab import measurement
     from fpplab.calibration import Calibration
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
     from fpplab.files import need_suffix, refuse_existing
+    from fpplab.filtering import removal
     from fpplab.report import write_scan_report
     from fpplab.session import Session
 
@@ -172,8 +184,8 @@ def reconstruct(
     known = Calibration.load(calibration)
     recorded = Session.open(session)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        decoded, cloud = measurement.reconstruct(recorded, known, report)
+        decoded, cloud = measurement.reconstruct(recorded, known, report, filtering=filtering)
         save_cloud(cloud, out)
         write_scan_report(page, recorded, decoded, cloud)
-    result = {"points": len(cloud.points), "seconds": seconds()}
+    result = {"points": len(cloud.points), "removed": removal(decoded), "seconds": seconds()}
     console.answer({**result, "cloud": str(out), "report": str(page)}, json)

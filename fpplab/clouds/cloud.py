@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid
+from fpplab.conventions import Mask
 from fpplab.errors import ConfigError, DataError
 from fpplab.files import write_atomic
 
@@ -84,6 +85,15 @@ class Cloud:
         if self.sigma_noise_mm is None or self.sigma_calibration_mm is None:
             return None
         return np.hypot(self.sigma_noise_mm, self.sigma_calibration_mm)
+
+    def only(self, kept: Mask) -> Cloud:
+        """The points that are kept, (N,) bool; at least one."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
+        # Rows by number: NumPy takes four times as long by a mask.
+        rows = np.flatnonzero(kept)
+        return replace(
+            self, **{name: part.take(rows, axis=0) for name, part in parts.items() if part is not None}
+        )
 
     def grid(self) -> PixelGrid:
         """The points laid out over the camera's pixels. Raises `DataError` when those are not known."""

@@ -132,7 +132,7 @@ def _scatter(
 
 
 @njit(inline="always")
-def _connected(da: float, db: float, dw: float, w: float, noise: float) -> bool:
+def connected(da: float, db: float, dw: float, w: float, noise: float) -> bool:
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 
@@ -152,7 +152,7 @@ def _normals(index: Pixels, a: Map, b: Map, w: Map, noise: Map, found: Points) -
                         continue
                     da, db, dw = a[y, x] - a0, b[y, x] - b0, w[y, x] - w0
                     # False where there is no point.
-                    if _connected(da, db, dw, w0, noise0 + noise[y, x]):
+                    if connected(da, db, dw, w0, noise0 + noise[y, x]):
                         n += 1.0
                         sa, sb, sw = sa + da, sb + db, sw + dw
                         saa, sab, sbb = saa + da * da, sab + da * db, sbb + db * db
@@ -202,7 +202,7 @@ def _faces(
                 for e in range(3):
                     p, q = triangle[e], triangle[(e + 1) % 3]
                     y0, x0, y1, x1 = v + p // 2, u + p % 2, v + q // 2, u + q % 2
-                    whole &= _connected(
+                    whole &= connected(
                         a[y1, x1] - a[y0, x0],
                         b[y1, x1] - b[y0, x0],
                         w[y1, x1] - w[y0, x0],
@@ -246,7 +246,7 @@ def _quadric(
                 values[k] = np.nan
                 if 0 <= y < height and 0 <= x < width:
                     da, db, dw = a[y, x] - a[v, u], b[y, x] - b[v, u], w[y, x] - w[v, u]
-                    if _connected(da, db, dw, w[v, u], noise[v, u] + noise[y, x]):
+                    if connected(da, db, dw, w[v, u], noise[v, u] + noise[y, x]):
                         values[k] = w[y, x]
                         n += 1
             if 2 * n < count:

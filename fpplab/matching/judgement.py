@@ -16,10 +16,9 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
 from fpplab.matching.twin import Twin
-from fpplab.measurement import Progress, mean_of, nothing, reconstruct
+from fpplab.measurement import Progress, mean_of, nothing, points_of, reconstruct
 from fpplab.patterns import make_patterns
 from fpplab.phase import decode
-from fpplab.reconstruction import triangulate
 from fpplab.session import Session
 
 
@@ -105,4 +104,4 @@ def _scanned(twin: Twin, item: str, session: Session, stands: Any, calibration: 
     frames = twin.scan(item, stands, make_patterns(plan, size, lattice), settings)
     decoded = decode(frames, plan, size, settings.bits, f"the twin's {item}")
     chosen = [frames[image] for image in plan.finest_images]
-    return triangulate(decoded, calibration, mean_of(chosen, settings.bits))
+    return points_of(decoded, calibration, plan, mean_of(chosen, settings.bits))[1]

@@ -64,6 +64,10 @@ class Decoded:
     coded. modulation: B of the finest set of the first coded axis (x before y), in 8-bit
     grey levels. sigma: 1-sigma of that axis' coordinate in projector px. v_per_u: how many times
     greater v's sigma is than u's where both are coded, from the plan: their modulations are alike.
+    disagreement: how much the fringe sets contradict one another, in units of what noise explains: the root
+    of χ² per degree of freedom; 0 where nothing can contradict, None where it is not known.
+    removed: uint8, by which rule of the filter (`fpplab.filtering.Rule`) the pixel gives no point, 0 by none;
+    None without a filter. The other maps keep what was decoded there.
     """
 
     u: Map
@@ -71,6 +75,8 @@ class Decoded:
     modulation: Map
     sigma: Map
     v_per_u: float = 1.0
+    disagreement: Map | None = None
+    removed: NDArray[np.uint8] | None = None
 
     @property
     def valid(self) -> Mask:
@@ -79,7 +85,8 @@ class Decoded:
 
     def save(self, path: Path | str) -> None:
         """Write an NPZ file with the keys u, v, modulation, sigma, whole or not at all: `DataError`."""
-        maps = {name: getattr(self, name) for name in _KEYS}
+        maps = {name: getattr(self, name) for name in (*_KEYS, *_OPTIONAL)}
+        maps = {name: values for name, values in maps.items() if values is not None}
         write_atomic(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
 
     @classmethod
@@ -90,6 +97,7 @@ class Decoded:
             with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 maps = {name: archive[name] for name in _KEYS}
                 v_per_u = float(archive["v_per_u"])
+                optional = {name: archive[name] for name in _OPTIONAL if name in archive}
         except FileNotFoundError:
             raise DataError(f"{path}: there is no such file; decode a session into it first") from None
         except KeyError as error:
@@ -101,10 +109,10 @@ class Decoded:
         kinds = {(m.shape, m.dtype.name, m.ndim) for m in maps.values()}
         if len(kinds) != 1 or next(iter(kinds))[1:] != ("float32", 2):
             raise DataError(f"{path}: its maps must be float32 images of one size; decode the session again")
-        return cls(**maps, v_per_u=v_per_u)
+        return cls(**maps, v_per_u=v_per_u, **optional)
 
 
-_KEYS = ("u", "v", "modulation", "sigma")
+_KEYS, _OPTIONAL = ("u", "v", "modulation", "sigma"), ("disagreement", "removed")
 
 
 def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> Wrapped:
@@ -174,8 +182,10 @@ def decode(
         )
     spread_u, spread_v = recipe.spread
     v_per_u = float(spread_v / spread_u) if spread_u and spread_v else 1.0
-    u, v, modulation, sigma = (_shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma))
-    decoded = Decoded(u, v, modulation, sigma, v_per_u)
+    u, v, modulation, sigma, disagreement = (
+        _shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma, maps.disagreement)
+    )
+    decoded = Decoded(u, v, modulation, sigma, v_per_u, disagreement)
     if plan.order_vote is not None:
         for ladder, doubt in ((k, maps.doubt_u if k.axis == "x" else maps.doubt_v) for k in ladders):
             _repair(decoded, images, plan, ladder, projector_size, doubt)
@@ -234,7 +244,7 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
-    sizes = (along["x"], along["y"], pixels, pixels, doubt["x"], doubt["y"])
+    sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
     return Maps(*(np.empty(n, np.float32) for n in sizes))
 
 
@@ -368,8 +378,8 @@ def _repair(
     period = length / plan.fringes[ladder.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, plan.order_vote.window, period)
     dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
-    for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma):
-        if values.flags.writeable:
+    for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma, decoded.disagreement):
+        if values is not None and values.flags.writeable:
             values.reshape(-1)[dropped] = np.nan
 
 

@@ -115,6 +115,7 @@ class Maps(NamedTuple):
     v: NDArray[np.float32]
     modulation: NDArray[np.float32]
     sigma: NDArray[np.float32]
+    disagreement: NDArray[np.float32]
     doubt_u: NDArray[np.float32]
     doubt_v: NDArray[np.float32]
 
@@ -281,6 +282,7 @@ def _choose(
         least = max(_APART_LEAST, apart * sigma[i] * sigma[i])
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
         rows[i + _WORST] = worst
+        rows[i + _COST] = min(cost_a, cost_b)
         out[i] = position * length - _HALF
 
 
@@ -294,6 +296,24 @@ def _axis(axis: int, recipe: Any, rows: Any, turns: Any, sigma: Any, good: Any, 
         _rung_phase(rows, turns, recipe.coefficients[r], n)
         _ascend(rows, n, recipe.stripes[r], recipe.trust[r])
     _choose(rows, sigma, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe, out)
+
+
+@_compiled
+def _add_disagreement(rows: Any, sigma: Any, n: int, period: Any, out: Any) -> None:
+    """χ² of the chosen hypothesis: its cost in units of the finest phase's variance."""
+    for j in range(n):
+        i = _u(j)
+        turns = sigma[i] / period
+        out[i] += rows[i + _COST] / (turns * turns)
+
+
+@_compiled
+def _reduce(out: Any, freedom: int, n: int) -> None:
+    """χ² to the root of its share per degree of freedom."""
+    share = _f(1.0 / max(freedom, 1))
+    for j in range(n):
+        i = _u(j)
+        out[i] = np.sqrt(out[i] * share)
 
 
 @_compiled
@@ -322,6 +342,8 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
     for at in range(start, stop, CHUNK):
         n = min(CHUNK, stop - at)
         good[:] = _ONE
+        disagreement, freedom = maps.disagreement[at : at + n], 0
+        disagreement[:] = _ZERO
         for s in range(sets):
             sums[: _SUM_ROWS * _ROW] = _ZERO
             for k in range(recipe.first[s], recipe.first[s + 1], 4):
@@ -343,6 +365,10 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 _uncertainty(modulation[finest], offset[finest], recipe.spread[axis], recipe, sigma, n)
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
                 _axis(axis, recipe, rows, turns, sigma, good, n, out)
+                rungs = recipe.rungs[axis + 1] - recipe.rungs[axis]
+                period = recipe.length[axis] / recipe.stripes[recipe.rungs[axis + 1] - 1]
+                _add_disagreement(rows, sigma, n, period, disagreement)
+                freedom += rungs - 1
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[2 * _ROW : 2 * _ROW + n]
@@ -352,6 +378,8 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
             _erase(maps.u[at : at + n], good, n)
         if len(maps.v) > 0:
             _erase(maps.v[at : at + n], good, n)
+        _reduce(disagreement, freedom, n)
+        _erase(disagreement, good, n)
         _erase(maps.modulation[at : at + n], good, n)
         _erase(maps.sigma[at : at + n], good, n)
     return sums[_SUM_ROWS * _ROW :].max()

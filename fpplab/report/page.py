@@ -23,6 +23,7 @@ from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
 from fpplab.conventions import Axis, Floats, Image, Map
 from fpplab.files import write_text
+from fpplab.filtering import removal
 from fpplab.gamma import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.report import characterisation as devices
@@ -336,6 +337,10 @@ def _scan_section(scan: ScanSection) -> Section:
     text = (
         f"{scan.images} images; {_percent(float(decoded.valid.mean()))} of the camera's pixels are measured."
     )
+    if (removed := removal(decoded)) is not None:
+        share = removed.pop("share")
+        rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
+        text += f" Of these the filter removed {_percent(share)} as lying on no surface: {rules}."
     if scan.comparison is not None:
         pictures.append(_error_figure(scan, scan.comparison))
         text += f" Both devices see {_percent(scan.comparison.visible_share)} of the true shape's surface."
