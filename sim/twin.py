@@ -178,7 +178,6 @@ def _parameters_of(world: World, board: str, target: Target) -> Parameters:
 def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
     """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
     p, data = parameters, nominal.model_dump(mode="json")
-    response = nominal.projector.response
     data["calibration"] = _plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
         "poses": [_plain(PoseFile.of(pose)) for pose in p.poses],
@@ -203,18 +202,17 @@ def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
     }
     data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
     world = config.validate(data, World, "the twin's parameters")
-    wanted = p.white * (response.a + response.b) * _white_level(nominal)
-    return _lit(world, wanted / _white_level(world))
+    return _lit(world, p.white * brightest(nominal) / brightest(world))
 
 
 def _plain(document: config.Document) -> dict[str, Any]:
     return document.model_dump(mode="json", exclude_none=True)
 
 
-def _white_level(world: World) -> float:
-    """Share of full scale above black that irradiance 1 gives, for each second at 0 dB."""
-    sensor = SensorModel.of(world)
-    return sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
+def brightest(world: World) -> float:
+    """Level above black that the projector's white gives on a white surface, for each second at 0 dB."""
+    sensor, response = SensorModel.of(world), world.projector.response
+    return (response.a + response.b) * sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
 
 
 def _lit(world: World, factor: float) -> World:

@@ -37,6 +37,7 @@ REGISTRY = {
     "projector": "drivers.dlp4500.benchmark:run",
     "twin": "sim.benchmark:run",
     "characterise": "sim.characterisation_benchmark:run",
+    "match": "sim.matching_benchmark:run",
 }
 
 

@@ -6,6 +6,7 @@ Zhang's method for each device, then the pose between them, then everything toge
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -236,10 +237,21 @@ def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:
 def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> None:
     if len(observations) >= LEAST_POSES:
         return
-    why = f" ({'; '.join(left_out.values())})" if left_out else ""
+    why = f" ({_reasons(left_out)})" if left_out else ""
     raise CalibrationError(
         f"only {len(observations)} of {len(observations) + len(left_out)} poses can be used, "
         f"at least {LEAST_POSES} are needed{why}; capture more poses, each tilted differently"
+    )
+
+
+def _reasons(left_out: Mapping[str, str]) -> str:
+    """Why poses are left out, a reason that several share once."""
+    poses: dict[str, list[str]] = defaultdict(list)
+    for name, words in left_out.items():
+        poses[words.removeprefix(f"{name}: ")].append(name)
+    return "; ".join(
+        f"{names[0]}: {reason}" if len(names) == 1 else f"{names[0]} and {len(names) - 1} more: {reason}"
+        for reason, names in poses.items()
     )
 
 

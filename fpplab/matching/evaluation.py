@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -25,6 +25,35 @@ class Evaluation:
     loss: Loss
     characterisation: Characterisation | None
 
+    def of_poses(self, bench: Bench) -> dict[str, dict[str, float]]:
+        """By name of pose: its images' mean SSIM, and the bench's less the twin's RMS reprojection error in
+        px where the board was found in the twin's frames.
+        """
+        names = [session.path.name for session in bench.sessions]
+        similar = self.loss.similarity
+        figures = {
+            name: {"ssim": float(whole), "ssim_board": float(board)}
+            for name, whole, board in zip(
+                names,
+                similar.whole.reshape(len(names), -1).mean(axis=1),
+                similar.board.reshape(len(names), -1).mean(axis=1),
+                strict=True,
+            )
+        }
+        if self.characterisation:
+            there, here = _rms_of_poses(bench.characterisation), _rms_of_poses(self.characterisation)
+            for name, error in here.items():
+                figures[name]["epsilon_d_px"] = there[name] - error
+        return figures
+
+
+def _rms_of_poses(found: Characterisation) -> dict[str, float]:
+    """Joint RMS reprojection error in px by name of pose."""
+    return {
+        name: float(np.hypot(of["camera"], of["projector"]) / np.sqrt(2.0))
+        for name, of in found.pose_rms_px.items()
+    }
+
 
 def evaluate(
     bench: Bench,
@@ -46,15 +75,19 @@ def evaluate(
     poses = len(twin.parameters.poses)
     pairs: list[tuple[float, float]] = []
     seen: list[Observation] = []
+    left_out: dict[str, str] = {}
     with ThreadPoolExecutor(2) as pool:
         for pose in range(poses):
             frames = dict(zip(taken, twin.frames(pose, bench.shown(taken), bench.settings), strict=True))
             pairs += pool.map(_Compared(bench, twin, pose, frames), compared)
-            if epsilon_v is None and (observed := _observed(bench, pose, [frames[i] for i in every])):
-                seen.append(observed)
+            if epsilon_v is None:
+                try:
+                    seen.append(_observed(bench, pose, [frames[i] for i in every]))
+                except CalibrationError as error:
+                    left_out[bench.sessions[pose].path.name] = str(error)
             progress((pose + 1) / poses)
     similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
-    found = _characterised(bench, seen) if epsilon_v is None else None
+    found = _characterised(bench, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v
     assert own is not None
     return Evaluation(Loss(weights, bench.epsilon_r, own, similarity), found)
@@ -73,28 +106,31 @@ class _Compared:
         return ssim(real, self._frames[index], self._bench.full_scale, self._board)
 
 
-def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation | None:
-    """The board in the twin's frames of a pose; None where it is not found, as on a bench."""
+def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation:
+    """The board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
     plan, (size, _) = bench.plan, bench.projector
     chosen = [frames[image] for image in plan.finest_images]
     name = bench.sessions[pose].path.name
     bits = bench.settings.bits
-    try:
-        decoded = decode(list(frames), plan, size, bits, f"the twin's {name}")
-        return observe(name, mean_of(chosen, bits), decoded, bench.target, finest_periods(plan, size))
-    except CalibrationError:
-        return None
+    decoded = decode(list(frames), plan, size, bits, f"the twin's {name}")
+    return observe(name, mean_of(chosen, bits), decoded, bench.target, finest_periods(plan, size))
 
 
-def _characterised(bench: Bench, seen: Sequence[Observation]) -> Characterisation:
+def _characterised(
+    bench: Bench, seen: Sequence[Observation], left_out: Mapping[str, str]
+) -> Characterisation:
     found, (size, lattice) = bench.characterisation, bench.projector
     width, height, _ = bench.sessions[0].format
-    return characterise(
-        seen,
-        bench.target,
-        (width, height),
-        size,
-        lattice,
-        level=found.level,
-        refine_board=found.drawn is not None,
-    )
+    try:
+        return characterise(
+            seen,
+            bench.target,
+            (width, height),
+            size,
+            lattice,
+            left_out=left_out,
+            level=found.level,
+            refine_board=found.drawn is not None,
+        )
+    except CalibrationError as error:
+        raise CalibrationError(f"the twin's own frames cannot be characterised: {error}") from error

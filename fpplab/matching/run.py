@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from fpplab.errors import ConfigError
 from fpplab.gamma import Response
 from fpplab.matching import wrong
 from fpplab.matching.bench import Bench
-from fpplab.matching.evaluation import evaluate
+from fpplab.matching.evaluation import Evaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.judgement import Judgement, judge
 from fpplab.matching.loss import Weights
@@ -26,11 +26,17 @@ from fpplab.session import Session
 from fpplab.targets import Target
 
 
+def there(nominal: Parameters) -> Parameters:
+    """Begin where the bench's own characterisation is."""
+    return nominal
+
+
 @dataclass(frozen=True)
 class Wanted:
     """How to match.
 
     board, card: what the twin's fixture calls them. response: the bench's. scans: by item, for the judgement.
+    start: where to begin, given the nominal twin in the geometry that the bench found of itself.
     """
 
     board: str = "board"
@@ -39,6 +45,7 @@ class Wanted:
     scans: Mapping[str, Session] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
     limits: Limits = field(default_factory=Limits)
+    start: Callable[[Parameters], Parameters] = there
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,15 @@ class Row:
 class Outcome:
     """Everything a matching found.
 
-    start: where it began, with the response matched. nominal: what the twin's own file says, in the bench's
-    geometry. rows: the paper's table; those with the response only where it was measured.
+    start: where it began, with the response matched. nominal: the same, but lit as the twin's own file says.
+    before: of the nominal. rows: the paper's table; those with the response only where it was measured.
     """
 
     bench: Bench
     nominal: Parameters
     start: Parameters
     gamma: GammaMatch | None
+    before: Evaluation
     matched: Matched
     rows: tuple[Row, ...]
     judgements: tuple[Judgement, ...]
@@ -80,9 +88,21 @@ class Outcome:
             "unexplained_levels": self.matched.unexplained,
             "parameters": {**light, "response": found.response.model_dump()},
             "baseline_mm": found.calibration.baseline_mm,
-            "poses": len(found.poses),
+            "poses": self.by_pose(),
             "artefacts": [one.summary() for one in self.judgements],
         }
+
+    def by_pose(self) -> list[dict[str, Any]]:
+        """Of every pose its name, and `ssim`, `ssim_board`, `epsilon_d_px` with `_before` and `_after`."""
+        before, after = (one.of_poses(self.bench) for one in (self.before, self.matched.final))
+        return [
+            {
+                "pose": name,
+                **{f"{key}_before": value for key, value in figures.items()},
+                **{f"{key}_after": value for key, value in after[name].items()},
+            }
+            for name, figures in before.items()
+        ]
 
 
 def twin_of(rig: Rig, board: str) -> Twin:
@@ -116,7 +136,7 @@ def match_sessions(
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
     wrong.check_near(found.calibration, nominal.calibration)
     bench = Bench.of(sessions, target, found, wanted.response)
-    nominal = in_place(nominal, found)
+    nominal = wanted.start(in_place(nominal, found))
     twin.become(nominal)
     gamma = None
     if wanted.response is not None:
@@ -134,7 +154,9 @@ def match_sessions(
     )
     wrong.check_alike(matched.final.loss, matched.unexplained)
     wrong.check_sharpness(bench, twin)
-    rows = _table(bench, twin, wanted.weights, nominal, matched, gamma is not None)
+    twin.become(nominal)
+    before = evaluate(bench, twin, wanted.weights)
+    rows = _table(bench, twin, wanted.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
     twin.save(folder)
     own = matched.final.characterisation
@@ -146,7 +168,7 @@ def match_sessions(
         own.calibration,
         lambda share: progress(0.85 + 0.15 * share),
     )
-    return Outcome(bench, nominal, start, gamma, matched, rows, tuple(judgements))
+    return Outcome(bench, nominal, start, gamma, before, matched, rows, tuple(judgements))
 
 
 def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
@@ -157,20 +179,22 @@ def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
 
 
 def _table(
-    bench: Bench, twin: Twin, weights: Weights, nominal: Parameters, matched: Matched, gamma: bool
+    bench: Bench,
+    twin: Twin,
+    weights: Weights,
+    nominal: Parameters,
+    before: Evaluation,
+    matched: Matched,
+    gamma: bool,
 ) -> tuple[Row, ...]:
     """The paper's table: before and after, without and with the response."""
-    before, after = matched.epochs[0].loss, matched.final.loss.summary()
+    first, after = Row(False, False, before.loss.summary()), matched.final.loss.summary()
     if not gamma:
-        return Row(False, False, before), Row(True, False, after)
-
-    def without(parameters: Parameters) -> dict[str, float]:
-        twin.become(replace(parameters, response=nominal.response, white=nominal.white))
-        return evaluate(bench, twin, weights).loss.summary()
-
+        return first, Row(True, False, after)
+    twin.become(replace(matched.parameters, response=nominal.response, white=nominal.white))
     return (
-        Row(False, False, without(nominal)),
-        Row(False, True, before),
-        Row(True, False, without(matched.parameters)),
+        first,
+        Row(False, True, matched.epochs[0].loss),
+        Row(True, False, evaluate(bench, twin, weights).loss.summary()),
         Row(True, True, after),
     )

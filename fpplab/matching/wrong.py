@@ -20,7 +20,7 @@ APART = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baselin
 """Relative difference between what was found and the twin's own file beyond which one is not the other."""
 TURNED_DEG = 10.0
 SHARPER = 0.12
-"""Relative difference of edge contrast, bench to twin, that no matched focus leaves."""
+"""Relative difference of edge contrast, bench to twin, between poses, that no matched focus leaves."""
 EDGE = 0.3
 """Share of the steepest gradient from which a pixel lies on an edge."""
 ALIKE = 0.8
@@ -96,19 +96,20 @@ def check_near(found: Calibration, nominal: Calibration) -> None:
 def check_sharpness(bench: Bench, twin: Twin) -> None:
     """Refuse a bench whose focus moved between poses: `CalibrationError` that names the worst.
 
-    For the matched twin: each pose's edges must be as steep as the twin's.
+    For the matched twin: each pose's edges must be as steep as the twin's, relative to the other poses: what
+    softens all of them alike is the bench's lens or print, and no focus that moved.
     """
     contrasts = edge_contrast(bench, twin)
-    worst = int(np.argmax(np.abs(np.log(contrasts))))
-    if abs(float(contrasts[worst]) - 1.0) <= SHARPER:
+    usual = float(np.median(contrasts))
+    worst = int(np.argmax(np.abs(np.log(contrasts / usual))))
+    off = float(contrasts[worst]) / usual - 1.0
+    if abs(off) <= SHARPER:
         return
-    word = "softer" if contrasts[worst] < 1 else "sharper"
-    name, off = bench.sessions[worst].path.name, 100 * abs(float(contrasts[worst]) - 1.0)
-    others = float(np.median(np.delete(contrasts, worst))) if len(contrasts) > 1 else 1.0
+    word, name = "softer" if off < 0 else "sharper", bench.sessions[worst].path.name
     raise CalibrationError(
-        f"{name}: its edges are {off:.0f} % {word} than the matched twin's (the other poses: "
-        f"{100 * (others - 1):+.0f} %), and no focus or aperture explains all: the bench's focus moved, "
-        "or the board did; take the poses again"
+        f"{name}: its edges are {100 * abs(off):.0f} % {word} beside the matched twin's than those of the "
+        "other poses, and no focus or aperture explains all: the bench's focus moved, or the board did; take "
+        "the poses again"
     )
 
 

@@ -24,8 +24,8 @@ from fpplab.report.page import Figure, Section, Table, write_page
 Picture = NDArray[np.float32]
 
 COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
-SHOWN_POSES = 2
-"""Poses whose images are shown: the nearest and the farthest."""
+SHOWN_POSES = 5
+"""Poses whose images are shown, from the nearest to the farthest."""
 
 
 def write_matching_report(path: Path, found: Outcome, twin: Twin) -> None:
@@ -33,7 +33,7 @@ def write_matching_report(path: Path, found: Outcome, twin: Twin) -> None:
     sections = [_epochs_section(found)]
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
-    sections += [_images_section(found, twin), _parameters_section(found)]
+    sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
     sections += [_artefact_section(one) for one in found.judgements]
     facts = {
         "Ended": found.matched.ended,
@@ -158,6 +158,36 @@ def gamma_curves(found: GammaMatch) -> Sheet:
     right.axhline(0, color=SECOND, linewidth=1.0)
     right.set(xlabel="level shown, of full scale", ylabel="twin − bench, in grey levels of 255")
     return figure
+
+
+def _poses_section(found: Outcome) -> Section:
+    keys = ("ssim", "ssim_board", "epsilon_d_px")
+    words = ("SSIM", "SSIM over the board", "ε_d in px")
+    rows = tuple(
+        (
+            one["pose"],
+            *(_figure(one.get(f"{key}_{when}")) for key in keys for when in ("before", "after")),
+        )
+        for one in found.by_pose()
+    )
+    columns = ("Pose", *(f"{word} {when}" for word in words for when in ("before", "after")))
+    return Section("Poses", tables=(Table(columns, rows, _flatness(found.bench)),))
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"
+
+
+def _flatness(bench: Bench) -> str:
+    """What is asked of a flat twin where the bench's board is not."""
+    found = bench.characterisation
+    if found.drawn is None:
+        return "ε_d: the bench's RMS reprojection error less the twin's."
+    heights = 1e3 * (found.board[:, 2] - found.drawn[:, 2])
+    return (
+        f"The bench's board is out of its plane by {np.sqrt(np.mean(heights**2)):.0f} µm RMS, "
+        f"{np.ptp(heights):.0f} µm from lowest to highest point; the twin's is flat, and differs by so much."
+    )
 
 
 def _images_section(found: Outcome, twin: Twin) -> Section:

@@ -29,7 +29,8 @@ Shape = Callable[[Floats, Floats, Floats], Floats]
 LEAST_POINTS = 6
 """Fewer points of a board fix its pose too badly to be of use."""
 
-CHECKERBOARD_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+CHECKERBOARD_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+"""Pictures are not equalised: that would make a picture of the noise of a black ground."""
 
 
 @dataclass(frozen=True, eq=False)

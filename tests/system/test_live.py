@@ -25,11 +25,13 @@ from fpplab.conventions import Lattice
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import DeviceError
 from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.matching.record import Epoch, ParametersFile
 from fpplab.measurement import CLOUD, DECODED
 from fpplab.patterns import Pattern, make_patterns
 from fpplab.phase import Decoded
 from fpplab.plan import FringeSet, Plan
 from fpplab.session import Session
+from tests.unit.plane_twin import CAMERA, nominal, tilted
 
 SIZE, MIRRORS = (64, 48), (90, 70)
 PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1.0, steps=3), FringeSet(axis="x", stripes=6.0, steps=4)))
@@ -73,14 +75,14 @@ class Recording:
 
         self.data = rr.dataframe.load_recording(path)
 
-    def frames(self, entity: str) -> list[int]:
+    def frames(self, entity: str, index: str = "frame") -> list[int]:
         """When an entity was logged."""
-        table = self.data.view(index="frame", contents=f"/{entity}").select().read_all()
-        return [int(n) for n in table.column("frame").to_pylist()]
+        table = self.data.view(index=index, contents=f"/{entity}").select().read_all()
+        return [int(n) for n in table.column(index).to_pylist()]
 
-    def value(self, entity: str, component: str, row: int | None = None) -> Any:
+    def value(self, entity: str, component: str, row: int | None = None, index: str = "frame") -> Any:
         """What was logged: static, or in one row."""
-        view = self.data.view(index="frame", contents=f"/{entity}")
+        view = self.data.view(index=index, contents=f"/{entity}")
         table = (view.select_static() if row is None else view.select()).read_all()
         found = table.column(f"/{entity}:{component}").to_pylist()[row or 0]
         return found if len(found) > 1 else found[0]
@@ -164,6 +166,33 @@ def test_errors_colour_the_cloud(tmp_path: Path) -> None:
     assert red[0] < 60 < 90 < blue[0]
     assert blue[-1] < 60 < 90 < red[-1]
     assert (red[7], blue[7]) == (live.UNMEASURED[0], live.UNMEASURED[2])
+
+
+def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
+    path, parameters = tmp_path / "match.rrd", ParametersFile.of(nominal(tilted(2)))
+    losses = [0.4, 0.2, 0.1]
+    names = ("loss", "loss_board", "ssim", "ssim_board", "epsilon_d_px")
+    with live.Viewer.open(path) as viewer:
+        for number, loss in enumerate(losses):
+            figures = dict.fromkeys(names, 1.0) | {"loss": loss}
+            viewer.epoch(
+                Epoch(
+                    epoch=number,
+                    step="light",
+                    accepted=True,
+                    loss=figures,
+                    difference=3.0,
+                    seconds=1.0,
+                    parameters=parameters,
+                )
+            )
+        assert viewer.fault is None
+    found = Recording(path)
+    assert found.frames("match/loss", "epoch") == [0, 1, 2]
+    assert [found.value("match/loss", "Scalar", n, "epoch") for n in range(3)] == losses
+    assert found.value("match/difference", "Scalar", 2, "epoch") == 3.0
+    matrix = np.array(found.value("world/camera", "PinholeProjection")).reshape(3, 3).T
+    assert matrix[0, 0] == pytest.approx(CAMERA.matrix[0, 0])
 
 
 def session(path: Path, plan: Plan) -> Session:

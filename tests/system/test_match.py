@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fpplab import config
@@ -43,13 +44,23 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path) -> None:
     twin, out = small("rig_twin", tmp_path), tmp_path / "matched"
-    done = fpplab("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--json")
+    done = fpplab(
+        "match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--view", "--json",
+        env={"DISPLAY": "", "WAYLAND_DISPLAY": ""},
+    )  # fmt: skip
     assert done.code == 0, done.err
+    assert "Watch it at http://127.0.0.1:" in done.err
+    assert "epoch 2, light: loss" in done.err
     answer = done.json
     assert {"ssim", "epsilon_d_px", "loss", "epochs", "gamma"} <= answer.keys()
     assert answer["epochs"] == 2
     first, last = answer["rows"]
     assert last["loss_board"] < first["loss_board"]
+    poses = answer["poses"]
+    assert [one["pose"] for one in poses] == [path.name for path in sorted(board.iterdir())]
+    for when, row in (("before", first), ("after", last)):
+        assert np.mean([one[f"ssim_board_{when}"] for one in poses]) == pytest.approx(row["ssim_board"])
+        assert all(abs(one[f"epsilon_d_px_{when}"]) < 0.1 for one in poses)
     epochs = [json.loads(line) for line in (out / "match.jsonl").read_text().splitlines()]
     assert [e["step"] for e in epochs] == ["start", "points", "light"]
     assert "paper" in (out / "report.html").read_text()

@@ -40,6 +40,12 @@ def test_too_few_poses_are_refused_naming_each() -> None:
         characterise(observed(poses(2)), BOARD, CAMERA.size, SQUARE.size, left_out=left_out)
 
 
+def test_a_reason_that_poses_share_is_given_once() -> None:
+    left_out = {f"pose_{k}": f"pose_{k}: the board was not found" for k in range(7, 10)}
+    with pytest.raises(CalibrationError, match=r"\(pose_7 and 2 more: the board was not found\);"):
+        characterise(observed(poses(2)), BOARD, CAMERA.size, SQUARE.size, left_out=left_out)
+
+
 def test_left_out_poses_are_reported() -> None:
     left_out = {"pose_9": "pose_9: the board was not found"}
     found = characterise(observed(poses(4)), BOARD, CAMERA.size, SQUARE.size, left_out=left_out)

@@ -64,6 +64,17 @@ def test_the_twin_becomes_the_bench(matching: Matching) -> None:
     assert losses[-1] < 0.5 * losses[0]
 
 
+def test_every_pose_has_its_figures(matching: Matching) -> None:
+    summary = matching.outcome.summary()
+    assert [one["pose"] for one in summary["poses"]] == [session.path.name for session in matching.sessions]
+    first, last = summary["rows"]
+    for when, row in (("before", first), ("after", last)):
+        for key in ("ssim", "ssim_board"):
+            mean = np.mean([one[f"{key}_{when}"] for one in summary["poses"]])
+            assert mean == pytest.approx(row[key])
+        assert all(abs(one[f"epsilon_d_px_{when}"]) < 0.1 for one in summary["poses"])
+
+
 def test_light_is_the_benchs(matching: Matching) -> None:
     found, truth = matching.outcome.matched.parameters, matching.truth
     assert found.white == pytest.approx(truth.white, rel=0.02)
@@ -92,6 +103,6 @@ def test_the_report_shows_it(matching: Matching, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     write_matching_report(page, matching.outcome, matching.twin)
     text = page.read_text()
-    for words in ("SSIM over the board", "ambient light", "the bench less the twin", "paper"):
+    for words in ("SSIM over the board", "ambient light", "the bench less the twin", "paper", "pose_00"):
         assert words in text
     assert np.isfinite(matching.outcome.matched.unexplained)

@@ -217,6 +217,16 @@ def test_a_dim_picture_is_no_hindrance(fields: dict) -> None:
     np.testing.assert_allclose(found.pixels, truth(target, matrix)[found.ids], atol=0.03)
 
 
+def test_a_checkerboard_before_a_black_ground_with_noise_is_found() -> None:
+    target = board(CORNERS, counts=[13, 9], size_mm=[160, 120], foreground=0.25, background=0.6)
+    size = (844, 676)
+    camera = Pinhole.from_focal(size, (1096.0, 1096.0), (416.0, 330.0))
+    matrix = plane_homography(camera, pose((0, 0, 0), (0, 0, 420)))
+    found = target.detect(noisy(1.0 + 0.3 * render(target, matrix, size, ground=0.0), 1.0))
+    assert found is not None
+    np.testing.assert_allclose(found.pixels, truth(target, matrix), atol=0.08)
+
+
 @KINDS
 def test_a_board_that_is_not_there_is_not_found(fields: dict) -> None:
     target = board(fields)
