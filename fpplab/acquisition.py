@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
+from fpplab.conventions import Image
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.errors import CapabilityError, SyncError
 from fpplab.patterns import Pattern, make_patterns, uniform_patterns
@@ -22,6 +23,8 @@ from fpplab.synchronisation import judge, provable, remedy
 
 PATIENCE_S = 10.0
 """How long beyond its exposure a frame may take."""
+
+UNENDED = "after the last pattern came no black and then white"
 
 Observer = Callable[[Frame], None]
 """Sees each frame once it is on disk: a progress bar, a viewer."""
@@ -53,9 +56,28 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = unseen) 
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]
     if ends and not _ended(brightness):
-        raise _out_of_step(rig, session, "after the last pattern came no black and then white")
+        raise _out_of_step(rig, session, UNENDED)
     if wanted:
         _prove(rig, session)
+
+
+def capture(rig: Rig, plan: Plan) -> list[Image]:
+    """Every image of the plan in its order, in memory; with the same proof as `acquire`'s.
+
+    Raises `DeviceError`; `SyncError` when the frames do not show their patterns.
+    """
+    caps = rig.projector.caps
+    ends = uniform_patterns([0, 255], caps.size) if _needs_ends(plan) else []
+    patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
+    settings = rig.camera_settings(plan.exposure_s)
+    with closing(expose(rig, patterns, settings, plan)) as shots:
+        frames = [shot.image for shot in shots]
+    if ends and not _ended([float(frame.mean()) for frame in frames]):
+        raise SyncError(rig.camera.name, "capture", UNENDED, remedy(plan))
+    verdict = judge(frames[: plan.images], plan, settings.bits)
+    if not verdict.in_step:
+        raise SyncError(rig.camera.name, "capture", verdict.words(), remedy(plan))
+    return frames[: plan.images]
 
 
 def _needs_ends(plan: Plan) -> bool:

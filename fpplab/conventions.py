@@ -78,8 +78,8 @@ def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
 
 
 def phase_steps(steps: int) -> Floats:
-    """The shifts `δ_n = 2π n/N` in rad, (steps,)."""
-    return TWO_PI * np.arange(steps) / steps
+    """The shifts `δ_n = 2π n/N` in rad, (steps,); the same number for the same n/N, so for 1/6 and 2/12."""
+    return TWO_PI * (np.arange(steps) / steps)
 
 
 def full_scale(bits: int) -> int:

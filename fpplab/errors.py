@@ -38,6 +38,10 @@ class DeviceError(FppError):
         advice = f"; {remedy}" if remedy else ""
         super().__init__(f"{device}: {operation}: {found}{advice}")
 
+    def __reduce__(self) -> tuple[type[DeviceError], tuple[str, str, str, str]]:
+        """Made anew on the other side: it comes from another process, too."""
+        return type(self), (self.device, self.operation, self.found, self.remedy)
+
 
 class NotOpenError(DeviceError):
     """The device was used before `open` or after `close`."""

@@ -75,6 +75,20 @@ class RigidTransform:
         return np.asarray(points @ self.rotation.T + self.translation)
 
 
+def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
+    """`T_b_a` once b has turned about its own origin, its z axis by so much nearer to a's origin.
+
+    The axis of the turn is normal to z and to the line between the two origins: for a projector and a camera
+    this is their convergence. Raises `ValueError` when a's origin lies on b's z axis.
+    """
+    axis = np.cross((0.0, 0.0, 1.0), T_b_a.translation)
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        raise ValueError("the other origin lies on the z axis: no direction to turn in")
+    turn = RigidTransform.from_vectors(angle_rad * axis / length, np.zeros(3))
+    return turn.inverse() @ T_b_a
+
+
 # Other modules compile it into their kernels, whose caches numba renews by those modules' dates alone.
 def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, Any, Any, Any]:
     """Distorted slopes, and their derivatives ∂xd/∂x, ∂xd/∂y = ∂yd/∂x, ∂yd/∂y.

@@ -36,6 +36,7 @@ from fpplab.devices import Frame
 from fpplab.errors import DataError, DeviceError
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.matching.record import Epoch
+from fpplab.optimisation.lab import Epoch as Round
 from fpplab.patterns import pattern_image
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.plan import Plan
@@ -234,6 +235,19 @@ class Viewer:
         for name in ("loss", "loss_board", "ssim", "ssim_board", "epsilon_d_px"):
             self._log(f"match/{name}", rr.Scalars(epoch.loss[name]))
         self._log("match/difference", rr.Scalars(epoch.difference))
+
+    @_harmless
+    def search(self, round_: Round) -> None:
+        """One epoch of a search: what was measured in it, and curves of the best until then."""
+        import rerun as rr
+
+        self._stream.set_time("epoch", sequence=round_.number)
+        best = round_.best.figures
+        for name in ("surface_smcd_um", "images", "completeness", "wrong_orders"):
+            self._log(f"search/{name}", rr.Scalars(float(getattr(best, name))))
+        known = [trial.figures for trial in round_.trials if trial.measured]
+        points = [(figures.images, -figures.surface_smcd_um) for figures in known]
+        self._log("search/candidates", rr.Points2D(points, radii=rr.Radius.ui_points(3.0)))
 
     def _device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach: float) -> None:
         import rerun as rr

@@ -60,8 +60,14 @@ def pattern_image(
     Corrected for the plan's response before it is quantised, so that each grey is the nearest to the light
     that is wanted.
     """
-    level = fringe_level(plan.fringes[index], step, size, lattice)
-    return quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
+    fringe, (width, height) = plan.fringes[index], size
+    # Along x two rows hold all there is, on either lattice; along y one column does.
+    repeated = (width, min(height, 2)) if fringe.axis == "x" else (1, height)
+    level = fringe_level(fringe, step, repeated, lattice)
+    greys = quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
+    if fringe.axis == "x":
+        return np.resize(greys, (height, width))
+    return np.repeat(greys, width, axis=1)
 
 
 def make_patterns(

@@ -22,7 +22,8 @@ FEWEST_TEXELS, NEXT = 0.75, 1.3
 class Setup:
     """All that moves on the bench: the item and its pose, the stage, and how far the item shakes, in mm.
 
-    held: T_camera_item, in place of the world's pose.
+    held: T_camera_item, in place of the world's pose. convergence_deg: turn of the projector towards the
+    camera.
     """
 
     item: str = "nothing"
@@ -30,6 +31,11 @@ class Setup:
     stage_mm: float = 0.0
     shake_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     held: RigidTransform | None = None
+    convergence_deg: float = 0.0
+
+    def T_projector_camera(self, world: World) -> RigidTransform:
+        """Where the projector of a world stands then."""
+        return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 
 def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
@@ -39,7 +45,7 @@ def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
     surface = item_surface(world, setup.item, pose)
     box, camera = _bounding_box(surface), world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
-    lamp, texture = _lamp(world, setup.stage_mm, box)
+    lamp, texture = _lamp(world, setup.T_projector_camera(world), box)
     window = _window(camera, aperture, box)
     return Scene(_optics(camera), aperture, lamp, (surface,), window), texture
 
@@ -49,7 +55,7 @@ def is_lit_in_view(world: World, setup: Setup) -> bool:
     vertices, faces = item_shape(world, setup.item)
     points = item_poses(world, setup.item)[setup.pose].apply(_spread_points(vertices[faces]))
     seen = world.camera_model().sees(points)
-    lit = world.projector_model().sees(points, world.T_projector_camera(setup.stage_mm))
+    lit = world.projector_model().sees(points, setup.T_projector_camera(world))
     return bool(np.any(seen & lit))
 
 
@@ -57,9 +63,8 @@ def _optics(model: Pinhole) -> Optics:
     return Optics(model.size, model.matrix, model.distortion)
 
 
-def _lamp(world: World, stage_mm: float, box: Floats) -> tuple[Lamp, MirrorTexture]:
+def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tuple[Lamp, MirrorTexture]:
     section, projector = world.projector, world.projector_model()
-    T_projector_camera = world.T_projector_camera(stage_mm)
     texture = section.texture()
     scale = texture.texels_per_column * float(projector.matrix[0, 0])
     aperture = Aperture()

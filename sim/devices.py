@@ -10,16 +10,19 @@ fixture:   {backend: "sim.devices:SimFixture"}
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab import config
 from fpplab.config import Document
 from fpplab.conventions import Floats
+from fpplab.dataset.studio import Studio
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -43,8 +46,10 @@ from sim.items import item_poses
 from sim.light import Light, Picture, Show
 from sim.scene import Effort, View
 from sim.sensor import SensorModel
+from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
 from sim.twin import SimTwin
+from sim.vibration import displaced, shaken
 from sim.worker import START_S, Blender
 from sim.world import Binning, BoardItem, World
 
@@ -62,7 +67,7 @@ class BenchOptions(Document):
 
     world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
     of the world's. analytic: light on flat, matt items is computed instead of rendered, see
-    `sim.light.plane`; it makes a world that shakes bearable.
+    `sim.light.plane`.
     """
 
     world: str
@@ -87,6 +92,7 @@ class VirtualBench:
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
         self._lit: Setup | None = None
+        self._draws: deque[int] = deque()
 
     def open(self) -> None:
         """Start with what the world has mounted, dark.
@@ -95,6 +101,7 @@ class VirtualBench:
         that is not there: before anything is measured.
         """
         self.setup, self.show = Setup(self.world.mounted), None
+        self._draws.clear()
         self._check_device()
         self.check(self.world.mounted, 0)
 
@@ -115,7 +122,7 @@ class VirtualBench:
         """
         light = Light(world, self.blender, analytic=self._analytic)
         light.inherit(self.light)
-        self.world, self.light = world, light
+        self.world, self.light, self._lit = world, light, None
 
     def twin(self, board: str) -> Twin:
         """A twin of a bench, nominally of this world, that looks at its item `board`; see `fpplab.matching`.
@@ -124,10 +131,29 @@ class VirtualBench:
         """
         return SimTwin(self.world, board, self.blender)
 
+    def draw(self, numbers: Iterable[int]) -> None:
+        """Noise and shaking of the next frames follow from these numbers, one each, and the world's seed.
+
+        For comparisons with common random numbers; what was to come of the last numbers is forgotten.
+        """
+        self._draws = deque(numbers)
+
+    def drawn(self, frame: int) -> int:
+        """The number that the next frame's noise and shaking follow from: its own count unless told one."""
+        return self._draws.popleft() if self._draws else frame
+
+    def turn(self, convergence_deg: float) -> None:
+        """Turn the projector towards the camera, in degrees from how the world has it."""
+        self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
+
+    def studio(self) -> Studio:
+        """Scenes of this world's devices with everything known about them; see `fpplab.dataset`."""
+        return SimStudio(self)
+
     def irradiance(self, settings: CameraSettings, frame: int) -> Picture:
         """What reaches the sensor during a frame, (height, width), 1 for white.
 
-        frame: counts frames; how the item shakes and when the shutter opens follow from it and the seed.
+        frame: as `drawn`; how the item shakes and when the shutter opens follow from it and the seed.
         Raises `DeviceError`, `ConfigError` when nothing of the item lies in the light.
         """
         setup, show = self.setup, self.show
@@ -135,10 +161,14 @@ class VirtualBench:
             self._check_lit(setup)
         random = np.random.default_rng([self.world.seed, frame])
         shake, start = random.standard_normal(3), random.uniform()
-        if self.world.vibration_mm:
-            x, y, z = (self.world.vibration_mm * shake).tolist()
+        weights, step = self._row_weights(show, settings, start), self.world.vibration_mm
+        if step and setup.item != "nothing" and not self.light.computes(setup):
+            pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
+            return shaken(self.light, setup, displaced(setup, pose, step), shake, show, weights)
+        if step:  # no render to save
+            x, y, z = (step * shake).tolist()
             setup = replace(setup, shake_mm=(x, y, z))
-        return self.light.irradiance(setup, show, self._row_weights(show, settings, start))
+        return self.light.irradiance(setup, show, weights)
 
     def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
         """Light of every binary plane in every row, when the shutter is open for broken periods."""
@@ -218,9 +248,8 @@ class SimCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         # On the bench's clock a picture takes no longer than its exposure, however long Blender works.
         settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
-        image = SensorModel.of(world).expose(
-            self._bench.irradiance(settings, self._count), settings, self._count
-        )
+        number = self._bench.drawn(self._count)
+        image = SensorModel.of(world).expose(self._bench.irradiance(settings, number), settings, number)
         index, self._index, self._count = self._index, self._index + 1, self._count + 1
         self._clock_s += settings.exposure_s
         pattern_id = shown.pattern.id if shown else DARK
@@ -231,7 +260,13 @@ class SimCamera(Camera):
 
 
 def _shown(pattern: Pattern) -> Pattern:
-    return replace(pattern, image=quantise(pattern.image / 255.0, pattern.bit_depth))
+    return replace(pattern, image=_greys(pattern.bit_depth)[pattern.image])
+
+
+@lru_cache(maxsize=8)
+def _greys(bit_depth: int) -> NDArray[np.uint8]:
+    """The grey that mirrors of that depth show for each of 256."""
+    return quantise(np.arange(256) / 255.0, bit_depth)
 
 
 # What cannot change need not be quantised twice; the same pattern also finds its texture again.

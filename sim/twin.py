@@ -30,6 +30,7 @@ from sim.build import Setup
 from sim.items import board_target, item_mesh, item_poses
 from sim.light import Light, Picture, Show
 from sim.sensor import SensorModel
+from sim.vibration import displaced, shaken
 from sim.worker import Blender
 from sim.world import ArtefactItem, BoardItem, MeshItem, World
 
@@ -89,16 +90,15 @@ class SimTwin:
         """
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
-        still, moved = Setup(item, held=pose), self._moved(item, pose)
+        still, step = Setup(item, held=pose), self._world.vibration_mm
         pictures = []
         for n in range(len(shown)):
-            shake = np.random.default_rng([self._world.seed, self._frames_taken + n]).standard_normal(
-                len(moved)
-            )
-            picture = np.float32(1 - shake.sum()) * self._irradiance(still, shown, n)
-            for share, place in zip(shake.tolist(), moved, strict=True):
-                picture += np.float32(share) * self._irradiance(place, shown, n)
-            pictures.append(np.maximum(picture, 0, out=picture))
+            if step:
+                random = np.random.default_rng([self._world.seed, self._frames_taken + n])
+                moved, shake = displaced(still, pose, step), random.standard_normal(3)
+                pictures.append(shaken(self._light, still, moved, shake, Show(shown, n)))
+            else:
+                pictures.append(self._irradiance(still, shown, n))
         counters = range(self._frames_taken, self._frames_taken + len(shown))
         self._frames_taken = counters.stop
         with ThreadPoolExecutor() as pool:
@@ -136,14 +136,6 @@ class SimTwin:
 
     def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> Picture:
         return self._light.irradiance(setup, Show(patterns, n))
-
-    def _moved(self, item: str, pose: RigidTransform) -> list[Setup]:
-        """Moved along each axis by the standard deviation of its vibration; none if it stands still."""
-        step = self._world.vibration_mm
-        if step == 0:
-            return []
-        places = [RigidTransform(pose.rotation, pose.translation + step * axis) for axis in np.eye(3)]
-        return [Setup(item, held=place) for place in places]
 
 
 _DEVICES = ("camera", "projector", "stage", "fixture")

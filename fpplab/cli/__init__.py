@@ -17,6 +17,8 @@ for _commands in (
     "look",
     "accept",
     "match",
+    "optimise",
+    "dataset",
     "convert",
     "camera",
     "projector",

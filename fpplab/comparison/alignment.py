@@ -8,6 +8,7 @@ axes of mesh and cloud can lie on each other.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import permutations, product
 
 import igl
@@ -60,13 +61,13 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     """
     random = np.random.default_rng(seed)
     fine, coarse = (_thinned(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
-    target = _Target(mesh)
-    best = _refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
+    target = Target(mesh)
+    best = refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
     if not _near(coarse, target, best[0]):
         starts = [best[0], *_axis_poses(coarse, mesh, random)]
-        ends = [_refine(coarse, target, start, COARSE_ROUNDS) for start in starts]
+        ends = [refine(coarse, target, start, COARSE_ROUNDS) for start in starts]
         best = min(ends, key=lambda end: target.misfit(coarse, end[0]))
-    pose, rounds = _refine(fine, target, best[0], FINE_ROUNDS)
+    pose, rounds = refine(fine, target, best[0], FINE_ROUNDS)
     if not _near(fine, target, pose):
         raise DataError(
             "alignment: no pose brings the mesh onto the cloud; crop the cloud to the part, check that both "
@@ -78,7 +79,7 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     return Alignment(pose.inverse(), rms_um, best[1] + rounds)
 
 
-class _Target:
+class Target:
     """The mesh as planes to approach; poses here are `T_mesh_camera`."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
@@ -86,7 +87,12 @@ class _Target:
         self.faces = np.ascontiguousarray(mesh.faces, np.int64)
         self.normals = np.asarray(mesh.face_normals, np.float64)
         self.size = float(np.linalg.norm(mesh.extents))
-        self.sides = _Sides(mesh, DETAIL * self.size)
+        self._mesh = mesh
+
+    @cached_property
+    def sides(self) -> _Sides:
+        """Which way it faces where."""
+        return _Sides(self._mesh, DETAIL * self.size)
 
     def residuals(self, points: Floats, pose: RigidTransform) -> tuple[Floats, Floats, Floats]:
         """Point-to-plane distances (N,), the placed points (N, 3) and their planes' normals (N, 3)."""
@@ -129,7 +135,7 @@ class _Sides:
         return np.asarray((i[:, 0] << 40) + (i[:, 1] << 20) + i[:, 2])
 
 
-def _near(points: Floats, target: _Target, pose: RigidTransform) -> bool:
+def _near(points: Floats, target: Target, pose: RigidTransform) -> bool:
     return target.misfit(points, pose) < FAR * target.size
 
 
@@ -139,7 +145,8 @@ def _thinned(points: Floats, count: int, random: np.random.Generator) -> Floats:
     return np.asarray(points[random.choice(len(points), count, replace=False)], np.float64)
 
 
-def _refine(points: Floats, target: _Target, pose: RigidTransform, rounds: int) -> tuple[RigidTransform, int]:
+def refine(points: Floats, target: Target, pose: RigidTransform, rounds: int) -> tuple[RigidTransform, int]:
+    """`T_mesh_camera` from a pose near it, for points (N, 3) in mm, and the rounds it took."""
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
         scale = 1.4826 * float(np.median(np.abs(distance))) + 1e-9 * target.size

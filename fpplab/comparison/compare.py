@@ -120,7 +120,7 @@ def compare(
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
     shape = Shape(mesh)
-    samples, visible_share = _visible_samples(mesh, shape, calibration, density, seed)
+    samples, visible_share = visible_samples(mesh, shape, calibration, density, seed)
     counted = np.ones(len(points), np.bool_) if calibration is None else _looks_at(shape, points)
     if not counted.any():
         raise DataError(
@@ -161,12 +161,21 @@ def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
         )
 
 
-def _visible_samples(
-    mesh: trimesh.Trimesh, shape: Shape, calibration: Calibration | None, density: float, seed: int
+def visible_samples(
+    mesh: trimesh.Trimesh,
+    shape: Shape,
+    calibration: Calibration | None,
+    density: float,
+    seed: int,
+    lit: bool = True,
 ) -> tuple[Floats, float]:
-    """Uniform samples (M, 3) of what is visible, and its share of the mesh's area."""
-    camera_centre = np.zeros(3)
-    centres = [camera_centre] if calibration is None else [camera_centre, calibration.projector_centre]
+    """Uniform samples (M, 3) of what is visible, and its share of the mesh's area.
+
+    lit: whether the projector must see it too, and not the camera alone. Raises `DataError` when nothing is.
+    """
+    centres = [np.zeros(3)]
+    if calibration is not None and lit:
+        centres.append(calibration.projector_centre)
     facing = np.logical_and.reduce([shape.facing(centre) for centre in centres])
     area = np.asarray(mesh.area_faces) * facing
     count = int(np.ceil(density * area.sum()))
@@ -178,8 +187,9 @@ def _visible_samples(
     samples = np.asarray(samples, np.float64)
     seen = np.logical_and.reduce([shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres])
     if calibration is not None:
-        pose = calibration.T_projector_camera
-        seen &= calibration.camera.sees(samples) & calibration.projector.sees(samples, pose)
+        seen &= calibration.camera.sees(samples)
+        if lit:
+            seen &= calibration.projector.sees(samples, calibration.T_projector_camera)
         for centre in centres:
             seen[seen] = shape.lit(centre, samples[seen])
     if not seen.any():

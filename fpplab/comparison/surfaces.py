@@ -22,7 +22,9 @@ _STEPS = 32
 def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Distances (Q,) from queries (Q, 3) to faces (F, 3), at least one, over vertices (V, 3)."""
     vertices = np.ascontiguousarray(vertices, np.float64)
-    used = np.unique(faces)
+    touched = np.zeros(len(vertices), np.bool_)
+    touched[faces] = True
+    used = np.flatnonzero(touched)
     start = used[nearest(queries, vertices[used])[1]]
     around, begins = _faces_around(faces, len(vertices))
     distance = np.empty(len(queries))
@@ -50,7 +52,7 @@ def _faces_around(faces: NDArray[np.int32], count: int) -> tuple[Ints, Ints]:
 @njit(parallel=True, cache=True, error_model="numpy")
 def _walk(
     queries: Floats,
-    start: NDArray[np.int32],
+    start: Ints,
     vertices: Floats,
     faces: NDArray[np.int32],
     around: Ints,

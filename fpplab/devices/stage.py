@@ -35,6 +35,12 @@ class Stage(Device):
         with self._guard("caps"):
             return self._caps()
 
+    @property
+    @final
+    def homed(self) -> bool:
+        """Whether it has found its reference since it was opened."""
+        return self._homed
+
     @final
     def home(self) -> None:
         """Find the reference; moves are refused before."""

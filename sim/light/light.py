@@ -126,6 +126,10 @@ class Light:
             picture *= self._falloff
         return picture
 
+    def computes(self, setup: Setup) -> bool:
+        """Whether the item's light takes no render."""
+        return self._analytic and can_compute(self._built(setup)[1])
+
     def table(self, setup: Setup) -> Table:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
@@ -260,7 +264,7 @@ class Light:
 
     def _found(self, setup: Setup, key: str) -> Table:
         _, scene, _ = self._built(setup)
-        if self._computes(scene):
+        if self._analytic and can_compute(scene):
             return computed(scene, self._views(scene), spots=True)
         keep = self._cache if not any(setup.shake_mm) else None
         table = keep.load(key) if keep else None
@@ -298,14 +302,11 @@ class Light:
 
     def _views(self, scene: Scene) -> list[View]:
         render = self._world.render
-        computes = self._computes(scene) and render.computed_subpixels
-        places = shifts(computes or render.subpixels)
+        more = render.computed_subpixels if self._analytic and can_compute(scene) else None
+        places = shifts(more or render.subpixels)
         if not self._world.camera.aperture_mm:
             return [View(place) for place in places]
         return [View(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]
-
-    def _computes(self, scene: Scene) -> bool:
-        return self._analytic and can_compute(scene)
 
     def _built(self, setup: Setup) -> tuple[Setup, Scene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:

@@ -14,7 +14,7 @@ from fpplab.config import Document
 from fpplab.conventions import Floats
 from fpplab.errors import ConfigError
 from fpplab.files import write_text
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, beside
 from sim.world.materials import Diffuse, Material, Translucent
@@ -181,13 +181,17 @@ class World(Document):
         """The true projector."""
         return self.calibration.projector.model() if self.calibration else self.projector.model()
 
-    def T_projector_camera(self, stage_mm: float = 0.0) -> RigidTransform:
-        """The true pose of the camera in the projector's frame, with the stage at `stage_mm`."""
+    def T_projector_camera(self, stage_mm: float = 0.0, convergence_deg: float = 0.0) -> RigidTransform:
+        """The true pose of the camera in the projector's frame, with the stage at `stage_mm`.
+
+        convergence_deg: turn of the projector there towards the camera, see `turned_towards`.
+        """
         if self.calibration:
             pose = self.calibration.T_projector_camera.transform().inverse()
         else:
             pose = self.projector.T_camera_projector.transform()
-        return RigidTransform(pose.rotation, pose.translation + self.stage.offset(stage_mm)).inverse()
+        moved = RigidTransform(pose.rotation, pose.translation + self.stage.offset(stage_mm)).inverse()
+        return turned_towards(moved, np.radians(convergence_deg)) if convergence_deg else moved
 
     def item(self, name: str) -> Item:
         """One item. Raises `ConfigError` that lists them."""

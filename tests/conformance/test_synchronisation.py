@@ -12,7 +12,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from fpplab import acquisition, config
-from fpplab.acquisition import acquire
+from fpplab.acquisition import acquire, capture
 from fpplab.calibration import Calibration
 from fpplab.cli import app
 from fpplab.console import Answered
@@ -110,6 +110,26 @@ def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[FringeSet, ...], 
 def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(fault: Fault, tmp_path: Path) -> None:
     with pytest.raises(SyncError, match="no black and then white"):
         taken(slipping(fault), plan("triggered", fringes=COARSE), tmp_path / "s")
+
+
+@pytest.mark.parametrize("fringes", [FRINGES, COARSE], ids=["proven by frames", "proven by a marker"])
+@pytest.mark.parametrize("trigger", ["stepped", "triggered"])
+def test_what_is_captured_in_memory_is_what_a_session_holds(
+    trigger: str, fringes: tuple[FringeSet, ...], tmp_path: Path
+) -> None:
+    wanted = plan(trigger, fringes=fringes)
+    with opened(rig()) as bench:
+        frames = capture(bench, wanted)
+    session = taken(rig(), wanted, tmp_path / "s")
+    np.testing.assert_array_equal(np.stack(frames), np.stack(session.stack()))
+
+
+@pytest.mark.parametrize(
+    ("fringes", "fault"), [(FRINGES, Fault(Cause.DOUBLED, 9)), (COARSE, Fault(Cause.MISSED, 1))]
+)
+def test_what_slips_is_not_captured_either(fringes: tuple[FringeSet, ...], fault: Fault) -> None:
+    with opened(slipping(fault)) as bench, pytest.raises(SyncError, match="cable"):
+        capture(bench, plan("triggered", fringes=fringes))
 
 
 def test_the_rest_of_an_interrupted_session_is_looked_at_with_what_was_there(tmp_path: Path) -> None:

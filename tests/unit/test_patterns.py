@@ -66,6 +66,29 @@ def test_patterns_come_in_the_plans_order_under_telling_names():
         np.testing.assert_array_equal(pattern.image, np.rint(255 * level))
 
 
+@pytest.mark.parametrize("lattice", Lattice)
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize(("few", "many"), [(6, 12), (3, 9), (5, 15), (7, 21)])
+def test_every_so_manyth_pattern_is_that_of_fewer_steps_to_the_last_grey(axis, lattice, few, many):
+    some, all_of_them = (
+        make_patterns(Plan(fringes=(FringeSet(axis=axis, stripes=4, steps=n),)), SIZE, lattice)
+        for n in (few, many)
+    )
+    for one, same in zip(some, all_of_them[:: many // few], strict=True):
+        np.testing.assert_array_equal(one.image, same.image)
+
+
+@pytest.mark.parametrize("lattice", Lattice)
+@pytest.mark.parametrize("size", [(24, 20), (23, 19), (24, 1)])
+def test_a_pattern_is_drawn_in_part_and_repeated(lattice, size):
+    plan = Plan(
+        fringes=(FringeSet(axis="x", stripes=3.7, steps=3), FringeSet(axis="y", stripes=0.4, steps=3))
+    )
+    for index, step, _ in plan.steps():
+        whole = quantise(fringe_level(plan.fringes[index], step, size, lattice))
+        np.testing.assert_array_equal(pattern_image(plan, index, step, size, lattice), whole)
+
+
 def test_stripes_finer_than_two_pixels_are_refused():
     plan = Plan(fringes=(FringeSet(axis="y", stripes=11, steps=4),))
     with pytest.raises(

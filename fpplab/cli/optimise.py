@@ -1,0 +1,180 @@
+"""A better plan, found on a twin or on the rig itself."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fpplab import console
+from fpplab.cli.app import Force, Json, RigName, app
+from fpplab.errors import ConfigError
+from fpplab.optimisation.what import What
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.lab import Epoch
+    from fpplab.optimisation.study import Study
+
+
+@app.command()
+def optimise(
+    what: Annotated[What, typer.Argument(help="What to search.")],
+    rig: RigName,
+    out: Annotated[
+        Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
+    ],
+    study: Annotated[
+        str | None, typer.Option("--study", help="Study file: space, limits, objectives, method.")
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="Of the rig as it stands; without, it is characterised first."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option("--seeds", min=1, help="Seeds 1 … N of the noise, or repeats on a real rig.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes that measure.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="Address of a `dask` scheduler whose workers measure.")
+    ] = None,
+    confirm: Annotated[
+        str | None,
+        typer.Option("--confirm", help="Rig on which the start's plan and the one found are then compared."),
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Search phase counts, stripe counts, the baseline, or the front of all together.
+
+    `phases`: the fewest images that measure no worse than the start's plan. `stripes` and `baseline`: the
+    least mean distance to the surface. `pareto`: that distance against images. OUT is what `fpplab scan
+    --plan` takes; beside it stay a report and the journal, from which an interrupted search goes on by the
+    same command.
+
+    Example: `fpplab optimise stripes --rig rig_demo --out stripes.yaml --confirm rig_hidden`
+    """
+    from fpplab.optimisation.study import Study
+
+    name = study or f"study_{what}.yaml"
+    wanted = _changed(Study.load(name), calibration, seeds)
+    if scheduler and workers > 1:
+        raise ConfigError(
+            "--workers counts processes of this computer, and a --scheduler has its own: give one"
+        )
+    _make_way(what, out, force)
+
+    from fpplab.live import Viewer
+    from fpplab.optimisation import run
+    from fpplab.report.optimisation import error_maps, write_optimisation_report
+
+    if confirm:
+        run.check_confirmable(confirm, wanted, name)
+    with ExitStack() as stack, console.stopwatch() as elapsed:
+        viewer = stack.enter_context(Viewer.open()) if view else None
+        if viewer and viewer.fault is None:
+            console.say(f"Watch it at {viewer.where}")
+
+        def observe(epoch: Epoch) -> None:
+            console.say(_words(epoch))
+            if viewer:
+                viewer.search(epoch)
+
+        with console.progress("Searching") as report:
+            found = run.optimise(
+                what,
+                rig,
+                wanted,
+                out,
+                name,
+                workers=workers,
+                scheduler=scheduler,
+                observe=observe,
+                progress=report,
+            )
+        confirmed: tuple[run.Confirmed, ...] = ()
+        if confirm:
+            with console.progress("Confirming") as report:
+                confirmed = run.confirm_found(confirm, found, run.folder_of(out) / "confirm", report)
+        page = run.page_of(what, out)
+        with console.progress("Comparing before and after"):
+            write_optimisation_report(page, found, confirmed, error_maps(rig, found))
+        result = {
+            **found.summary(),
+            "confirmed": [one.summary() for one in confirmed],
+            "seconds": elapsed(),
+            "plans": [str(path) for path in found.plans],
+            "report": str(page),
+        }
+    console.answer(result, json, lambda: _show(result))
+
+
+def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:
+    """The study with what the command says instead. Raises `ConfigError`, `CalibrationError`."""
+    from fpplab.calibration import Calibration
+    from fpplab.optimisation.study import CalibrationAt
+
+    changed: dict[str, Any] = {}
+    if calibration is not None:
+        Calibration.load(calibration)
+        at = CalibrationAt(file=str(calibration.resolve()), stage_mm=study.start.stage_mm)
+        changed["calibrations"] = (at,)
+    if seeds is not None:
+        changed["seeds"] = tuple(range(1, seeds + 1))
+    return study.model_copy(update=changed)
+
+
+def _make_way(what: What, out: Path, force: bool) -> None:
+    """A search that ended is not overwritten; one that did not goes on."""
+    from fpplab.files import need_suffix
+    from fpplab.optimisation.run import journal_of, plans_of
+
+    if what is not What.PARETO:
+        need_suffix(out, ".yaml")
+    elif out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
+    plans = plans_of(what, out)
+    if plans and not force:
+        raise ConfigError(f"{plans[0]}: exists already; name another output, or add --force to replace it")
+    if force:
+        for path in (*plans, journal_of(what, out)):
+            path.unlink(missing_ok=True)
+
+
+def _words(epoch: Epoch) -> str:
+    best = epoch.best.figures
+    return (
+        f"epoch {epoch.number}, {epoch.step}: {epoch.measured} candidates; best {best.images} images, "
+        f"{best.surface_smcd_um:.2f} µm"
+    )
+
+
+def _show(result: dict[str, Any]) -> None:
+    chosen = [("start", result["initial"]), ("optimum", result["optimum"])]
+    chosen += [(f"front {i}", one) for i, one in enumerate(result["front"], 1) if len(result["front"]) > 1]
+    columns = ["plan", "images", "stripes", "steps", "stage mm", "SMCD µm", "spread µm", "completeness"]
+    rows = [
+        [
+            name,
+            one["images"],
+            " ".join(f"{f['stripes']:g}" for f in one["fringes"]),
+            " ".join(str(f["steps"]) for f in one["fringes"]),
+            "" if one["stage_mm"] is None else one["stage_mm"],
+            one["surface_smcd_um"],
+            "" if one["smcd_spread_um"] is None else one["smcd_spread_um"],
+            one["completeness"],
+        ]
+        for name, one in chosen
+    ]
+    console.table(f"{result['study']} on {result['rig']}", columns, rows)
+    for one in result["confirmed"]:
+        gain = f"{100 * one['gain']:.1f} ± {100 * one['uncertainty']:.1f} %"
+        words = f"On {one['rig']} {one['plan']} is {gain} nearer to the surface than the start's plan."
+        console.stdout.print(words, markup=False)
+    console.stdout.print(
+        f"{result['epochs']} epochs, {result['candidates']} candidates, {result['seconds']:.0f} s, "
+        f"{result['ended']}; report: {result['report']}",
+        markup=False,
+    )

@@ -1,0 +1,1 @@
+"""The search for a better arrangement: on the twin, or by measuring on the rig itself."""

@@ -1,0 +1,206 @@
+"""How a rig is arranged for a candidate (stage, turn of the projector, item), and how it is calibrated then.
+
+What a stage does to the geometry is measured, not assumed: the rig is characterised with the stage at two or
+more positions, and between two of them every parameter of the calibration is taken on the straight line. So
+the parts of a calibration stay consistent with one another, which those of two different ones are not.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.calibration import INTRINSICS, PARAMETERS, POSE, Calibration
+from fpplab.conventions import Floats
+from fpplab.errors import CalibrationError, ConfigError
+from fpplab.geometry import Pinhole, RigidTransform, turned_towards
+from fpplab.measurement import CALIBRATION, Progress, characterise_sessions, nothing, take_poses
+from fpplab.optimisation.sets import View
+from fpplab.plan import Plan
+from fpplab.rig import Rig
+from fpplab.targets import Target
+
+TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
+"""How far the projector's measured way may be from the stage's own, as a share of it and besides."""
+
+
+class Arrangement:
+    """Brings an open rig to views, moving only what has to move."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._stands = View("", 0.0)
+
+    def __call__(self, view: View) -> None:
+        """Stage, projector and item as the view says. Raises `ConfigError`, `DeviceError`."""
+        if view.stage_mm is not None and view.stage_mm != self._stands.stage_mm:
+            self._rig.place_stage(view.stage_mm)
+        if view.convergence_deg is not None and view.convergence_deg != self._stands.convergence_deg:
+            self._turn(view.convergence_deg)
+        if view.item != self._stands.item:
+            self._rig.need_fixture(f"mounting the {view.item}").mount(view.item)
+        self._stands = view
+
+    def _turn(self, convergence_deg: float) -> None:
+        if not hasattr(self._rig.bench, "turn"):
+            raise ConfigError(
+                f"{self._rig.file.name}: 'convergence_deg' is {convergence_deg:g}, but only a simulated "
+                "projector can be turned; leave it out of the study"
+            )
+        self._rig.bench.turn(convergence_deg)
+
+
+class Calibrations:
+    """Calibrations of a rig with its stage at one or more positions in mm, or one as it stands (None).
+
+    Raises `CalibrationError` when they are of different devices, or the projector has not moved as the
+    stage has.
+    """
+
+    def __init__(self, by_position: Mapping[float | None, Calibration]) -> None:
+        if None in by_position and len(by_position) > 1:
+            raise CalibrationError("of several calibrations each must say where the stage stood: 'stage_mm'")
+        self._positions = sorted(mm for mm in by_position if mm is not None)
+        self._known = [by_position[mm] for mm in self._positions or (None,)]
+        first = self._known[0]
+        for mm, other in zip(self._positions, self._known, strict=False):
+            other.check_camera(first.camera.size, f"calibration at {mm:g} mm")
+            other.check_projector(first.projector.size, first.projector.lattice, f"calibration at {mm:g} mm")
+        self._made: dict[tuple[float | None, float], Calibration] = {}
+        self._check_travel()
+
+    def at(self, stage_mm: float | None = None, convergence_deg: float | None = None) -> Calibration:
+        """The calibration with the stage at a position, and the projector turned towards the camera.
+
+        stage_mm: None is where it stands, which only a single calibration tells. Raises `CalibrationError`
+        outside what was characterised.
+        """
+        where = stage_mm, convergence_deg or 0.0
+        if where not in self._made:
+            found = self._at_stage(stage_mm)
+            self._made[where] = turned(found, convergence_deg) if convergence_deg else found
+        return self._made[where]
+
+    @property
+    def exact(self) -> bool:
+        """Whether none of them has a covariance, as a simulation's own has not."""
+        return all(known.uncertainty is None for known in self._known)
+
+    def drawn(self, random: np.random.Generator) -> Calibrations:
+        """Others that could as well have been found, each drawn from its own covariance."""
+        others = [drawn(known, random) for known in self._known]
+        return Calibrations(dict(zip(self._positions or (None,), others, strict=True)))
+
+    def _at_stage(self, stage_mm: float | None) -> Calibration:
+        if len(self._known) == 1 and stage_mm in (None, *self._positions):
+            return self._known[0]
+        listed = ", ".join(f"{mm:g}" for mm in self._positions)
+        if stage_mm is None:
+            raise CalibrationError(
+                f"the rig is characterised with the stage at {listed} mm; 'stage_mm' must say where it stands"
+            )
+        if not (self._positions and self._positions[0] <= stage_mm <= self._positions[-1]):
+            raise CalibrationError(
+                f"'stage_mm' is {stage_mm:g}, but the rig is characterised with the stage at "
+                f"{f'{listed} mm' if listed else 'no known position'}; characterise it on both sides"
+            )
+        if stage_mm in self._positions:
+            return self._known[self._positions.index(stage_mm)]
+        after = bisect_right(self._positions, stage_mm)
+        low, high = self._positions[after - 1], self._positions[after]
+        return between(self._known[after - 1], self._known[after], (stage_mm - low) / (high - low))
+
+    def _check_travel(self) -> None:
+        origin, start = self._known[0].projector_centre, next(iter(self._positions), 0.0)
+        for mm, known in zip(self._positions[1:], self._known[1:], strict=True):
+            moved = float(np.linalg.norm(known.projector_centre - origin))
+            if abs(moved - (mm - start)) > TRAVEL_TOLERANCE * (mm - start) + TRAVEL_TOLERANCE_MM:
+                raise CalibrationError(
+                    f"the calibrations at {start:g} and {mm:g} mm put the projector {moved:.1f} mm apart, "
+                    f"not {mm - start:g}; are they of this rig, and is each of its position?"
+                )
+
+
+def turned(calibration: Calibration, convergence_deg: float) -> Calibration:
+    """The same with the projector turned towards the camera where it stands."""
+    pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
+    return replace(calibration, T_projector_camera=pose, uncertainty=None)
+
+
+def drawn(calibration: Calibration, random: np.random.Generator) -> Calibration:
+    """One that measuring could as well have found, drawn from the covariance; itself if there is none."""
+    known = calibration.uncertainty
+    if known is None:
+        return calibration
+    # By its correlations: variances of px and of k3 are many powers of ten apart.
+    sigma = np.sqrt(np.diag(known.covariance))
+    values, vectors = np.linalg.eigh(known.covariance / np.outer(sigma, sigma))
+    off = sigma * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(sigma))))
+    by_name = dict.fromkeys(PARAMETERS, 0.0) | dict(zip(known.names, off.tolist(), strict=True))
+    pose, change = calibration.T_projector_camera, [by_name[f"T_projector_camera.{term}"] for term in POSE]
+    return Calibration(
+        _changed(calibration.camera, [by_name[f"camera.{term}"] for term in INTRINSICS]),
+        _changed(calibration.projector, [by_name[f"projector.{term}"] for term in INTRINSICS]),
+        RigidTransform.from_vectors(pose.rotation_vector + change[:3], pose.translation + change[3:]),
+        rms_px={},
+    )
+
+
+def _changed(device: Pinhole, change: Sequence[float]) -> Pinhole:
+    matrix = device.matrix.copy()
+    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
+    return replace(device, matrix=matrix, distortion=device.distortion + change[4:])
+
+
+def between(low: Calibration, high: Calibration, share: float) -> Calibration:
+    """The calibration at a share of the way from one to another, every parameter on the straight line."""
+    turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
+    whole = RigidTransform(turn, np.zeros(3)).rotation_vector
+    part = RigidTransform.from_vectors(share * whole, np.zeros(3)).rotation
+    shift = _mixed(low.T_projector_camera.translation, high.T_projector_camera.translation, share)
+    return Calibration(
+        _device(low.camera, high.camera, share),
+        _device(low.projector, high.projector, share),
+        RigidTransform(part @ low.T_projector_camera.rotation, shift),
+        rms_px={},
+    )
+
+
+def _device(low: Pinhole, high: Pinhole, share: float) -> Pinhole:
+    matrix, distortion = (_mixed(getattr(low, n), getattr(high, n), share) for n in ("matrix", "distortion"))
+    return replace(low, matrix=matrix, distortion=distortion)
+
+
+def _mixed(low: Floats, high: Floats, share: float) -> Floats:
+    return np.asarray((1.0 - share) * low + share * high)
+
+
+def characterise_positions(
+    rig: Rig,
+    positions: Sequence[float | None],
+    plan: Plan,
+    board: str,
+    target: Target,
+    poses: int,
+    folder: Path,
+    progress: Progress = nothing,
+) -> dict[float | None, Path]:
+    """Characterise an open rig with its stage at each of these positions; the calibration files by position.
+
+    positions: in mm, None for where it stands. board: as the fixture calls it. Sessions and calibrations
+    stay in `folder`; what is there already is kept. Raises `CalibrationError`, `DeviceError`, `DataError`.
+    """
+    files: dict[float | None, Path] = {}
+    for done, mm in enumerate(positions):
+        place = folder / ("as_it_stands" if mm is None else f"stage_{mm:+g}")
+        files[mm] = place / CALIBRATION
+        if not files[mm].exists():
+            there = plan.model_copy(update={"stage_mm": mm})
+            sessions = take_poses(rig, there, board, poses, place, False)
+            characterise_sessions(sessions, target).calibration.save(files[mm])
+        progress((done + 1) / len(positions))
+    return files

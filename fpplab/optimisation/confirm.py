@@ -1,0 +1,156 @@
+"""Whether a plan is better than another on a rig: both measured, the gain stated with its uncertainty.
+
+The plans take turns, so that what drifts meets both alike. Three things make the gain uncertain: noise and
+whatever else differs from one measurement to the next; the sample of points that is compared; and the
+calibration, which is common to both plans and is varied within its covariance for both alike.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.errors import ConfigError
+from fpplab.measurement import Progress, nothing
+from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.measuring import RigEvaluator, candidate_of
+from fpplab.optimisation.scoring import Figures
+from fpplab.optimisation.study import Study
+from fpplab.plan import Plan
+
+REPEATS = 5
+SAMPLES = 100_000
+DRAWS = 8
+"""Calibrations drawn from the covariance: they tell its part to a quarter."""
+FIRST_SEED = 1_000_000
+"""Repeats have seeds that no search has seen."""
+
+
+Measured = dict[str, tuple[Figures, ...]]
+"""Figures of every repeat by artefact."""
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What two plans came to on one rig.
+
+    before, after: of every artefact every repeat, in one order. by_calibration: standard uncertainty of the
+    gain from the calibration; 0 where that is exact, as a simulation's own is.
+    """
+
+    before: Measured
+    after: Measured
+    by_calibration: float
+
+    @property
+    def gain(self) -> float:
+        """By which share the mean surface SMCD over artefacts and repeats came down."""
+        return 1.0 - float(_smcd(self.after).mean() / _smcd(self.before).mean())
+
+    @property
+    def by_repeat(self) -> float:
+        """Standard uncertainty of the gain from what differs from repeat to repeat."""
+        gains = 1.0 - _smcd(self.after).mean(axis=0) / _smcd(self.before).mean(axis=0)
+        return float(np.std(gains, ddof=1) / np.sqrt(len(gains)))
+
+    @property
+    def by_sample(self) -> float:
+        """Standard uncertainty of the gain from the sample, which is one for all repeats."""
+        off = [
+            np.sqrt(np.mean([one[0].surface_spread_um ** 2 for one in found.values()]) / len(found))
+            / _smcd(found).mean()
+            for found in (self.before, self.after)
+        ]
+        return float((1.0 - self.gain) * np.hypot(*off))
+
+    @property
+    def uncertainty(self) -> float:
+        """All three together."""
+        return float(np.sqrt(self.by_repeat**2 + self.by_sample**2 + self.by_calibration**2))
+
+    def summary(self) -> dict[str, Any]:
+        """For a machine to read."""
+        return {
+            "gain": self.gain,
+            "uncertainty": self.uncertainty,
+            "by_repeat": self.by_repeat,
+            "by_sample": self.by_sample,
+            "by_calibration": self.by_calibration,
+            "before": _described(self.before),
+            "after": _described(self.after),
+        }
+
+
+def _smcd(found: Measured) -> Floats:
+    """Surface SMCD in µm, (artefacts, repeats)."""
+    return np.array([[figures.surface_smcd_um for figures in of_one] for of_one in found.values()])
+
+
+def _described(found: Measured) -> dict[str, Any]:
+    """Means over the repeats, of each artefact and of all."""
+    return {
+        "surface_smcd_um": float(_smcd(found).mean()),
+        "artefacts": {
+            name: {key: float(np.mean([asdict(one)[key] for one in of_one])) for key in asdict(of_one[0])}
+            for name, of_one in found.items()
+        },
+    }
+
+
+def confirm(
+    rig: str,
+    study: Study,
+    before: Plan,
+    after: Plan,
+    repeats: int = REPEATS,
+    progress: Progress = nothing,
+) -> Confirmation:
+    """Measure the artefacts of a study on a rig with two plans, `repeats` times each.
+
+    study: whose artefacts, calibrations of this rig and, where it moves the projector, way to compare.
+    Raises `ConfigError` for fewer than two repeats, or plans that differ in more than a candidate can; and
+    what measuring raises.
+    """
+    if repeats < 2:
+        raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
+    _check_alike(before, after)
+    evaluator = RigEvaluator(rig, study.model_copy(update={"start": before}), SAMPLES)
+    plans = candidate_of(before), candidate_of(after)
+    found: dict[tuple[int, str], list[Figures]] = defaultdict(list)
+    varied: dict[int, list[list[float]]] = defaultdict(list)
+    try:
+        others = _others(evaluator.calibrations)
+        turns = list(product(study.artefacts, range(repeats), (0, 1)))
+        for done, (name, repeat, which) in enumerate(turns):
+            asked = name, plans[which], FIRST_SEED + repeat
+            found[which, name].append(evaluator.figures(*asked))
+            if repeat == 0:  # while its frames are at hand
+                again = (evaluator.figures(*asked, other) for other in others)
+                varied[which].append([figures.surface_smcd_um for figures in again])
+            progress((done + 1) / len(turns))
+    finally:
+        evaluator.close()
+    old, new = ({name: tuple(found[which, name]) for name in study.artefacts} for which in (0, 1))
+    gains = 1.0 - np.mean(varied[1], axis=0) / np.mean(varied[0], axis=0)
+    return Confirmation(old, new, float(np.std(gains, ddof=1)) if others else 0.0)
+
+
+def _others(known: Calibrations) -> list[Calibrations]:
+    """Calibrations that could as well have been found."""
+    random = np.random.default_rng(0)
+    return [] if known.exact else [known.drawn(random) for _ in range(DRAWS)]
+
+
+def _check_alike(before: Plan, after: Plan) -> None:
+    """Refuse plans that differ in more than a candidate can: `ConfigError`."""
+    other = candidate_of(after).plan(before)
+    for name in type(before).model_fields:
+        if name != "fringes" and getattr(other, name) != getattr(after, name):
+            raise ConfigError(
+                f"the two plans differ in '{name}': they may in fringes, exposure_s and stage_mm alone"
+            )

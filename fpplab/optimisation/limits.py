@@ -1,0 +1,99 @@
+"""What a rig can do, as far as an arrangement asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from fpplab.conventions import Axis, axis_length
+from fpplab.errors import ConfigError
+from fpplab.optimisation.candidate import Candidate
+from fpplab.patterns import Pattern
+from fpplab.rig import Rig
+
+BITS = Pattern.bit_depth
+"""Depth in which fringes are shown."""
+
+
+@dataclass(frozen=True)
+class RigLimits:
+    """Limits of a rig.
+
+    name: the rig's own. size: the projector's (width, height). patterns: how many it holds. exposure_s:
+    (least, most) of projector and camera together. dead_s: between exposures. stage_mm: travel of its stage,
+    None without. turns: whether the projector can be turned, which only a simulation's can. items: what its
+    fixture holds, None where that is anything.
+    """
+
+    name: str
+    size: tuple[int, int]
+    patterns: int
+    exposure_s: tuple[float, float]
+    dead_s: float
+    stage_mm: tuple[float, float] | None
+    turns: bool
+    items: frozenset[str] | None
+
+    @classmethod
+    def of(cls, rig: Rig) -> RigLimits:
+        """Those of an open rig. Raises `ConfigError` when it has no fixture, or cannot show fringes."""
+        projector, camera = rig.projector.caps, rig.camera.caps
+        if BITS not in projector.bit_depths:
+            raise ConfigError(
+                f"{rig.file.name}: its projector shows {sorted(projector.bit_depths)} bits, not {BITS}"
+            )
+        held = rig.need_fixture("a search").caps.items
+        least, most = camera.exposure_s
+        return cls(
+            name=rig.file.name,
+            size=projector.size,
+            patterns=projector.max_patterns,
+            exposure_s=(max(least, projector.bit_depths[BITS]), most),
+            dead_s=camera.readout_s + camera.dark_s,
+            stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
+            turns=hasattr(rig.bench, "turn"),
+            items=None if held is None else frozenset(held),
+        )
+
+    @property
+    def images_per_second(self) -> float:
+        """The most."""
+        return 1.0 / (self.exposure_s[0] + self.dead_s)
+
+    def most_stripes(self, axis: Axis, pixels_per_period: float) -> float:
+        """The most along an axis, of periods at least so many projector pixels long."""
+        return axis_length(self.size, axis) / pixels_per_period
+
+    def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
+        """Every limit that the candidate is outside of, in words."""
+        for i, fringe in enumerate(candidate.fringes):
+            most = self.most_stripes(fringe.axis, pixels_per_period)
+            if fringe.stripes > most:
+                yield (
+                    f"'fringes[{i}].stripes' is {fringe.stripes:g}: at {pixels_per_period:g} projector "
+                    f"pixels per period at most {most:g} along {fringe.axis}"
+                )
+        if candidate.images > self.patterns:
+            yield f"{candidate.images} images: the projector holds at most {self.patterns} patterns"
+        least, longest = self.exposure_s
+        if not least <= candidate.exposure_s <= longest:
+            yield (
+                f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {least:g} s, which is "
+                f"{self.images_per_second:.4g} images per second, to {longest:g} s"
+            )
+        if candidate.stage_mm is not None:
+            yield from self._stage_refusals(candidate.stage_mm)
+        if candidate.convergence_deg and not self.turns:
+            yield f"'convergence_deg' is {candidate.convergence_deg:g}: its projector cannot be turned"
+
+    def _stage_refusals(self, mm: float) -> Iterator[str]:
+        if self.stage_mm is None:
+            yield f"'stage_mm' is {mm:g}: the rig has no stage"
+        elif not self.stage_mm[0] <= mm <= self.stage_mm[1]:
+            least, most = self.stage_mm
+            yield f"'stage_mm' is {mm:g}: the stage travels from {least:g} to {most:g} mm"
+
+    def check(self, candidate: Candidate, source: str) -> None:
+        """Raise `ConfigError` naming the first limit that a candidate is outside of."""
+        for reason in self.refusals(candidate):
+            raise ConfigError(f"{source}: {reason} (rig '{self.name}')")

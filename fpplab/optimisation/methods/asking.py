@@ -1,0 +1,77 @@
+"""optuna's samplers, asked for points and told what came of them, in rounds of fixed size."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.trial import TrialState
+
+from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.objectives import Trial
+from fpplab.optimisation.space import Parameter, Point
+
+TRIES = 50
+"""Points refused in a row, for each of a round, after which the sampler is said to find no more."""
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """optuna keeps its remarks to itself."""
+    before = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(before)
+
+
+def study_of(lab: Lab, sampler: Any) -> Any:
+    """An optuna study in memory: what it forgets, the journal answers again."""
+    return optuna.create_study(directions=["minimize"] * len(lab.space.study.objectives), sampler=sampler)
+
+
+def enqueue(study: Any, lab: Lab, points: Sequence[Point]) -> None:
+    """Have these asked first."""
+    for point in points:
+        named = zip(lab.space.parameters, point, strict=True)
+        study.enqueue_trial({p.name: int(v) if p.whole else v for p, v in named})
+
+
+def round_of(study: Any, lab: Lab, size: int) -> list[Trial]:
+    """`size` points that can be shown, asked together, measured, and told in the order asked.
+
+    What is refused is told as failed, and another asked in its place; empty when there is no other.
+    """
+    asked: list[tuple[Any, Point]] = []
+    for _ in range(TRIES * size):
+        trial = study.ask()
+        point = tuple(_suggested(trial, parameter) for parameter in lab.space.parameters)
+        if lab.admits(point):
+            asked.append((trial, point))
+        else:
+            study.tell(trial, state=TrialState.FAIL)
+        if len(asked) == size:
+            break
+    trials = lab.measure([point for _, point in asked])
+    for (trial, _), found in zip(asked, trials, strict=True):
+        if found.measured:
+            for limit, broken in lab.judge.violations(found).items():
+                trial.set_constraint(limit, broken)
+            study.tell(trial, lab.judge.values(found))
+        else:
+            study.tell(trial, state=TrialState.FAIL)
+    return trials
+
+
+def _suggested(trial: Any, parameter: Parameter) -> float:
+    if parameter.whole:
+        return float(trial.suggest_int(parameter.name, int(parameter.least), int(parameter.most)))
+    value = trial.suggest_float(parameter.name, parameter.least, parameter.most, log=parameter.ratio)
+    return parameter.tidy(value)

@@ -1,0 +1,369 @@
+"""The whole of a search: a study on a rig, its plans on disk, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab import config
+from fpplab.errors import ConfigError, DataError
+from fpplab.files import write_text
+from fpplab.measurement import CALIBRATION, REPORT, Progress, nothing
+from fpplab.optimisation.arrangement import characterise_positions
+from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.confirm import Confirmation, confirm
+from fpplab.optimisation.lab import Epoch, Lab, Observer, Spent, unseen
+from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.measuring import RigEvaluator
+from fpplab.optimisation.methods.bayesian import bayes
+from fpplab.optimisation.methods.coordinate import coordinates
+from fpplab.optimisation.methods.gradient import descend
+from fpplab.optimisation.methods.pareto import pareto
+from fpplab.optimisation.objectives import Figures, Judge, Trial, seed_means
+from fpplab.optimisation.scheduling import Opener, OpenRig, workers_of
+from fpplab.optimisation.space import Space
+from fpplab.optimisation.storage import Journal
+from fpplab.optimisation.study import Bayesian, CalibrationAt, Coordinate, Gradient, Study
+from fpplab.optimisation.what import What
+from fpplab.plan import Plan
+from fpplab.rig import Rig
+from fpplab.targets import Target
+
+JOURNAL = "study.jsonl"
+"""The journal in the folder of a front; that of a single plan is named as the plan."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the mean distance came down, each seed compared with itself.
+
+    uncertainty_um: standard uncertainty over the seeds, None with one.
+    """
+
+    down_um: float
+    uncertainty_um: float | None
+    down_percent: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search came to.
+
+    again: scores of plans with seeds that the search has not seen, which chose none of them. ended: why.
+    plans: files written, of a front in its order; planned: what they stand for.
+    """
+
+    study: Study
+    rig: str
+    space: Space
+    start: Trial
+    optimum: Trial
+    front: tuple[Trial, ...]
+    epochs: tuple[Epoch, ...]
+    trials: tuple[Trial, ...]
+    refused: dict[str, int]
+    again: dict[Candidate, tuple[Score, ...]]
+    ended: str
+    plans: tuple[Path, ...]
+    planned: tuple[Trial, ...]
+
+    @property
+    def judge(self) -> Judge:
+        """What the study makes of trials."""
+        return Judge(self.study, self.start.figures)
+
+    @property
+    def gain(self) -> Gain | None:
+        """Of the optimum over the start, with the other seeds; None where they measured nothing."""
+        return _gain(self.again[self.start.candidate], self.again[self.optimum.candidate])
+
+    def summary(self) -> dict[str, Any]:
+        """The figures for a machine to read, as the command line prints them."""
+        return {
+            "study": self.study.name,
+            "rig": self.rig,
+            "initial": self._described(self.start),
+            "optimum": self._described(self.optimum),
+            "gain": asdict(self.gain) if self.gain else None,
+            "epochs": len(self.epochs),
+            "ended": self.ended,
+            "images": self.optimum.candidate.images,
+            "front": [self._described(trial) for trial in self.front],
+            "candidates": len(self.trials),
+            "failed": sum(not trial.measured for trial in self.trials),
+            "refused": self.refused,
+            "convergence": [self._epoch(epoch) for epoch in self.epochs],
+        }
+
+    def _described(self, trial: Trial) -> dict[str, Any]:
+        scores = self.again.get(trial.candidate)
+        return {**trial.summary(), "again": asdict(Figures.of(scores)) if scores else None}
+
+    def _epoch(self, epoch: Epoch) -> dict[str, Any]:
+        best = epoch.best.figures
+        return {
+            "epoch": epoch.number,
+            "step": epoch.step,
+            "candidates": epoch.measured,
+            "surface_smcd_um": best.surface_smcd_um,
+            "images": best.images,
+        }
+
+
+def _gain(before: Sequence[Score], after: Sequence[Score]) -> Gain | None:
+    if not before or not after:
+        return None
+    first, then = (np.array(list(seed_means(scores).values())) for scores in (before, after))
+    down = first - then
+    return Gain(
+        down_um=float(down.mean()),
+        uncertainty_um=float(down.std(ddof=1) / np.sqrt(len(down))) if len(down) > 1 else None,
+        down_percent=float(100.0 * down.mean() / first.mean()),
+    )
+
+
+def optimise(
+    what: What,
+    rig: str,
+    study: Study,
+    out: Path,
+    source: str,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    opener: Opener | None = None,
+    observe: Observer = unseen,
+    progress: Progress = nothing,
+) -> Found:
+    """Search, and leave the plan in `out`, or a front's plans in the folder `out`.
+
+    Goes on where a journal beside them ends. source: names the study in complaints. opener: of the rig to
+    measure on, by default `rig` itself. Raises `ConfigError` for a study that fits neither `what` nor the
+    rig; `DataError` when no plan keeps the limits.
+    """
+    with Rig.load(rig) as opened:
+        limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
+        study.check_rig(limits.name, source)
+        _check_artefacts(study, limits, source)
+        space = Space.of(study, limits, source)
+        _check_what(what, space, source)
+        if scheduler is not None:  # told before the rig is characterised, which takes its time
+            workers_of(OpenRig(_absolute(rig), study), workers, scheduler).close()
+        if opener is None and not study.calibrations:
+            study = calibrated(opened, study, folder_of(out), progress)
+    journal = Journal(journal_of(what, out), study, file)
+    measuring = workers_of(opener or OpenRig(_absolute(rig), study), workers, scheduler)
+    try:
+        lab = Lab(space, measuring, journal, observe)
+        ended = _searched(lab)
+        optimum = lab.best
+        _check_wanted(lab, optimum)
+        front = tuple(lab.front)
+        chosen = list(dict.fromkeys(t.candidate for t in (lab.start, optimum, *front)))
+        again = dict(zip(chosen, lab.again(chosen, _other_seeds(study)), strict=True))
+    finally:
+        measuring.close()
+    planned = front if what is What.PARETO else (optimum,)
+    return Found(
+        study=study,
+        rig=limits.name,
+        space=space,
+        start=lab.start,
+        optimum=optimum,
+        front=front,
+        epochs=tuple(lab.epochs),
+        trials=tuple(lab.trials),
+        refused=dict(lab.refused),
+        again=again,
+        ended=ended,
+        plans=_save(what, out, study, limits, rig, planned),
+        planned=planned,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmed:
+    """A plan found, and the plan of the start, measured on a rig."""
+
+    rig: str
+    plan: Path
+    images: int
+    confirmation: Confirmation
+
+    def summary(self) -> dict[str, Any]:
+        """For a machine to read."""
+        return {
+            "rig": self.rig,
+            "plan": str(self.plan),
+            "images": self.images,
+            **self.confirmation.summary(),
+        }
+
+
+def check_confirmable(rig: str, study: Study, source: str) -> None:
+    """Refuse a rig that cannot hold the artefacts of a study: `ConfigError`."""
+    with Rig.load(rig) as opened:
+        _check_artefacts(study, RigLimits.of(opened), source)
+
+
+def confirm_found(
+    rig: str, found: Found, folder: Path, progress: Progress = nothing
+) -> tuple[Confirmed, ...]:
+    """Measure the artefacts on a rig with the plan of the start and with what was found.
+
+    Of a front the two ends and the middle. The rig is characterised in `folder` unless it is the one
+    searched on. Raises `ConfigError` for a plan outside the rig's limits, and what measuring raises.
+    """
+    chosen = sorted({0, len(found.plans) // 2, len(found.plans) - 1})
+    trials = [(found.plans[i], found.planned[i]) for i in chosen]
+    study = found.study
+    with Rig.load(rig) as opened:
+        limits = RigLimits.of(opened)
+        for path, trial in trials:
+            limits.check(trial.candidate, str(path))
+        if limits.name != found.rig:
+            study = calibrated(opened, study.model_copy(update={"calibrations": ()}), folder, progress)
+    return tuple(
+        Confirmed(
+            rig=limits.name,
+            plan=path,
+            images=trial.candidate.images,
+            confirmation=confirm(rig, study, study.start, Plan.load(path), progress=progress),
+        )
+        for path, trial in trials
+    )
+
+
+def _absolute(rig: str) -> str:
+    """The rig's file for a worker that runs elsewhere; the name of one that comes with fpplab stays."""
+    return str(Path(rig).resolve()) if Path(rig).exists() else rig
+
+
+def calibrated(rig: Rig, study: Study, folder: Path, progress: Progress = nothing) -> Study:
+    """The study with calibrations of the open rig, which is characterised wherever the stage may stand.
+
+    Sessions and calibrations stay in `folder`, and what is there already is kept.
+    """
+    searched, start = study.space.stage_mm, study.start.stage_mm
+    positions = [start] if searched is None else sorted({*searched, start or 0.0})
+    board = study.board
+    files = characterise_positions(
+        rig,
+        positions,
+        Plan.load(board.plan),
+        board.item,
+        Target.load(board.target),
+        board.poses,
+        folder / "board",
+        progress,
+    )
+    known = tuple(CalibrationAt(file=str(path.resolve()), stage_mm=mm) for mm, path in files.items())
+    return study.model_copy(update={"calibrations": known})
+
+
+def folder_of(out: Path) -> Path:
+    """Where what belongs to a search is kept: the folder of a front, or one named as the plan."""
+    return out.with_suffix("")
+
+
+def journal_of(what: What, out: Path) -> Path:
+    """Where the measurements of a search are kept."""
+    return out / JOURNAL if what is What.PARETO else out.with_suffix(".jsonl")
+
+
+def page_of(what: What, out: Path) -> Path:
+    """Where the report of a search goes."""
+    return out / REPORT if what is What.PARETO else out.with_suffix(".html")
+
+
+def plans_of(what: What, out: Path) -> list[Path]:
+    """The plans that a search has left, each of which says that it ended."""
+    return sorted(out.glob("plan_*.yaml")) if what is What.PARETO else [out] if out.exists() else []
+
+
+def _searched(lab: Lab) -> str:
+    method = lab.space.study.method
+    lab.epoch("start", [lab.start])
+    try:
+        match method:
+            case Gradient():
+                return descend(lab, method)
+            case Coordinate():
+                return coordinates(lab, method)
+            case Bayesian():
+                return bayes(lab, method)
+        return pareto(lab, method)
+    except Spent:
+        return f"the budget of {lab.space.study.budget} candidates is used up"
+
+
+def _other_seeds(study: Study) -> list[int]:
+    """As many that the search has not seen: what it chose, it chose for luck with its own, too."""
+    first = max(study.seeds) + 1
+    return list(range(first, first + len(study.seeds)))
+
+
+def _check_artefacts(study: Study, limits: RigLimits, source: str) -> None:
+    for name in study.artefacts:
+        if limits.items is not None and name not in limits.items:
+            raise ConfigError(
+                f"{source}: 'artefacts' names '{name}', and the fixture of rig '{limits.name}' holds "
+                f"{', '.join(sorted(limits.items))}"
+            )
+
+
+def _check_what(what: What, space: Space, source: str) -> None:
+    """Refuse a study that searches something else than is asked for."""
+    foreign = [p.name for p in space.parameters if p.group not in what.groups]
+    if foreign:
+        raise ConfigError(
+            f"{source}: 'space' searches {', '.join(foreign)}, which `optimise {what}` does not; use "
+            "`optimise pareto`, or leave them out"
+        )
+    if (what is What.PARETO) != (len(space.study.objectives) > 1):
+        wanted = "several" if what is What.PARETO else "one"
+        raise ConfigError(f"{source}: 'objectives' must name {wanted} for `optimise {what}`")
+
+
+def _check_wanted(lab: Lab, optimum: Trial) -> None:
+    broken = {name: by for name, by in lab.judge.violations(optimum).items() if by > 0}
+    if broken:
+        words = ", ".join(f"{name} by {by:.3g}" for name, by in broken.items())
+        raise DataError(
+            f"no plan of {len(lab.trials)} measured keeps the study's limits; the best breaks {words}"
+        )
+
+
+def _save(
+    what: What, out: Path, study: Study, limits: RigLimits, rig: str, planned: Sequence[Trial]
+) -> tuple[Path, ...]:
+    """Write the plans, and the calibration that holds where the stage puts the projector."""
+    paths = []
+    for number, trial in enumerate(planned, 1):
+        name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
+        path = out / name if what is What.PARETO else out
+        if study.space.stage_mm is not None and study.calibrations:
+            known = RigEvaluator(rig, study).calibrations
+            known.at(trial.candidate.stage_mm).save(path.with_name(f"{path.stem}_{CALIBRATION}"))
+        write_text(path, plan_text(study, limits.name, trial))
+        paths.append(path)
+    return tuple(paths)
+
+
+def plan_text(study: Study, rig: str, trial: Trial) -> str:
+    """The plan of a trial as a file that `fpplab scan` takes, headed by what it came to."""
+    found, candidate = trial.figures, trial.candidate
+    head = [
+        f"# Found by the study '{study.name}' on '{rig}': {found.surface_smcd_um:.2f} µm mean distance to "
+        f"the surface, {candidate.images} images."
+    ]
+    if candidate.convergence_deg:
+        head.append(f"# Turn the projector by {candidate.convergence_deg:g} degrees towards the camera.")
+    plan = candidate.plan(study.start)
+    shown = {"unwrapping": plan.unwrapping, "exposure_s": plan.exposure_s}
+    data = plan.model_dump(mode="json", exclude_defaults=True)
+    return "\n".join([*head, config.to_yaml({"fringes": data["fringes"], **shown, **data})])

@@ -1,0 +1,262 @@
+"""The search space: points of parameters, and the candidates that they stand for.
+
+A point that no rig can show is refused with its reason; it is never moved to one that can be shown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from fpplab.errors import ConfigError
+from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.study import Study
+from fpplab.optimisation.what import Group
+from fpplab.phase import check_unwrapping
+
+Point = tuple[float, ...]
+"""One value for each parameter of a space, in its own unit; of an axis its place among those to choose."""
+
+DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
+"""To which values are rounded, so that a plan is read easily."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One thing that is searched.
+
+    name: as in a study file. whole: integers alone. ratio: whether its ratios count and not its
+    differences.
+    """
+
+    name: str
+    group: Group
+    least: float
+    most: float
+    whole: bool = False
+    ratio: bool = False
+
+    def share(self, value: float) -> float:
+        """Where in its range a value lies, 0 … 1."""
+        if self.most == self.least:
+            return 0.0
+        if self.ratio:
+            return math.log(value / self.least) / math.log(self.most / self.least)
+        return (value - self.least) / (self.most - self.least)
+
+    def at(self, share: float) -> float:
+        """The value at a share of its range; whole or rounded."""
+        if self.ratio:
+            value = self.least * (self.most / self.least) ** share
+        else:
+            value = self.least + share * (self.most - self.least)
+        return self.tidy(value)
+
+    def tidy(self, value: float) -> float:
+        """The value as a candidate has it."""
+        if self.whole:
+            return float(round(value))
+        tidy = round(value, DECIMALS[self.name.partition("[")[0]])
+        return min(max(tidy, self.least), self.most)  # rounding alone must not leave the range
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies in the range."""
+        return self.least <= value <= self.most
+
+
+@dataclass(frozen=True)
+class Space:
+    """The parameters of a study on a rig, and the point where the search starts."""
+
+    study: Study
+    limits: RigLimits
+    parameters: tuple[Parameter, ...]
+    begin: Candidate
+    start: Point
+
+    @classmethod
+    def of(cls, study: Study, limits: RigLimits, source: str) -> Space:
+        """The space of a study on a rig. Raises `ConfigError` for one that is empty or contradictory."""
+        begin = _template(study, source)
+        parameters = tuple(p for p in _parameters(study) if p.least < p.most)
+        if not parameters:
+            raise ConfigError(f"{source}: 'space' leaves nothing to search; name a parameter and its bounds")
+        start = tuple(_value(p.name, study, begin, source) for p in parameters)
+        space = cls(study, limits, parameters, begin, start)
+        _check_bounds(space, source)
+        return space
+
+    def candidate(self, point: Point) -> Candidate:
+        """What a point stands for."""
+        values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
+        begin = self.begin
+        fringes = [
+            replace(
+                fringe,
+                steps=int(values.get(f"steps[{i}]", fringe.steps)),
+                stripes=values.get(f"stripes[{i}]", fringe.stripes),
+            )
+            for i, fringe in enumerate(begin.fringes)
+        ]
+        if "axis" in values:
+            axis = self.study.space.axis[int(values["axis"])]
+            fringes = [replace(fringe, axis=axis) for fringe in fringes]
+        count = int(values.get("sets", len(fringes)))
+        return Candidate(
+            fringes=tuple(fringes[:1] + fringes[len(fringes) - count + 1 :]),
+            exposure_s=values.get("exposure_s", begin.exposure_s),
+            stage_mm=values.get("stage_mm", begin.stage_mm),
+            convergence_deg=values.get("convergence_deg", begin.convergence_deg),
+        )
+
+    def refusal(self, candidate: Candidate) -> str | None:
+        """Why a candidate cannot be measured, or None."""
+        return next(self._refusals(candidate), None)
+
+    def _refusals(self, candidate: Candidate) -> Iterator[str]:
+        wanted = self.study.constraints
+        for axis in ("x", "y"):
+            stripes = [f.stripes for f in candidate.fringes if f.axis == axis]
+            if any(finer <= coarser for coarser, finer in pairwise(stripes)):
+                yield f"stripes along {axis} do not grow from set to set"
+        if wanted.images is not None and candidate.images > wanted.images:
+            yield f"more than {wanted.images} images"
+        yield from self.limits.refusals(candidate, wanted.pixels_per_period)
+
+    def of_group(self, *groups: Group) -> tuple[int, ...]:
+        """Places of the parameters of some groups."""
+        return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
+
+
+def _template(study: Study, source: str) -> Candidate:
+    """The start with as many sets as there may be. Raises `ConfigError` when it cannot start a search."""
+    plan, space = study.start, study.space
+    check_unwrapping(plan, source)
+    if any((f.shift_sign, f.phase_origin_rad, f.projector_size) != (1, 0.0, None) for f in plan.fringes):
+        raise ConfigError(f"{source}: 'start' has fringes made elsewhere, which no rig projects")
+    if (space.sets or space.axis) and len(plan.axes) > 1:
+        raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
+    fringes = [Fringes(f.axis, f.stripes, f.steps) for f in plan.fringes]
+    count = space.sets[1] if space.sets else len(fringes)
+    for name in ("steps", "stripes"):
+        given = len(getattr(space, name))
+        if given not in (0, count):
+            raise ConfigError(
+                f"{source}: 'space.{name}' has {given} bounds for {count} sets; give each its own, or null"
+            )
+    for i in range(1, count - len(fringes) + 1):
+        fringes.insert(i, _middle(study, i, source))
+    turned = 0.0 if space.convergence_deg is not None else None
+    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, turned)
+
+
+def _middle(study: Study, i: int, source: str) -> Fringes:
+    """A set that the start has not, in the middle of its bounds."""
+    steps, stripes = ((*getattr(study.space, name), None)[i] for name in ("steps", "stripes"))
+    if steps is None or stripes is None:
+        raise ConfigError(
+            f"{source}: 'space.sets' allows more sets than 'start' has, so 'steps[{i}]' and 'stripes[{i}]' "
+            "need bounds"
+        )
+    return Fringes(study.start.fringes[0].axis, math.sqrt(stripes[0] * stripes[1]), sum(steps) // 2)
+
+
+def _parameters(study: Study) -> Iterator[Parameter]:
+    space = study.space
+    if space.sets:
+        yield Parameter("sets", "steps", *space.sets, whole=True)
+    for i, steps in enumerate(space.steps):
+        if steps:
+            yield Parameter(f"steps[{i}]", "steps", *steps, whole=True)
+    for i, stripes in enumerate(space.stripes):
+        if stripes:
+            yield Parameter(f"stripes[{i}]", "stripes", *stripes, ratio=True)
+    if space.axis:
+        yield Parameter("axis", "stripes", 0, len(space.axis) - 1, whole=True)
+    if space.exposure_s:
+        yield Parameter("exposure_s", "light", *space.exposure_s, ratio=True)
+    if space.stage_mm:
+        yield Parameter("stage_mm", "geometry", *space.stage_mm)
+    if space.convergence_deg:
+        yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
+
+
+def _value(name: str, study: Study, begin: Candidate, source: str) -> float:
+    """A parameter's value at the start."""
+    kind, _, index = name.rstrip("]").partition("[")
+    if index:
+        return float(getattr(begin.fringes[int(index)], kind))
+    if kind == "sets":
+        return len(study.start.fringes)
+    if kind == "axis":
+        axis, choice = begin.fringes[0].axis, study.space.axis
+        return choice.index(axis) if axis in choice else -1
+    value = getattr(begin, kind)
+    if value is None:
+        raise ConfigError(f"{source}: 'space.{kind}' is searched, and 'start' has no {kind} to begin with")
+    return float(value)
+
+
+def _check_bounds(space: Space, source: str) -> None:
+    """Refuse bounds that contradict the start, each other, or the rig."""
+    study, start = space.study, space.start
+    for parameter, value in zip(space.parameters, start, strict=True):
+        if not parameter.holds(value):
+            raise ConfigError(
+                f"{source}: 'space.{parameter.name}' is [{parameter.least:g}, {parameter.most:g}]: it does "
+                f"not hold the start's {value:g}"
+            )
+    _check_stripes(space, source)
+    space.limits.check(space.candidate(start), f"{source}: 'start'")
+    for i, parameter in enumerate(space.parameters):
+        for bound in (parameter.least, parameter.most):
+            _check_reach(space, i, bound, source)
+    fewest, most = _fewest_images(space), study.constraints.images
+    if most is not None and fewest > most:
+        raise ConfigError(
+            f"{source}: 'constraints.images' is {most}, and 'space' has no plan of fewer than {fewest}"
+        )
+
+
+def _check_stripes(space: Space, source: str) -> None:
+    """Refuse a base that is searched, and bounds within which stripes cannot grow from set to set."""
+    bounds = space.study.space.stripes
+    reached: dict[str, float] = {}
+    for i, fringe in enumerate(space.begin.fringes):
+        given = bounds[i] if bounds else None
+        if given and fringe.axis not in reached:
+            raise ConfigError(f"{source}: 'space.stripes[{i}]' is the base, which is held: write null")
+        least, most = given or (fringe.stripes, fringe.stripes)
+        if most <= reached.get(fringe.axis, 0.0):
+            raise ConfigError(
+                f"{source}: 'space.stripes[{i}]' ends at {most:g}, and the set before begins at "
+                f"{reached[fringe.axis]:g}: stripes must grow from set to set"
+            )
+        reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
+
+
+def _check_reach(space: Space, i: int, bound: float, source: str) -> None:
+    """Refuse a bound that the rig cannot show, along whichever axis."""
+    names = [p.name for p in space.parameters]
+    point = list(space.start)
+    point[i] = bound
+    if "sets" in names:
+        point[names.index("sets")] = space.parameters[names.index("sets")].most
+    for axis in range(len(space.study.space.axis) or 1):
+        if "axis" in names:
+            point[names.index("axis")] = axis
+        reached = space.candidate(tuple(point))
+        for reason in space.limits.refusals(reached, space.study.constraints.pixels_per_period):
+            raise ConfigError(
+                f"{source}: 'space.{names[i]}' reaches {bound:g}, beyond rig '{space.limits.name}': {reason}"
+            )
+
+
+def _fewest_images(space: Space) -> int:
+    given, sets = space.study.space.steps, space.study.space.sets
+    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.begin.fringes)]
+    count = sets[0] if sets else len(least)
+    return sum(bounds[0] for bounds in (least[:1] + least[len(least) - count + 1 :]))

@@ -1,0 +1,90 @@
+"""What was measured, on disk before it is used: one JSON line each, from which a killed search goes on.
+
+Searches are deterministic: run again, one asks for the same candidates in the same order, and is answered
+from here until it reaches what was not measured yet. So nothing else of its state needs to be kept.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from fpplab import __version__, config
+from fpplab.errors import ConfigError, DataError
+from fpplab.files import append_line
+from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.study import Study
+
+MEASURED_BY = ("artefacts", "start", "calibrations")
+"""What of a study its measurements depend on."""
+
+Outcome = tuple[Score, ...] | str
+"""Scores of the artefacts, or why nothing came of measuring them."""
+
+_candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
+
+
+class Journal:
+    """The measurements of one study on one rig, the latter as its file says.
+
+    Raises `ConfigError` when the file holds those of another, `DataError` when it is damaged.
+    """
+
+    def __init__(self, path: Path, study: Study, rig: dict[str, Any]) -> None:
+        self.path = path
+        plain = study.model_dump(mode="json")
+        self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in MEASURED_BY}}
+        self._known: dict[tuple[Candidate, int], Outcome] = {}
+        if path.is_file():
+            self._read()
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def get(self, candidate: Candidate, seed: int) -> Outcome | None:
+        """What is known of a candidate with one seed."""
+        return self._known.get((candidate, seed))
+
+    def add(self, candidate: Candidate, seed: int, outcome: Outcome) -> None:
+        """Put one on disk before returning."""
+        if not (self.path.is_file() and self.path.stat().st_size):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.touch()
+            append_line(self.path, json.dumps({**self._header, "fpplab": __version__}))
+        found: dict[str, Any] = (
+            {"failed": outcome} if isinstance(outcome, str) else {"scores": [asdict(s) for s in outcome]}
+        )
+        append_line(self.path, json.dumps({"candidate": asdict(candidate), "seed": seed, **found}))
+        self._known[candidate, seed] = outcome
+
+    def _read(self) -> None:
+        whole = self.path.read_bytes()
+        kept = whole[: whole.rfind(b"\n") + 1]
+        if kept != whole:
+            self.path.write_bytes(kept)  # a torn last line is a measurement that was not recorded
+        for number, line in enumerate(kept.splitlines(), 1):
+            try:
+                data = json.loads(line)
+                if number == 1:
+                    self._check_header(data)
+                else:
+                    self._known[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(data)
+            except (ValidationError, ValueError, KeyError, TypeError) as error:
+                words = config.describe(error) if isinstance(error, ValidationError) else str(error)
+                raise DataError(f"{self.path} line {number}: is no measurement ({words})") from error
+
+    def _check_header(self, found: dict[str, Any]) -> None:
+        for name, own in self._header.items():
+            if found.get(name) != own:
+                raise ConfigError(
+                    f"{self.path}: holds the measurements of a study whose '{name}' is another; name another "
+                    "output, or add --force to begin anew"
+                )
+
+
+def _outcome(data: dict[str, Any]) -> Outcome:
+    return str(data["failed"]) if "failed" in data else _scores.validate_python(data["scores"])

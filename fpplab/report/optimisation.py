@@ -1,0 +1,338 @@
+"""A search as a page: before and after, convergence, the front, each parameter, and maps of error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure as Sheet
+from matplotlib.ticker import LogFormatter, MaxNLocator
+
+from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.measuring import RigEvaluator
+from fpplab.optimisation.objectives import Figures, Trial
+from fpplab.optimisation.run import Confirmed, Found
+from fpplab.optimisation.scoring import Figures as Measured
+from fpplab.optimisation.space import Parameter
+from fpplab.report.drawing import ACCENT, ALARM, FULL, INK, SECOND, blank, pair, picture
+from fpplab.report.figures import error_map
+from fpplab.report.page import Figure, Section, Table, write_page
+
+DISTANCE = "mean distance to the surface, µm"
+FAINT = "#9aa1a9"
+COLUMNS = (
+    "Plan",
+    "Images",
+    "Stripes",
+    "Steps",
+    "Stage in mm",
+    "Surface SMCD in µm",
+    "with other seeds",
+    "Worst seed",
+    "Surface RMS in µm",
+    "SMCD (floor) in µm",
+    "Completeness",
+    "Wrong orders",
+    "Filtered",
+    "Seconds",
+)
+
+Maps = Mapping[str, tuple[bytes, bytes]]
+"""Of each artefact the picture of its errors, PNG, with the start's plan and with the one found."""
+
+
+CONFIRMED = (
+    "Plan",
+    "Images",
+    "Before in µm",
+    "After in µm",
+    "Gain",
+    "Uncertainty",
+    "by repeats",
+    "by sample",
+    "by calibration",
+)
+
+
+def write_optimisation_report(
+    path: Path, found: Found, confirmed: Sequence[Confirmed] = (), maps: Maps | None = None
+) -> None:
+    """Write a search as one HTML file. Raises `DataError`."""
+    sections = [_confirmed_section(confirmed)] if confirmed else []
+    sections.append(_convergence_section(found))
+    if len(found.front) > 1:
+        sections.append(_front_section(found))
+    sections += [
+        _parameter_section(found),
+        *(_map_section(name, *both) for name, both in (maps or {}).items()),
+    ]
+    write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
+
+
+def error_maps(rig: str, found: Found) -> Maps:
+    """Every artefact measured once more on the rig of the search, before and after."""
+    evaluator = RigEvaluator(rig, found.study)
+    seed = found.study.seeds[0]
+    try:
+        return {
+            name: (
+                _errors(evaluator, name, found.start.candidate, seed),
+                _errors(evaluator, name, found.optimum.candidate, seed),
+            )
+            for name in found.study.artefacts
+        }
+    finally:
+        evaluator.close()
+
+
+def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:
+    cloud, found = evaluator.compared(name, candidate, seed)
+    return error_map(cloud, found.distances_mm, found.counted)
+
+
+def _facts(found: Found) -> dict[str, str]:
+    failed = sum(not trial.measured for trial in found.trials)
+    facts = {
+        "Rig": found.rig,
+        "Artefacts": ", ".join(found.study.artefacts),
+        "Method": found.study.method.kind,
+        "Ended": found.ended,
+        "Candidates": f"{len(found.trials)}, with {len(found.study.seeds)} seeds each; {failed} in vain",
+    }
+    if found.refused:
+        facts["Refused"] = "; ".join(f"{reason} ({count})" for reason, count in found.refused.items())
+    if gain := found.gain:
+        spread = "" if gain.uncertainty_um is None else f" ± {gain.uncertainty_um:.2g}"
+        facts["Gain"] = (
+            f"{gain.down_um:.2f}{spread} µm, {gain.down_percent:.1f} %, with seeds not searched with"
+        )
+    return facts
+
+
+def _summary(found: Found) -> list[Table]:
+    rows = [_row("start", found.start, found), _row("found", found.optimum, found)]
+    if len(found.front) > 1:
+        rows += [_row(f"front {i}", trial, found) for i, trial in enumerate(found.front, 1)]
+    caption = (
+        "Means over artefacts and seeds, ± standard deviation over the seeds. Surface SMCD: symmetric mean "
+        "distance between points and true surface. SMCD: the same between points and points, with what a "
+        "perfect measurement would score. Other seeds: those that chose no plan."
+    )
+    return [Table(COLUMNS, tuple(rows), caption)]
+
+
+def _row(name: str, trial: Trial, found: Found) -> tuple[str, ...]:
+    figures, candidate = trial.figures, trial.candidate
+    again = found.again.get(candidate)
+    stage = candidate.stage_mm
+    return (
+        name,
+        str(figures.images),
+        ", ".join(f"{f.stripes:g}" for f in candidate.fringes),
+        ", ".join(str(f.steps) for f in candidate.fringes),
+        "" if stage is None else f"{stage:g}",
+        _with_spread(figures),
+        _with_spread(Figures.of(again)) if again else "",
+        f"{figures.worst_smcd_um:.2f}",
+        f"{figures.surface_rms_um:.2f}",
+        f"{figures.smcd_um:.1f} ({figures.smcd_floor_um:.1f})",
+        f"{figures.completeness:.4f}",
+        f"{100 * figures.wrong_orders:.3f} %",
+        f"{100 * figures.outliers:.2f} %",
+        f"{figures.seconds:.2f}",
+    )
+
+
+def _with_spread(figures: Figures) -> str:
+    spread = "" if figures.smcd_spread_um is None else f" ± {figures.smcd_spread_um:.2g}"
+    return f"{figures.surface_smcd_um:.2f}{spread}"
+
+
+def _confirmed_section(confirmed: Sequence[Confirmed]) -> Section:
+    rows = []
+    for one in confirmed:
+        known = one.confirmation
+        parts = (known.gain, known.uncertainty, known.by_repeat, known.by_sample, known.by_calibration)
+        means = (f"{_mean_um(figures):.2f}" for figures in (known.before, known.after))
+        rows.append((one.plan.name, str(one.images), *means, *(f"{100 * part:.2f} %" for part in parts)))
+    text = f"The artefacts measured on '{confirmed[0].rig}' with the start's plan and with each plan found."
+    return Section("Confirmation", text, tables=(Table(CONFIRMED, tuple(rows)),))
+
+
+def _mean_um(measured: Mapping[str, Sequence[Measured]]) -> float:
+    return float(np.mean([one.surface_smcd_um for figures in measured.values() for one in figures]))
+
+
+def _convergence_section(found: Found) -> Section:
+    drawn = Figure.of(
+        convergence(found),
+        "Distance and images by candidate",
+        "Every candidate in the order measured, and the best until then; crosses break a limit.",
+        wide=True,
+    )
+    return Section("Convergence", figures=(drawn,))
+
+
+@picture
+def convergence(found: Found) -> Sheet:
+    """Mean distance and images of every candidate in the order measured, and of the best until then."""
+    figure, both = pair(3.0, (1.0, 1.0))
+    measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
+    best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
+    names: tuple[tuple[str, Callable[[Figures], float]], ...] = (
+        (DISTANCE, lambda figures: figures.surface_smcd_um),
+        ("images", lambda figures: figures.images),
+    )
+    for axes, (name, value) in zip(both, names, strict=True):
+        for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
+            chosen = [(i, value(t.figures)) for i, t in measured if found.judge.wanted(t) is keeps]
+            axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
+        axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
+        axes.set(xlabel="candidate", ylabel=name)
+    both[1].yaxis.set_major_locator(MaxNLocator(integer=True))
+    _from_least(both[0], [t.figures.surface_smcd_um for _, t in measured])
+    return figure
+
+
+def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+    return [a for a, _ in pairs], [b for _, b in pairs]
+
+
+def _from_least(axes: Axes, values: Sequence[float]) -> None:
+    """A scale on which distances of failed plans do not hide the others."""
+    if max(values) > 5 * min(values):
+        _ratios(axes.yaxis, axes.set_yscale)
+
+
+def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
+    """A logarithmic scale with plain numbers."""
+    scale("log")
+    for formatter in (axis.set_major_formatter, axis.set_minor_formatter):
+        formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2, 0.7)))
+
+
+def _front_section(found: Found) -> Section:
+    drawn = Figure.of(
+        front(found),
+        "Front of images and distance",
+        "Plans that no other is better than in everything, with the spread of seeds that chose none of them.",
+        wide=True,
+    )
+    return Section("Pareto front", figures=(drawn,))
+
+
+@picture
+def front(found: Found) -> Sheet:
+    """Mean distance against images: all candidates, and the front with its spread."""
+    figure = blank(FULL, 3.6)
+    axes = figure.subplots()
+    measured = [trial for trial in found.trials if trial.measured]
+    for keeps, mark, colour, words in (
+        (True, ".", FAINT, "measured"),
+        (False, "x", SECOND, "breaks a limit"),
+    ):
+        chosen = [
+            (t.figures.images, t.figures.surface_smcd_um) for t in measured if found.judge.wanted(t) is keeps
+        ]
+        axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=words)
+    images = [trial.figures.images for trial in found.front]
+    axes.plot(
+        images,
+        [t.figures.surface_smcd_um for t in found.front],
+        "o-",
+        color=ACCENT,
+        markersize=4,
+        label="front",
+    )
+    again = [(n, found.again[t.candidate]) for n, t in zip(images, found.front, strict=True)]
+    known = [(n, Figures.of(scores)) for n, scores in again if scores]
+    axes.errorbar(
+        [n for n, _ in known],
+        [figures.surface_smcd_um for _, figures in known],
+        yerr=[figures.smcd_spread_um or 0.0 for _, figures in known],
+        fmt="_",
+        color=INK,
+        capsize=2,
+        label="front, other seeds",
+    )
+    start = found.start.figures
+    axes.plot(start.images, start.surface_smcd_um, "s", color=ALARM, markersize=5, label="start")
+    axes.set(xlabel="images", ylabel=DISTANCE)
+    _from_least(axes, [t.figures.surface_smcd_um for t in measured])
+    axes.legend()
+    return figure
+
+
+def _parameter_section(found: Found) -> Section:
+    figures = []
+    for i, parameter in enumerate(found.space.parameters):
+        caption = (
+            f"Every candidate against {parameter.name}, with the spread of its seeds; crosses break a limit."
+        )
+        figures.append(Figure.of(along(found, i, parameter), f"Distance against {parameter.name}", caption))
+        if parameter.group == "geometry":
+            caption = (
+                "What a wider baseline trades: the share of the surface that is measured, which shadow takes "
+                "away, and the RMS of what is measured."
+            )
+            figures.append(
+                Figure.of(shadow(found, i, parameter), f"Shadow against {parameter.name}", caption)
+            )
+    return Section("Parameters", figures=tuple(figures))
+
+
+@picture
+def shadow(found: Found, i: int, parameter: Parameter) -> Sheet:
+    """Completeness and RMS of every candidate against one parameter of the geometry."""
+    figure = blank(FULL / 2, 3.0)
+    axes = figure.subplots()
+    rms = axes.twinx()
+    measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
+    values = [trial.point[i] for trial in measured]
+    mark = ".-" if len(found.space.parameters) == 1 else "."
+    axes.plot(values, [100 * t.figures.completeness for t in measured], mark, color=ACCENT, linewidth=0.8)
+    rms.plot(values, [t.figures.surface_rms_um for t in measured], mark, color=SECOND, linewidth=0.8)
+    axes.set_xlabel(parameter.name)
+    axes.set_ylabel("completeness, %", color=ACCENT)
+    rms.set_ylabel("RMS distance, µm", color=SECOND)
+    return figure
+
+
+@picture
+def along(found: Found, i: int, parameter: Parameter) -> Sheet:
+    """Mean distance of every candidate against one parameter, with the spread over seeds."""
+    figure = blank(FULL / 2, 3.0)
+    axes = figure.subplots()
+    measured = [trial for trial in found.trials if trial.measured]
+    for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
+        chosen = [trial for trial in measured if found.judge.wanted(trial) is keeps]
+        axes.errorbar(
+            [trial.point[i] for trial in chosen],
+            [trial.figures.surface_smcd_um for trial in chosen],
+            yerr=[trial.figures.smcd_spread_um or 0.0 for trial in chosen],
+            fmt=mark,
+            color=colour,
+            elinewidth=0.6,
+            markersize=4,
+        )
+    for trial, colour, words in ((found.start, ALARM, "start"), (found.optimum, ACCENT, "found")):
+        axes.plot(trial.point[i], trial.figures.surface_smcd_um, "o", color=colour, markersize=5, label=words)
+    axes.set(xlabel=parameter.name, ylabel=DISTANCE)
+    if parameter.ratio:
+        _ratios(axes.xaxis, axes.set_xscale)
+    _from_least(axes, [trial.figures.surface_smcd_um for trial in measured])
+    axes.legend()
+    return figure
+
+
+def _map_section(name: str, before: bytes, after: bytes) -> Section:
+    figures = tuple(
+        Figure.of(
+            png, f"Errors of the {name}, {words}", f"{words.capitalize()}: signed distance from the surface."
+        )
+        for png, words in ((before, "with the start's plan"), (after, "with the plan found"))
+    )
+    return Section(f"Artefact {name}", figures=figures)

@@ -1,0 +1,38 @@
+"""An item that trembles: what the camera sees of it, to first order in the displacement.
+
+Pictures of the item at rest and displaced along each axis once serve any number of frames, where every frame
+by itself would need a render. Displacements are a small part of a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fpplab.conventions import Floats
+from fpplab.geometry import RigidTransform
+from sim.build import Setup
+from sim.light import Light, Picture, Show
+
+
+def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup, ...]:
+    """The item of a set-up, whose pose is T_camera_item, moved by so much along each of the camera's axes."""
+    places = [RigidTransform(pose.rotation, pose.translation + step_mm * axis) for axis in np.eye(3)]
+    return tuple(replace(setup, held=place) for place in places)
+
+
+def shaken(
+    light: Light,
+    still: Setup,
+    moved: Sequence[Setup],
+    steps: Floats,
+    show: Show | None,
+    row_weights: Floats | None = None,
+) -> Picture:
+    """What `Light.irradiance` gives of the item displaced by `steps` (3,) times what `moved` is."""
+    picture = np.float32(1 - steps.sum()) * light.irradiance(still, show, row_weights)
+    for step, place in zip(steps.tolist(), moved, strict=True):
+        picture += np.float32(step) * light.irradiance(place, show, row_weights)
+    return np.maximum(picture, 0, out=picture)

@@ -1,0 +1,139 @@
+"""A whole search from study to plans and page, on a formula behind the limits of a real rig file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fpplab import config
+from fpplab.errors import ConfigError, DataError, LimitError
+from fpplab.live import Viewer
+from fpplab.measurement import take
+from fpplab.optimisation.lab import Epoch
+from fpplab.optimisation.run import Found, optimise
+from fpplab.optimisation.study import Study
+from fpplab.optimisation.what import What
+from fpplab.plan import Plan
+from fpplab.report.optimisation import write_optimisation_report
+from fpplab.rig import Rig
+from tests.unit.searching import FRINGES, Formula, study
+
+ITEMS = ["pyramid", "steps"]
+START = {"fringes": [{**fringe, "steps": 5} for fringe in FRINGES], "stage_mm": 0.0}
+FRONT: dict[str, Any] = {
+    "artefacts": ITEMS,
+    "start": START,
+    "space": {"steps": [None, None, [3, 9]], "stage_mm": [-40, 40]},
+    "objectives": ["surface_smcd_um", "images"],
+    "method": {"kind": "nsga2", "population": 8},
+}
+
+
+def searched(what: What, wanted: Study, out: Path, **more: Any) -> Found:
+    return optimise(what, "rig_demo", wanted, out, "study.yaml", opener=Formula(noise_um=1.0), **more)
+
+
+def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
+    seen: list[Epoch] = []
+    found = searched(What.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
+    assert [p.name for p in found.plans] == [
+        f"plan_{i:02d}_{n}images.yaml" for i, n in enumerate(range(19, 12, -1), 1)
+    ]
+    for path, trial in zip(found.plans, found.front, strict=True):
+        assert Plan.load(path) == trial.candidate.plan(found.study.start)
+        assert Plan.load(path).stage_mm == pytest.approx(20.0, abs=2.0)
+    summary = found.summary()
+    assert summary["epochs"] == len(seen) == len(summary["convergence"])
+    assert [one["images"] for one in summary["front"]] == list(range(19, 12, -1))
+    write_optimisation_report(tmp_path / "page.html", found)
+    page = (tmp_path / "page.html").read_text()
+    for words in ("Pareto front", "Convergence", "Distance against steps[2]", "Shadow against stage_mm"):
+        assert words in page
+
+
+def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    wanted = study(artefacts=ITEMS, seeds=[3, 7])
+    found = optimise(
+        What.STRIPES, "rig_demo", wanted, tmp_path / "p.yaml", "s", opener=Formula(log=log, noise_um=1.0)
+    )
+    seeds = [int(line.split()[1]) for line in log.read_text().splitlines()]
+    assert set(seeds) == {3, 7, 8, 9}
+    assert seeds.count(8) == seeds.count(9) == 2  # of the start and of the optimum
+    assert found.gain is not None
+    # The noise is one for all candidates, so the gain has none.
+    assert found.gain.down_um == pytest.approx(
+        found.start.figures.surface_smcd_um - found.optimum.figures.surface_smcd_um, abs=1e-9
+    )
+    assert found.gain.uncertainty_um == pytest.approx(0.0, abs=1e-9)
+
+
+def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
+    wanted = study(artefacts=ITEMS, constraints={"smcd_of_start": 0.5}, budget=40)
+    with pytest.raises(DataError, match="keeps the study's limits; the best breaks surface_smcd_um by"):
+        searched(What.STRIPES, wanted, tmp_path / "p.yaml")
+    assert not (tmp_path / "p.yaml").exists()
+    assert (tmp_path / "p.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("what", "changes", "words"),
+    [
+        (What.PHASES, {"artefacts": ITEMS}, r"searches stripes\[1\], stripes\[2\], which `optimise phases`"),
+        (What.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
+        (What.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
+        (What.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
+    ],
+)
+def test_a_study_for_something_else_is_refused(
+    tmp_path: Path, what: What, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        searched(what, study(**changes), tmp_path / "p.yaml")
+
+
+def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> None:
+    start = {"fringes": FRINGES, "filter": None, "settle_s": 0.05, "masks": {"modulation_min": 7.0}}
+    wanted = study(artefacts=ITEMS, start=start, constraints={"completeness_of_start": 0.9}, budget=12)
+    found = searched(What.STRIPES, wanted, tmp_path / "p.yaml")
+    written = Plan.load(tmp_path / "p.yaml")
+    assert written == found.optimum.candidate.plan(wanted.start)
+    assert written.filter is None
+    assert written.masks.modulation_min == 7.0
+
+
+def test_a_search_shows_in_the_viewer(tmp_path: Path) -> None:
+    with Viewer.open(tmp_path / "search.rrd") as viewer:
+        searched(
+            What.BASELINE,
+            study(artefacts=ITEMS, space={"stage_mm": [-40, 40]}),
+            tmp_path / "p.yaml",
+            observe=viewer.search,
+        )
+        assert viewer.fault is None
+    assert (tmp_path / "search.rrd").stat().st_size > 1000
+
+
+def test_a_plan_says_where_the_stage_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
+    stood: list[float] = []
+
+    def acquired(rig: Rig, *others: object) -> None:
+        assert rig.stage is not None
+        stood.append(rig.stage.position_mm)
+
+    monkeypatch.setattr("fpplab.measurement.acquire", acquired)
+    with Rig.load("rig_demo_quick") as rig:
+        take(rig, plan, tmp_path / "s")
+        with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
+            rig.place_stage(61.0)
+    assert stood == [12.5]
+
+
+def test_a_plan_with_a_stage_needs_one() -> None:
+    with Rig.load("rig_demo_quick") as rig:
+        rig.stage = None
+        with pytest.raises(ConfigError, match="'stage' is missing, and the plan's stage_mm 5 needs one"):
+            rig.place_stage(5.0)
