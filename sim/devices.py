@@ -92,6 +92,7 @@ class VirtualBench:
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
         self._lit: Setup | None = None
+        self._trembling: tuple[Setup, tuple[Setup, ...]] | None = None
         self._draws: deque[int] = deque()
 
     def open(self) -> None:
@@ -122,7 +123,7 @@ class VirtualBench:
         """
         light = Light(world, self.blender, analytic=self._analytic)
         light.inherit(self.light)
-        self.world, self.light, self._lit = world, light, None
+        self.world, self.light, self._lit, self._trembling = world, light, None, None
 
     def twin(self, board: str) -> Twin:
         """A twin of a bench, nominally of this world, that looks at its item `board`; see `fpplab.matching`.
@@ -163,12 +164,17 @@ class VirtualBench:
         shake, start = random.standard_normal(3), random.uniform()
         weights, step = self._row_weights(show, settings, start), self.world.vibration_mm
         if step and setup.item != "nothing" and not self.light.computes(setup):
-            pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
-            return shaken(self.light, setup, displaced(setup, pose, step), shake, show, weights)
+            return shaken(self.light, setup, self._displaced(setup), shake, show, weights)
         if step:  # no render to save
             x, y, z = (step * shake).tolist()
             setup = replace(setup, shake_mm=(x, y, z))
         return self.light.irradiance(setup, show, weights)
+
+    def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
+        if self._trembling is None or self._trembling[0] != setup:
+            pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
+            self._trembling = (setup, displaced(setup, pose, self.world.vibration_mm))
+        return self._trembling[1]
 
     def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
         """Light of every binary plane in every row, when the shutter is open for broken periods."""

@@ -91,11 +91,12 @@ class SimTwin:
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
         still, step = Setup(item, held=pose), self._world.vibration_mm
+        moved = displaced(still, pose, step)
         pictures = []
         for n in range(len(shown)):
             if step:
                 random = np.random.default_rng([self._world.seed, self._frames_taken + n])
-                moved, shake = displaced(still, pose, step), random.standard_normal(3)
+                shake = random.standard_normal(3)
                 pictures.append(shaken(self._light, still, moved, shake, Show(shown, n)))
             else:
                 pictures.append(self._irradiance(still, shown, n))

@@ -18,7 +18,10 @@ from sim.light import Light, Picture, Show
 
 
 def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup, ...]:
-    """The item of a set-up, whose pose is T_camera_item, moved by so much along each of the camera's axes."""
+    """The item of a set-up, whose pose is T_camera_item, moved by so much along each of the camera's axes.
+
+    To be kept for the next frame: the light keeps pictures by these.
+    """
     places = [RigidTransform(pose.rotation, pose.translation + step_mm * axis) for axis in np.eye(3)]
     return tuple(replace(setup, held=place) for place in places)
 

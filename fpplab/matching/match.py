@@ -231,20 +231,20 @@ def _steps() -> Iterator[Step]:
 
 def _run(state: _State, limits: Limits, progress: Progress, observe: Observer) -> str:
     """Step until one of the limits; says which."""
-    idle, reached = 0, state.best.loss["loss_board"]
+    idle = 0
     for number, step in enumerate(_steps(), 1):
-        if number < len(state.epochs):
-            continue  # an earlier run took it
-        if number > limits.epochs:
-            return f"after {limits.epochs} epochs"
-        if state.seconds > limits.seconds:
-            return f"after {state.seconds:.0f} s"
-        progress(min(1.0, number / (len(FIRST) + 2 * len(AGAIN))))
-        _take(state, step, observe)
+        if number >= len(state.epochs):  # not taken by an earlier run
+            if number > limits.epochs:
+                return f"after {limits.epochs} epochs"
+            if state.seconds > limits.seconds:
+                return f"after {state.seconds:.0f} s"
+            progress(min(1.0, number / (len(FIRST) + 2 * len(AGAIN))))
+            _take(state, step, observe)
         if number > len(FIRST) and (number - len(FIRST)) % len(AGAIN) == 0:
-            now = state.best.loss["loss_board"]
-            idle = idle + 1 if reached - now < limits.converged else 0
-            reached = now
+            before, after = (
+                _best(state.epochs[:end]).loss["loss_board"] for end in (number + 1 - len(AGAIN), number + 1)
+            )
+            idle = idle + 1 if before - after < limits.converged else 0
             if idle >= limits.patience:
                 return "converged"
     raise AssertionError("the steps have no end")
