@@ -193,5 +193,6 @@ def find(name: str | Path) -> Path:
             for candidate in (folder / path.name, folder / f"{path.name}.yaml"):
                 if candidate.is_file():
                     return candidate
-    known = sorted(p.name for folder in (package, checkout) if folder.is_dir() for p in folder.glob("*.yaml"))
-    raise ConfigError(f"{name}: there is no such file; fpplab brings {', '.join(known)}")
+    known = sorted({p.name for folder in (package, checkout) for p in folder.glob("*.yaml")})
+    alike = [other for other in known if other.split("_")[0] == path.name.split("_")[0]]
+    raise ConfigError(f"{name}: there is no such file; fpplab brings {', '.join(alike or known)}")

@@ -23,7 +23,7 @@ from fpplab.matching.twin import Parameters, Twin
 PIXELS = 20_000
 """Of a pose that are looked at."""
 ROUNDS = 3
-SETTLED = 1e-3
+SETTLED = 5e-3
 """Relative gain of a round from which it is the last."""
 HALVINGS = 4
 
