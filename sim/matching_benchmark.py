@@ -41,7 +41,6 @@ RESPONSE, SCANS, REFOCUSED = "response.yaml", "scans", "refocused"
 """Names in the folder of a recording, beside `BOARD`."""
 FEW, MOVED = 6, 2
 """Poses that a wrong twin is matched to, and how many of them were taken after the focus moved."""
-FOCUS_MOVED_MM = 40.0
 OFF_MM, OFF_DEG = 2.0, 1.0
 SCALE = 1.2
 
@@ -54,7 +53,10 @@ MOST_DELTA_UM, MOST_DELTA_PERCENT = 3.0, 10.0
 
 @dataclass(frozen=True)
 class Trial:
-    """What is recorded and matched: rig and plan files, how many poses of the board, which artefacts."""
+    """What is recorded and matched: rig and plan files, how many poses of the board, which artefacts.
+
+    focus_moved_mm: how far, for a bench that is none.
+    """
 
     hidden: str = "rig_hidden.yaml"
     twin: str = "rig_twin.yaml"
@@ -63,6 +65,7 @@ class Trial:
     poses: int = 20
     artefacts: tuple[str, ...] = ("pyramid", "pillars", "steps")
     limits: Limits = field(default_factory=Limits)
+    focus_moved_mm: float = 40.0
 
     @property
     def few(self) -> int:
@@ -94,16 +97,16 @@ def record(folder: Path, trial: Trial = FULL) -> None:
                 out = folder / SCANS / item
                 take(rig, scan_plan, out, (item, 0), complete_too=True, progress=report)
         with console.progress(f"Recording {MOVED} poses with the focus moved"):
-            rig.bench.become(_refocused(rig.bench.world))
+            rig.bench.become(_refocused(rig.bench.world, trial.focus_moved_mm))
             for pose in range(trial.few - MOVED, trial.few):
                 out = folder / REFOCUSED / f"pose_{pose:02d}"
                 take(rig, plan, out, (BOARD, pose), complete_too=True)
 
 
-def _refocused(world: World) -> World:
+def _refocused(world: World, further_mm: float) -> World:
     focus = world.camera.focus_mm
     assert focus is not None
-    camera = world.camera.model_copy(update={"focus_mm": focus + FOCUS_MOVED_MM})
+    camera = world.camera.model_copy(update={"focus_mm": focus + further_mm})
     return world.model_copy(update={"camera": camera})
 
 

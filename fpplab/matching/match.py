@@ -38,6 +38,8 @@ EXPLAINS = {
     "noise": "noise of the sensor and vibration",
 }
 """What is matched beyond the paper, by step."""
+FOCUSES = {"projector defocus", "depth of field"}
+"""Steps before which the twin is sharp where it need not be."""
 
 
 class Limits(Document):
@@ -137,6 +139,11 @@ class Matched:
     explained: dict[str, float]
     unexplained: float
     ended: str
+
+    @property
+    def focused(self) -> bool:
+        """Whether it lasted long enough for its edges to be compared with the bench's."""
+        return {epoch.step for epoch in self.epochs} >= FOCUSES
 
 
 @dataclass(eq=False)

@@ -153,7 +153,8 @@ def match_sessions(
         observe=observe,
     )
     wrong.check_alike(matched.final.loss, matched.unexplained)
-    wrong.check_sharpness(bench, twin)
+    if matched.focused:
+        wrong.check_sharpness(bench, twin)
     twin.become(nominal)
     before = evaluate(bench, twin, wanted.weights)
     rows = _table(bench, twin, wanted.weights, nominal, before, matched, gamma is not None)

@@ -261,8 +261,8 @@ IN_STEP = [
     Fault(
         "frames out of step are not noticed",
         ACQUISITION,
-        "    if not verdict.in_step:\n",
-        "    if False:\n",
+        "    if not verdict.in_step:\n        raise _out_of_step",
+        "    if False:\n        raise _out_of_step",
     ),
     Fault(
         "a slip in frames that prove nothing is not noticed",

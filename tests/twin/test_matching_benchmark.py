@@ -21,7 +21,10 @@ from sim.matching_benchmark import Trial, errors, figures, perturbed, record, tr
 from sim.world import World
 from tests.unit.plane_twin import nominal, tilted
 
-POSES, EPOCHS = 5, 2
+POSES, EPOCHS = 5, 5
+"""No fewer: the fifth is the last for a focus, and what moved one is told after it."""
+FOCUS_MOVED_MM = 80.0
+"""Twice as far as in the whole benchmark, for pixels twice as large."""
 RUNS = ("match", "match_perturbed")
 ERRORS = [f"it_{name}" for name in ("pose_position", "pose_angle", "baseline", "gamma", "black", "white")]
 
@@ -64,12 +67,14 @@ def results(folder: Path) -> dict[str, Result]:
         poses=POSES,
         artefacts=("pyramid",),
         limits=Limits(epochs=EPOCHS),
+        focus_moved_mm=FOCUS_MOVED_MM,
     )
     record(folder, trial)
     return {result.name: result for result in figures(folder, trial)}
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # the first to run records and matches for all
 def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> None:
     one = {
         "unlike_board": 0.05, "unlike_whole": 0.10, "loss_board": 0.045, "loss_whole": 0.085,
@@ -86,7 +91,7 @@ def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("run", RUNS)
 def test_a_small_bench_is_matched(results: dict[str, Result], run: str) -> None:
-    """In two epochs, so its lenses are not: of the rest the figures hold, and no pose is where none was."""
+    """In five epochs, so not all of its lenses are: of the rest the figures hold, and no pose is where none was."""
     for name in ("unlike_board", "unlike_whole", "loss_board", "loss_whole", "gamma"):
         assert results[f"{run}_{name}"].ratio > 1, name
     assert results[f"{run}_epochs"].value == EPOCHS
