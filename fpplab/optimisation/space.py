@@ -29,7 +29,7 @@ class Parameter:
     """One thing that is searched.
 
     name: as in a study file. whole: integers alone. ratio: whether its ratios count and not its
-    differences.
+    differences. every: between two values that may be asked for, None for all.
     """
 
     name: str
@@ -38,6 +38,7 @@ class Parameter:
     most: float
     whole: bool = False
     ratio: bool = False
+    every: float | None = None
 
     def share(self, value: float) -> float:
         """Where in its range a value lies, 0 … 1."""
@@ -59,6 +60,8 @@ class Parameter:
         """The value as a candidate has it."""
         if self.whole:
             return float(round(value))
+        if self.every is not None:
+            value = self.least + self.every * round((value - self.least) / self.every)
         tidy = round(value, DECIMALS[self.name.partition("[")[0]])
         return min(max(tidy, self.least), self.most)  # rounding alone must not leave the range
 
@@ -179,7 +182,7 @@ def _parameters(study: Study) -> Iterator[Parameter]:
     if space.exposure_s:
         yield Parameter("exposure_s", "light", *space.exposure_s, ratio=True)
     if space.stage_mm:
-        yield Parameter("stage_mm", "geometry", *space.stage_mm)
+        yield Parameter("stage_mm", "geometry", *space.stage_mm, every=space.stage_every_mm)
     if space.convergence_deg:
         yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
 

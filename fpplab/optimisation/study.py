@@ -40,7 +40,8 @@ class SpaceFile(Document):
 
     sets: how many fringe sets. steps, stripes: of each set, null where it is held; with `sets` as many as
     the most, and fewer sets are the base and the last ones. axis: those to choose from. stage_mm: the
-    baseline. convergence_deg: turn of the projector towards the camera from how it stands.
+    baseline; stage_every_mm: its positions from the least on, all if None: candidates at one position share
+    what is rendered there. convergence_deg: turn of the projector towards the camera from how it stands.
     """
 
     sets: tuple[Annotated[int, Field(ge=1, le=8)], Annotated[int, Field(ge=1, le=8)]] | None = None
@@ -49,6 +50,7 @@ class SpaceFile(Document):
     axis: tuple[Axis, ...] = ()
     exposure_s: Positives | None = None
     stage_mm: Range | None = None
+    stage_every_mm: Positive | None = None
     convergence_deg: Range | None = None
 
     @model_validator(mode="after")
@@ -56,6 +58,8 @@ class SpaceFile(Document):
         for name, bounds in self.bounds():
             if not bounds[0] <= bounds[1]:
                 raise ValueError(f"'{name}' is {list(bounds)}: the first must not exceed the second")
+        if self.stage_every_mm and self.stage_mm is None:
+            raise ValueError("'stage_every_mm' is given without 'stage_mm'")
         if len(set(self.axis)) < len(self.axis):
             raise ValueError(f"'axis' is {list(self.axis)}: names an axis twice")
         return self

@@ -79,6 +79,13 @@ def test_a_value_and_its_share_are_one(share: float, bounds: tuple[float, float]
     assert parameter.share(value) == pytest.approx(share, abs=slack + 1e-9)
 
 
+@given(share=st.floats(0, 1))
+def test_a_stage_may_stand_in_few_places(share: float) -> None:
+    parameter = Parameter("stage_mm", "geometry", -60, 50, every=25)
+    assert parameter.at(share) in {-60, -35, -10, 15, 40, 50}
+    assert abs(parameter.at(share) - (-60 + 110 * share)) <= 12.5
+
+
 def test_start_is_the_starts_plan(tmp_path: Path) -> None:
     space = lab_of(tmp_path, **FRONT).space
     begin = space.candidate(space.start)
@@ -156,6 +163,7 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "objective unknown": ({"objectives": ["beauty"]}, "'objectives[0]' is 'beauty'"),
     "seed twice": ({"seeds": [1, 1]}, "names one twice"),
+    "places without a stage": ({"space": {"stage_every_mm": 5}}, "is given without 'stage_mm'"),
     "no stage at the start": (
         {"start": {"fringes": FRINGES}, "space": {"stage_mm": [-5, 5]}},
         "'start' has no stage_mm to begin with",
@@ -222,7 +230,8 @@ def _scores(table: dict[tuple[str, int], float], **others: Any) -> tuple[Score, 
         "completeness": 0.9, "wrong_orders": 0.0, "outliers": 0.0, "seconds": 1.0,
     }  # fmt: skip
     return tuple(
-        Score(name, seed, surface_smcd_um=um, **{**plain, **others}) for (name, seed), um in table.items()
+        Score(artefact=name, seed=seed, surface_smcd_um=um, **{**plain, **others})
+        for (name, seed), um in table.items()
     )
 
 
@@ -301,6 +310,14 @@ def test_coordinates_find_the_baseline(tmp_path: Path) -> None:
     lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
     coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
     assert lab.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
+
+
+def test_what_is_searched_on_a_grid_stays_there(tmp_path: Path) -> None:
+    space = {"stage_mm": [-60, 60], "stage_every_mm": 10}
+    lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert lab.best.candidate.stage_mm == -30
+    assert {trial.candidate.stage_mm for trial in lab.trials} <= {*range(-60, 61, 10)}
 
 
 def test_coordinates_find_the_fewest_images(tmp_path: Path) -> None:
