@@ -163,7 +163,13 @@ def _shown(value: Any) -> str:
 
 def dump(document: Document) -> str:
     """The document as YAML text that `load` reads back."""
-    return to_yaml(document.model_dump(mode="json", exclude_none=True))
+    return to_yaml(plain(document))
+
+
+def plain(document: Document) -> dict[str, Any]:
+    """The document as plain data, such as JSON and YAML hold, without what is None."""
+    data: dict[str, Any] = document.model_dump(mode="json", exclude_none=True)
+    return data
 
 
 def to_yaml(data: Any) -> str:

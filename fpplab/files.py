@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO
 
@@ -81,6 +82,25 @@ def append_line(path: Path, line: str) -> None:
             raise
     except OSError as error:
         raise DataError(_cannot_write(path, error)) from error
+
+
+def whole_lines(path: Path) -> list[bytes]:
+    """The lines of a journal. What follows the last newline is torn, and no line."""
+    return path.read_bytes().split(b"\n")[:-1]
+
+
+def cut_torn_line(path: Path) -> None:
+    """Cut off what follows a journal's last newline, so that the next line is one of its own.
+
+    Looks at the end of the file alone. Raises `DataError` when the place cannot be written.
+    """
+    with writing(path):
+        if path.stat().st_size == 0:  # which cannot be mapped
+            return
+        with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as text:
+            end, whole = len(text), text.rfind(b"\n") + 1
+        if whole < end:
+            os.truncate(path, whole)
 
 
 def make_directory(path: Path, fill: Callable[[Path], object]) -> None:

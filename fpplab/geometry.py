@@ -64,6 +64,10 @@ class RigidTransform:
         """`T_a_b`."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
+    def moved(self, by: Floats) -> RigidTransform:
+        """The same turn, once a has moved by so much, (3,) in mm in frame b."""
+        return RigidTransform(self.rotation, self.translation + by)
+
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
         """`T_c_b @ T_b_a = T_c_a`."""
         return RigidTransform(

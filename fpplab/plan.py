@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -155,6 +156,11 @@ class Plan(Document):
         """Indices into `fringes` of the sets along one axis, fewest stripes first."""
         chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
         return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
+
+    @property
+    def set_starts(self) -> tuple[int, ...]:
+        """Indices of each set's first image, and of what would follow the last set, (S + 1,)."""
+        return tuple(accumulate((f.steps for f in self.fringes), initial=0))
 
     @property
     def finest_images(self) -> tuple[int, ...]:

@@ -144,6 +144,12 @@ def camera_slopes(camera: Pinhole) -> Floats:
         return _slopes[key]
 
 
+def camera_rays(camera: Pinhole) -> Floats:
+    """Rays (x/z, y/z, 1) of every pixel's centre, float64 (height, width, 3), by `camera_slopes`."""
+    slopes = camera_slopes(camera)
+    return np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1)
+
+
 def forget_cameras() -> None:
     """Drop the rays kept by `camera_slopes`."""
     with _lock:

@@ -129,7 +129,7 @@ class Rig:
         }
         if mounted is not None:
             resolved["mounted"] = {"item": mounted[0], "pose": mounted[1]}
-        return {**self.file.model_dump(mode="json", exclude_none=True), "resolved": resolved}
+        return {**config.plain(self.file), "resolved": resolved}
 
     def need_fixture(self, doing: str) -> Fixture:
         """The fixture, or a `ConfigError` that says what it is needed for."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import shutil
 from collections.abc import Callable, Container
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +32,15 @@ from fpplab.config import Document
 from fpplab.conventions import Image, Lattice, raw_dtype
 from fpplab.devices import CameraSettings, Frame
 from fpplab.errors import ConfigError, DataError
-from fpplab.files import append_line, make_directory, refuse_existing, write_parts, write_text
+from fpplab.files import (
+    append_line,
+    cut_torn_line,
+    make_directory,
+    refuse_existing,
+    whole_lines,
+    write_parts,
+    write_text,
+)
 from fpplab.plan import FringeSet, Plan
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
@@ -298,8 +305,7 @@ def _check_place(index: int, pattern: str, ids: list[str], taken: Container[int]
 def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
     ids = _pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
-    lines = (path / JOURNAL).read_bytes().split(b"\n")[:-1]  # what follows the last newline is torn
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(whole_lines(path / JOURNAL), 1):
         where = f"{path / JOURNAL} line {number}"
         try:
             record = FrameRecord.model_validate_json(line)
@@ -315,16 +321,10 @@ def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
 
 
 def _tidy(path: Path) -> None:
-    """Take away what a crash left: half a frame's file, and a torn last line of the journal.
-
-    The next record begins then a line of its own.
-    """
+    """Take away what a crash left: half a frame's file, and a torn last line of the journal."""
     for draft in (path / FRAMES).glob(".*"):
         draft.unlink()
-    with (path / JOURNAL).open("r+b") as stream:
-        text = stream.read()
-        stream.truncate(text.rfind(b"\n") + 1)
-        os.fsync(stream.fileno())
+    cut_torn_line(path / JOURNAL)
 
 
 def _remove(path: Path) -> None:

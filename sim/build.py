@@ -41,8 +41,7 @@ class Setup:
 def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
     """The scene with the item of `setup` in its pose, and the texture of its lamp. Raises `ConfigError`."""
     held = setup.held or item_poses(world, setup.item)[setup.pose]
-    pose = RigidTransform(held.rotation, held.translation + np.array(setup.shake_mm))
-    surface = item_surface(world, setup.item, pose)
+    surface = item_surface(world, setup.item, held.moved(np.array(setup.shake_mm)))
     box, camera = _bounding_box(surface), world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
     lamp, texture = _lamp(world, setup.T_projector_camera(world), box)

@@ -29,7 +29,7 @@ class SimStudio:
 
     def nominal(self) -> dict[str, Any]:
         """The world that scenes are variations of, without its items, which do not appear in them."""
-        return {name: part for name, part in _plain(self._nominal).items() if name not in _REPLACED}
+        return {name: part for name, part in config.plain(self._nominal).items() if name not in _REPLACED}
 
     def calibration(self, stage_mm: float) -> Calibration:
         """The true devices with the stage at `stage_mm`."""
@@ -46,7 +46,7 @@ class SimStudio:
 
     def world(self) -> dict[str, Any]:
         """The world as it is arranged."""
-        return _plain(self._bench.world)
+        return config.plain(self._bench.world)
 
     def truth(self) -> Truth:
         """The item's true surface, and the devices where the stage has put them."""
@@ -59,11 +59,6 @@ class SimStudio:
 
 _REPLACED = ("seed", "items", "mounted", "material", "materials", "ambient")
 """Parts of a world that every scene has its own of."""
-
-
-def _plain(world: World) -> dict[str, Any]:
-    data: dict[str, Any] = world.model_dump(mode="json", exclude_none=True)
-    return data
 
 
 def _world_of(nominal: World, scene: Scene) -> World:

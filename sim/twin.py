@@ -171,9 +171,9 @@ def _parameters_of(world: World, board: str, target: Target) -> Parameters:
 def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
     """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
     p, data = parameters, nominal.model_dump(mode="json")
-    data["calibration"] = _plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
+    data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
-        "poses": [_plain(PoseFile.of(pose)) for pose in p.poses],
+        "poses": [config.plain(PoseFile.of(pose)) for pose in p.poses],
         "reflectance": p.paper,
         "ink": p.ink,
     }
@@ -196,10 +196,6 @@ def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
     data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
     world = config.validate(data, World, "the twin's parameters")
     return _lit(world, p.white * brightest(nominal) / brightest(world))
-
-
-def _plain(document: config.Document) -> dict[str, Any]:
-    return document.model_dump(mode="json", exclude_none=True)
 
 
 def brightest(world: World) -> float:

@@ -22,8 +22,7 @@ def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup
 
     To be kept for the next frame: the light keeps pictures by these.
     """
-    places = [RigidTransform(pose.rotation, pose.translation + step_mm * axis) for axis in np.eye(3)]
-    return tuple(replace(setup, held=place) for place in places)
+    return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
 
 
 def shaken(

@@ -156,5 +156,5 @@ class Standard(Document):
                 limits[quantity.strip()] = float(value)
             except ValueError:
                 raise ConfigError(f"--mpe: '{assignment}' has no number after =, such as PF=50") from None
-        plain = {**self.model_dump(mode="json", exclude_none=True), "mpe_um": limits}
+        plain = {**config.plain(self), "mpe_um": limits}
         return config.validate(plain, Standard, "--mpe")

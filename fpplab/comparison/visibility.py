@@ -36,17 +36,12 @@ class Shape:
 
     def first(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
         """The face (N,) that rays from a centre along directions (N, 3) meet first, -1 without."""
-        origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
-        hits = self._scene.run(
-            np.ascontiguousarray(origins), directions.astype(np.float32), query="INTERSECT"
-        )
-        return np.asarray(hits, np.int64)
+        return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 
     def depth(self, centre: Floats, directions: Floats) -> Floats:
         """Distance in mm (N,) from the centre to the first hit along unit directions (N, 3), inf without."""
-        origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
         # The bindings answer misses with the largest length they start from.
-        hits = self._scene.run(np.ascontiguousarray(origins), directions.astype(np.float32), query="DISTANCE")
+        hits = self._scene.run(*_rays(centre, directions), query="DISTANCE")
         return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
 
     def lit(self, centre: Floats, points: Floats) -> Mask:
@@ -54,3 +49,9 @@ class Shape:
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
         return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)
+
+
+def _rays(centre: Floats, directions: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Origins and directions (N, 3) of rays from a centre, as the bindings take them."""
+    origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
+    return np.ascontiguousarray(origins), directions.astype(np.float32)

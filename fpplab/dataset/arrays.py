@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from fpplab.conventions import Image, axis_length, phase_of_coordinate
@@ -19,10 +21,9 @@ def arrays_of(
     devices = truth.calibration
     size = devices.projector.size
     decoded = decode(frames, plan, size, bits)
-    starts = np.cumsum([0, *(fringe.steps for fringe in plan.fringes)])
     wrapped = [
-        wrapped_phase(frames[start : start + fringe.steps], fringe).phase
-        for fringe, start in zip(plan.fringes, starts, strict=False)
+        wrapped_phase(frames[start:end], fringe).phase
+        for fringe, (start, end) in zip(plan.fringes, pairwise(plan.set_starts), strict=True)
     ]
     coordinates = {"x": labels.u, "y": labels.v}
     absolute = [

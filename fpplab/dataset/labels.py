@@ -9,7 +9,7 @@ import numpy as np
 from fpplab.comparison.visibility import Shape
 from fpplab.conventions import Floats, Map, Mask
 from fpplab.dataset.studio import Truth
-from fpplab.reconstruction import camera_slopes
+from fpplab.reconstruction import camera_rays
 
 GRAZING = 0.01
 """Cosine of incidence below which a surface counts as unseen: rays are traced in single precision, and the
@@ -35,8 +35,8 @@ class Labels:
 def labels_of(truth: Truth) -> Labels:
     """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
     devices, shape = truth.calibration, Shape(truth.mesh)
-    slopes = camera_slopes(devices.camera)
-    rays = np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1).reshape(-1, 3)
+    rays = camera_rays(devices.camera)
+    size, rays = rays.shape[:2], rays.reshape(-1, 3)
     faces = shape.first(np.zeros(3), rays)
     pixels = np.flatnonzero(faces >= 0)
     met, rays = faces[pixels], rays[pixels]
@@ -51,7 +51,6 @@ def labels_of(truth: Truth) -> Labels:
     points = depth[:, None] * rays
     lit = _lit(truth, shape, points, normals)
     coordinates = devices.projector.project(points[lit], devices.T_projector_camera)
-    size = slopes.shape[1:]
     mask = np.zeros(size, np.bool_)
     mask.flat[pixels[lit]] = True
     return Labels(

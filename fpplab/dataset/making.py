@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fpplab import config
 from fpplab.acquisition import expose
 from fpplab.conventions import Image
 from fpplab.dataset.arrays import arrays_of
@@ -51,7 +52,8 @@ class Maker:
 
     def __init__(self, rig: Rig, wanted: Wanted) -> None:
         check_unwrapping(wanted.plan, "plan")
-        wanted.plan.check_projector(rig.projector.caps.size, "plan")
+        caps = rig.projector.caps
+        self._patterns = make_patterns(wanted.plan, caps.size, caps.lattice)
         _check_ranges(rig, wanted.scenes)
         self._rig, self._wanted = rig, wanted
         self._studio: Studio = rig.bench.studio()
@@ -67,7 +69,7 @@ class Maker:
             "samples": wanted.samples,
             "shard_size": wanted.shard_size,
             "seed": wanted.seed,
-            "plan": wanted.plan.model_dump(mode="json", exclude_none=True),
+            "plan": config.plain(wanted.plan),
             "scenes": wanted.scenes.model_dump(mode="json", exclude={"licence"}),
             "rig": self._rig.described(),
             "world": self._studio.nominal(),
@@ -114,7 +116,7 @@ class Maker:
         record = {
             "index": index,
             "split": split_of(index),
-            "scene": scene.model_dump(mode="json", exclude_none=True),
+            "scene": config.plain(scene),
             "world": studio.world(),
         }
         return arrays, record
@@ -131,9 +133,7 @@ class Maker:
         # Noise counts from the camera's opening, so that a sample does not depend on those before it.
         rig.camera.close()
         rig.camera.open()
-        caps = rig.projector.caps
-        patterns = make_patterns(plan, caps.size, caps.lattice)
-        with closing(expose(rig, patterns, rig.camera_settings(scene.exposure_s), plan)) as shots:
+        with closing(expose(rig, self._patterns, rig.camera_settings(scene.exposure_s), plan)) as shots:
             return [shot.image for shot in shots]
 
 

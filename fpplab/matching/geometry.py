@@ -120,8 +120,7 @@ def _shaken(
     solve = np.linalg.solve(slopes.T @ slopes, slopes.T)[:3]
     for _ in range(SHAKES):
         own = own + solve @ residual
-        there = RigidTransform(held.rotation, held.translation + own)
-        twin.become(replace(start, poses=(*start.poses[: view.pose], there, *start.poses[view.pose + 1 :])))
+        twin.become(start.with_pose(view.pose, held.moved(own)))
         level = twin.expected(view.pose, bench.shown([view.images[image]]), bench.settings)[0]
         changed = np.where(view.clear[image], level[v, u] - view.expected[image], 0.0)
         residual = view.residual[image] - changed
@@ -232,9 +231,8 @@ def _shifted(start: Parameters, pose: int) -> list[tuple[Parameters, float, floa
     held = start.poses[pose]
     found = []
     for axis in range(2):
-        there = RigidTransform(held.rotation, held.translation + SHIFT_MM * held.rotation[:, axis])
-        poses = (*start.poses[:pose], there, *start.poses[pose + 1 :])
-        found.append((replace(start, poses=poses), SHIFT_MM, -1.0))
+        there = held.moved(SHIFT_MM * held.rotation[:, axis])
+        found.append((start.with_pose(pose, there), SHIFT_MM, -1.0))
     for axis in range(2):
         known = start.calibration
         matrix = known.projector.matrix.copy()

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.conventions import Floats, Image
-from fpplab.geometry import RigidTransform
 from fpplab.matching.bench import Bench
 from fpplab.matching.loss import board_mask, thinned
 from fpplab.matching.twin import Parameters, Twin
@@ -87,9 +86,8 @@ class _View:
         here, held = expected(now), now.poses[pose]
         slopes = []
         for axis in np.eye(3):
-            there = RigidTransform(held.rotation, held.translation + STEP_MM * axis)
-            moved = replace(now, poses=(*now.poses[:pose], there, *now.poses[pose + 1 :]))
-            slopes.append((expected(moved) - here) / STEP_MM)
+            there = now.with_pose(pose, held.moved(STEP_MM * axis))
+            slopes.append((expected(there) - here) / STEP_MM)
         return cls(v, u, here, np.stack(slopes, axis=-1))
 
     def taken_apart(self, frames: Sequence[Image]) -> tuple[Floats, Floats, Floats]:

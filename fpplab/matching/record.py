@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, ValidationError
 
@@ -16,7 +16,7 @@ from fpplab import config
 from fpplab.calibration import CalibrationFile, PoseFile
 from fpplab.config import Document
 from fpplab.errors import DataError
-from fpplab.files import append_line
+from fpplab.files import append_line, cut_torn_line, whole_lines
 from fpplab.gamma import Curve
 from fpplab.matching.twin import Parameters
 
@@ -94,7 +94,7 @@ class Record:
         if not path.is_file():
             return []
         epochs = []
-        for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], 1):
+        for number, line in enumerate(whole_lines(path), 1):
             try:
                 epochs.append(Epoch.model_validate_json(line))
             except ValidationError as error:
@@ -105,11 +105,6 @@ class Record:
         """Put one on disk before returning."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / EPOCHS
-        if path.is_file():
-            whole = path.read_bytes()
-            if not whole.endswith(b"\n") and whole:
-                path.write_bytes(whole[: whole.rfind(b"\n") + 1])
-        else:
-            path.touch()
-        plain: dict[str, Any] = epoch.model_dump(mode="json", exclude_none=True)
-        append_line(path, json.dumps(plain))
+        path.touch()
+        cut_torn_line(path)
+        append_line(path, json.dumps(config.plain(epoch)))

@@ -6,7 +6,7 @@ A rig's `bench` that has a twin gives it by `bench.twin(board)`, with the board 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -62,6 +62,10 @@ class Parameters:
     read_noise_e: float
     full_well_e: float
     vibration_mm: float
+
+    def with_pose(self, index: int, pose: RigidTransform) -> Parameters:
+        """The same but for one of the poses."""
+        return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 
 class Twin(Protocol):

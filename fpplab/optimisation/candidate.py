@@ -45,16 +45,13 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Score:
-    """One artefact measured once.
+class Accuracy:
+    """How far a measurement is from the true shape.
 
     Distances in µm; `completeness`, `wrong_orders` (points off by a fringe or more) and `outliers` (removed
-    by the filter) are shares. seconds: acquisition time on the real projector and camera.
+    by the filter) are shares.
     """
 
-    artefact: str
-    seed: int
-    images: int
     points: int
     surface_smcd_um: float
     smcd_um: float
@@ -63,6 +60,15 @@ class Score:
     completeness: float
     wrong_orders: float
     outliers: float
+
+
+@dataclass(frozen=True)
+class Score(Accuracy):
+    """One artefact measured once. seconds: acquisition time on the real projector and camera."""
+
+    artefact: str
+    seed: int
+    images: int
     seconds: float
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -343,14 +344,15 @@ def _save(
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""
     paths = []
-    for number, trial in enumerate(planned, 1):
-        name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
-        path = out / name if what is What.PARETO else out
-        if study.space.stage_mm is not None and study.calibrations:
-            known = RigEvaluator(rig, study).calibrations
-            known.at(trial.candidate.stage_mm).save(path.with_name(f"{path.stem}_{CALIBRATION}"))
-        write_text(path, plan_text(study, limits.name, trial))
-        paths.append(path)
+    with closing(RigEvaluator(rig, study)) as evaluator:
+        for number, trial in enumerate(planned, 1):
+            name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
+            path = out / name if what is What.PARETO else out
+            if study.space.stage_mm is not None and study.calibrations:
+                calibration = evaluator.calibrations.at(trial.candidate.stage_mm)
+                calibration.save(path.with_name(f"{path.stem}_{CALIBRATION}"))
+            write_text(path, plan_text(study, limits.name, trial))
+            paths.append(path)
     return tuple(paths)
 
 

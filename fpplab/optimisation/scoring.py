@@ -30,9 +30,10 @@ from fpplab.errors import DataError
 from fpplab.filtering import removal
 from fpplab.geometry import RigidTransform
 from fpplab.measurement import points_of
+from fpplab.optimisation.candidate import Accuracy
 from fpplab.phase import Decoded
 from fpplab.plan import Plan
-from fpplab.reconstruction import camera_slopes
+from fpplab.reconstruction import camera_rays, camera_slopes
 
 SAMPLES = 12_000
 """About as many pixels, and points of the true surface, are compared."""
@@ -51,20 +52,9 @@ Of the pixels around it too, because a pixel at an edge sees more than its centr
 
 
 @dataclass(frozen=True)
-class Figures:
-    """How far a measurement is from the true shape: as in `Score`.
+class Figures(Accuracy):
+    """surface_spread_um: standard error of `surface_smcd_um` by the choice of the sample."""
 
-    surface_spread_um: standard error of `surface_smcd_um` by the choice of the sample.
-    """
-
-    points: int
-    surface_smcd_um: float
-    smcd_um: float
-    smcd_floor_um: float
-    surface_rms_um: float
-    completeness: float
-    wrong_orders: float
-    outliers: float
     surface_spread_um: float
 
 
@@ -241,8 +231,7 @@ def _drawn(of: Mask, count: int | None, random: np.random.Generator) -> Mask:
 
 def _hits(shape: Shape, calibration: Calibration) -> Floats:
     """Where each pixel's ray meets the shape, (height, width, 3) in mm, NaN where it does not."""
-    slopes = camera_slopes(calibration.camera)
-    rays = np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1)
+    rays = camera_rays(calibration.camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     depth = shape.depth(np.zeros(3), rays.reshape(-1, 3)).reshape(rays.shape[:2])
     return np.asarray(rays * np.where(np.isfinite(depth), depth, np.nan)[..., None])

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from fpplab import __version__, config
 from fpplab.errors import ConfigError, DataError
-from fpplab.files import append_line
+from fpplab.files import append_line, cut_torn_line, whole_lines
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.study import Study
 
@@ -62,11 +62,8 @@ class Journal:
         self._known[candidate, seed] = outcome
 
     def _read(self) -> None:
-        whole = self.path.read_bytes()
-        kept = whole[: whole.rfind(b"\n") + 1]
-        if kept != whole:
-            self.path.write_bytes(kept)  # a torn last line is a measurement that was not recorded
-        for number, line in enumerate(kept.splitlines(), 1):
+        cut_torn_line(self.path)  # it is a measurement that was not recorded
+        for number, line in enumerate(whole_lines(self.path), 1):
             try:
                 data = json.loads(line)
                 if number == 1:

@@ -225,19 +225,13 @@ def _size(frame: Image) -> str:
     return f"{frame.shape[1]} x {frame.shape[0]}"
 
 
-def _set_starts(plan: Plan) -> NDArray[np.int64]:
-    """Where each set's frames start, and where the last set's end, (S + 1,)."""
-    return np.cumsum([0, *(f.steps for f in plan.fringes)])
-
-
 def _sample(images: list[Image], plan: Plan) -> list[Floats]:
     """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
     height, width = images[0].shape
     rows = max(1, height // _SAMPLE_ROWS)
     columns = max(1, height // rows * width // _SAMPLE_PIXELS)
     sampled = np.stack([f[rows // 2 :: rows, ::columns].ravel() for f in images]).astype(np.float64)
-    starts = _set_starts(plan)
-    return [sampled[a:b] for a, b in pairwise(starts)]
+    return [sampled[a:b] for a, b in pairwise(plan.set_starts)]
 
 
 def _allocate(pixels: int, plan: Plan) -> Maps:
@@ -310,9 +304,9 @@ def _frame_tables(
     images: list[Image], plan: Plan, grey: float
 ) -> tuple[NDArray[np.uintp], NDArray[np.float32], NDArray[np.int64]]:
     """Addresses and weights of the frames, each set's padded with frames of weight zero."""
-    starts, addresses, weights, first = _set_starts(plan), [], [], [0]
-    for fringe, start in zip(plan.fringes, starts, strict=False):
-        own = [images[start + n].ctypes.data for n in range(fringe.steps)]
+    addresses, weights, first = [], [], [0]
+    for fringe, (start, end) in zip(plan.fringes, pairwise(plan.set_starts), strict=True):
+        own = [image.ctypes.data for image in images[start:end]]
         shift = phase_steps(fringe.steps)
         scale = 2.0 * grey / fringe.steps
         table = np.stack(
@@ -385,8 +379,7 @@ def _repair(
 
 def _phases_at(images: list[Image], plan: Plan, ladder: Ladder, pixels: NDArray[np.int64]) -> Floats:
     """Wrapped phases in rad of a few pixels, (K, P), in float64."""
-    starts = _set_starts(plan)
-    rows = []
+    starts, rows = plan.set_starts, []
     for k in ladder.sets:
         frames = [images[n].reshape(-1)[pixels][None] for n in range(starts[k], starts[k + 1])]
         rows.append(wrapped_phase(frames, plan.fringes[k]).phase[0])

@@ -166,14 +166,17 @@ def _mean_um(measured: Mapping[str, Sequence[Measured]]) -> float:
     return float(np.mean([one.surface_smcd_um for figures in measured.values() for one in figures]))
 
 
+def _wide_section(title: str, png: bytes, shows: str, caption: str) -> Section:
+    return Section(title, figures=(Figure.of(png, shows, caption, wide=True),))
+
+
 def _convergence_section(found: Found) -> Section:
-    drawn = Figure.of(
+    return _wide_section(
+        "Convergence",
         convergence(found),
         "Distance and images by candidate",
         "Every candidate in the order measured, and the best until then; crosses break a limit.",
-        wide=True,
     )
-    return Section("Convergence", figures=(drawn,))
 
 
 @picture
@@ -215,13 +218,12 @@ def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
 
 
 def _front_section(found: Found) -> Section:
-    drawn = Figure.of(
+    return _wide_section(
+        "Pareto front",
         front(found),
         "Front of images and distance",
         "Plans that no other is better than in everything, with the spread of seeds that chose none of them.",
-        wide=True,
     )
-    return Section("Pareto front", figures=(drawn,))
 
 
 @picture

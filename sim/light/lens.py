@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from fpplab.conventions import Floats
+from sim.world.render import shifts
 
 TRIES = 500
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
@@ -29,9 +30,7 @@ def lens_points(places: int) -> tuple[tuple[float, float], ...]:
     if not pairs:
         return ((0.0, 0.0),) * places
     side = round(np.sqrt(places))
-    grid = (np.arange(side) + 0.5) / side - 0.5
-    first = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)[:pairs]
-    half = _least_bound(first, _half_disc(pairs, alone))
+    half = _least_bound(np.array(shifts(side)[:pairs]), _half_disc(pairs, alone))
     points = np.concatenate([half, np.zeros((alone, 2)), -half[::-1]])
     return tuple((float(x), float(y)) for x, y in points)
 

@@ -133,7 +133,7 @@ class Light:
     def table(self, setup: Setup) -> Table:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
-        key = digest(scene, self._views(scene))
+        key = digest(scene, self._views(setup))
         if any(setup.shake_mm):  # the next frame has another
             if self._shaken is None or self._shaken[0] != key:
                 self._shaken = (key, self._found(setup, key))
@@ -264,8 +264,8 @@ class Light:
 
     def _found(self, setup: Setup, key: str) -> Table:
         _, scene, _ = self._built(setup)
-        if self._analytic and can_compute(scene):
-            return computed(scene, self._views(scene), spots=True)
+        if self.computes(setup):
+            return computed(scene, self._views(setup), spots=True)
         keep = self._cache if not any(setup.shake_mm) else None
         table = keep.load(key) if keep else None
         if table is None:
@@ -300,9 +300,9 @@ class Light:
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
 
-    def _views(self, scene: Scene) -> list[View]:
+    def _views(self, setup: Setup) -> list[View]:
         render = self._world.render
-        more = render.computed_subpixels if self._analytic and can_compute(scene) else None
+        more = render.computed_subpixels if self.computes(setup) else None
         places = shifts(more or render.subpixels)
         if not self._world.camera.aperture_mm:
             return [View(place) for place in places]
@@ -315,7 +315,7 @@ class Light:
 
     def _render(self, setup: Setup, textures: Picture | None, effort: Effort) -> Picture:
         _, scene, _ = self._built(setup)
-        views = self._views(scene)
+        views = self._views(setup)
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)

@@ -150,7 +150,7 @@ class World(Document):
         data = config.parse(config.read_text(found), found)
         if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
             measured = config.load(config.find(config.beside(name, found.parent)), CalibrationFile)
-            data["calibration"] = measured.model_dump(mode="json", exclude_none=True)
+            data["calibration"] = config.plain(measured)
         world = config.validate(data, cls, found)
         items = {name: beside(item, found.parent) for name, item in world.items.items()}
         return world.model_copy(update={"items": items})
@@ -160,7 +160,7 @@ class World(Document):
 
         Names of mesh and target files stay as they are. Raises `DataError` when the place cannot be written.
         """
-        data = self.model_dump(mode="json", exclude_none=True)
+        data = config.plain(self)
         if self.calibration is not None:
             write_text(folder / "calibration.yaml", config.dump(self.calibration))
             data["calibration"] = "calibration.yaml"
@@ -190,7 +190,7 @@ class World(Document):
             pose = self.calibration.T_projector_camera.transform().inverse()
         else:
             pose = self.projector.T_camera_projector.transform()
-        moved = RigidTransform(pose.rotation, pose.translation + self.stage.offset(stage_mm)).inverse()
+        moved = pose.moved(self.stage.offset(stage_mm)).inverse()
         return turned_towards(moved, np.radians(convergence_deg)) if convergence_deg else moved
 
     def item(self, name: str) -> Item:

@@ -14,7 +14,15 @@ import numpy as np
 import pytest
 
 from fpplab.errors import ConfigError, DataError
-from fpplab.files import append_line, make_directory, refuse_existing, write_atomic, write_text
+from fpplab.files import (
+    append_line,
+    cut_torn_line,
+    make_directory,
+    refuse_existing,
+    whole_lines,
+    write_atomic,
+    write_text,
+)
 from fpplab.session import FRAMES, JOURNAL, Session
 from tests.faults.recording import PLAN, KillAtLine, frame, image_of, in_a_child, record
 
@@ -96,6 +104,37 @@ def test_a_line_that_the_system_refuses_to_write(tmp_path: Path, room: int) -> N
     assert journal.read_bytes() == b"x" * 4000 + b"\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (b"", []),
+        (b"torn", []),
+        (b"one\n", [b"one"]),
+        (b"one\n\n", [b"one", b""]),
+        (b"one\ntwo\nto", [b"one", b"two"]),
+        (b"one\n" + b"x" * 100_000, [b"one"]),
+        (b"x" * 100_000 + b"\ntorn\r", [b"x" * 100_000]),
+    ],
+)
+def test_a_torn_line_is_none_and_is_cut_off(tmp_path: Path, text: bytes, lines: list[bytes]) -> None:
+    journal = tmp_path / "journal"
+    journal.write_bytes(text)
+    assert whole_lines(journal) == lines
+    cut_torn_line(journal)
+    assert journal.read_bytes() == b"".join(line + b"\n" for line in lines)
+    append_line(journal, "next")
+    assert whole_lines(journal) == [*lines, b"next"]
+
+
+def test_a_journal_without_a_torn_line_is_left_alone(tmp_path: Path) -> None:
+    journal = tmp_path / "journal"
+    journal.write_bytes(b"one\n")
+    journal.chmod(0o444)
+    os.utime(journal, (0, 0))
+    cut_torn_line(journal)
+    assert journal.stat().st_mtime == 0
+
+
 def test_a_text_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "results" / "x.yaml"
     write_text(path, "old")
@@ -145,6 +184,8 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
         Session.create(tmp_path / "file" / "session", PLAN)
     with pytest.raises(DataError, match=r"journal: cannot be written \(No such file or directory\)"):
         append_line(tmp_path / "journal", "line")
+    with pytest.raises(DataError, match=r"journal: cannot be written \(No such file or directory\)"):
+        cut_torn_line(tmp_path / "journal")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 

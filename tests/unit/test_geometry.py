@@ -51,6 +51,11 @@ def test_composition_is_one_after_the_other(a: RigidTransform, b: RigidTransform
     np.testing.assert_allclose((a @ b).apply(points), a.apply(b.apply(points)), atol=1e-8)
 
 
+@given(TRANSFORMS, SHIFTS)
+def test_to_move_is_to_shift_in_the_outer_frame(a: RigidTransform, by: Floats) -> None:
+    same(a.moved(by), RigidTransform(np.eye(3), by) @ a)
+
+
 @given(TRANSFORMS, POINTS)
 def test_distances_and_handedness_are_kept(a: RigidTransform, points: Floats) -> None:
     moved = a.apply(points)

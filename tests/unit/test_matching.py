@@ -239,6 +239,14 @@ def test_shares_count_from_what_was_left_before() -> None:
     assert found["ambient light"] == pytest.approx(0.75)
 
 
+def test_one_pose_is_replaced_among_the_others() -> None:
+    poses = tilted(4)
+    known = nominal(poses)
+    for i in range(4):
+        assert known.with_pose(i, FACING).poses == (*poses[:i], FACING, *poses[i + 1 :])
+    assert known.poses == poses
+
+
 def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) -> None:
     record = Record(tmp_path)
     record.add(epoch("start", 4.0))

@@ -30,6 +30,7 @@ def test_a_plan_lists_its_images_in_order(tmp_path: Path) -> None:
     assert plan.images == 22
     assert plan.axes == ("x", "y")
     assert plan.sets_along("x") == (0, 1)
+    assert plan.set_starts == (0, 12, 18, 22)
     assert plan.exposure_s == 0.02
     steps = list(plan.steps())
     assert [(i, n) for i, n, _ in steps] == [

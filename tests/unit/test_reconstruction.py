@@ -13,7 +13,7 @@ from fpplab.calibration import Calibration
 from fpplab.clouds import local_quadric_distance
 from fpplab.errors import CalibrationError, DataError
 from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.reconstruction import camera_slopes, triangulate
+from fpplab.reconstruction import camera_rays, camera_slopes, triangulate
 
 W, H = 160, 120
 CAMERA = Pinhole.from_focal((W, H), (420.0, 424.0), (77.0, 61.0), (-0.25, 0.1, 0.002, -0.001, 0.03))
@@ -107,10 +107,10 @@ def test_camera_rays_are_those_of_the_model(lens: tuple[float, ...]) -> None:
     camera = Pinhole.from_focal((W, H), (110.0, 111.0), (77.0, 61.0), lens)
     v, u = np.mgrid[0:H, 0:W].astype(np.float64)
     pixels = np.stack([u, v], axis=-1)
-    slopes = np.moveaxis(camera_slopes(camera), 0, -1)
-    np.testing.assert_allclose(slopes, camera.normalise(pixels), rtol=0, atol=1e-9)
-    met = camera.project(np.concatenate([slopes, np.ones((H, W, 1))], axis=-1))
-    assert np.nanmax(np.abs(met - pixels)) < 1e-9
+    rays = camera_rays(camera)
+    np.testing.assert_allclose(rays[..., :2], camera.normalise(pixels), rtol=0, atol=1e-9)
+    assert (rays[..., 2] == 1).all()
+    assert np.nanmax(np.abs(camera.project(rays) - pixels)) < 1e-9
 
 
 def test_pixels_where_the_camera_model_folds_have_no_ray() -> None:
