@@ -29,6 +29,11 @@ def below(name: str, value: float, unit: str, limit: float) -> Result:
     return Result(name, value, unit, limit, limit / max(value, 1e-9))
 
 
+def above(name: str, value: float, unit: str, least: float) -> Result:
+    """A figure beside what it must reach."""
+    return Result(name, value, unit, least, value / least)
+
+
 REGISTRY = {
     "decode": "fpplab.benchmarks.decode:run",
     "triangulate": "fpplab.benchmarks.triangulate:run",
@@ -38,6 +43,7 @@ REGISTRY = {
     "twin": "sim.benchmark:run",
     "characterise": "sim.characterisation_benchmark:run",
     "match": "sim.matching_benchmark:run",
+    "optimise": "sim.optimisation_benchmark:run",
 }
 
 

@@ -91,7 +91,7 @@ def test_every_figure_stands_beside_its_target(results: dict[str, Result]) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("run", RUNS)
 def test_a_small_bench_is_matched(results: dict[str, Result], run: str) -> None:
-    """In five epochs, so not all of its lenses are: of the rest the figures hold, and no pose is where none was."""
+    """In so few epochs that not all of its lenses are: of the rest the figures hold, every pose is near."""
     for name in ("unlike_board", "unlike_whole", "loss_board", "loss_whole", "gamma"):
         assert results[f"{run}_{name}"].ratio > 1, name
     assert results[f"{run}_epochs"].value == EPOCHS
