@@ -2,7 +2,8 @@
 
 Iterated closest points with the point-to-plane error (Chen and Medioni, 1992) and Huber's
 weights, from the given pose; when that ends far off, from the 24 ways in which the principal
-axes of mesh and cloud can lie on each other.
+axes of mesh and cloud can lie on each other, and then from poses beside these: a camera sees one side
+of the mesh, whose axes are a little different.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ COARSE_POINTS = 2_000
 FINE_POINTS = 20_000
 COARSE_ROUNDS = 20
 FINE_ROUNDS = 60
+ATTEMPTS = 8
+BESIDE_RAD, BESIDE = 0.15, 0.05
+"""How far poses are tried beside axes on axes: standard deviations, in rad and in sizes of the mesh."""
 STILL = 1e-7
 """Smallest motion that goes on, in rad and in sizes of the mesh."""
 FAR = 0.01
@@ -63,9 +67,13 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     fine, coarse = (_thinned(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
     target = Target(mesh)
     best = refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
-    if not _near(coarse, target, best[0]):
-        starts = [best[0], *_axis_poses(coarse, mesh, random)]
-        ends = [refine(coarse, target, start, COARSE_ROUNDS) for start in starts]
+    for attempt in range(ATTEMPTS):
+        if _near(coarse, target, best[0]):
+            break
+        starts = _axis_poses(coarse, mesh, random)
+        if attempt:
+            starts = [_beside(start, target.size, random) for start in starts]
+        ends = [refine(coarse, target, start, COARSE_ROUNDS) for start in [best[0], *starts]]
         best = min(ends, key=lambda end: target.misfit(coarse, end[0]))
     pose, rounds = refine(fine, target, best[0], FINE_ROUNDS)
     if not _near(fine, target, pose):
@@ -174,6 +182,11 @@ def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generat
         if np.linalg.det(rotation) > 0.0:
             poses.append(RigidTransform(rotation, to_middle - rotation @ from_middle))
     return poses
+
+
+def _beside(pose: RigidTransform, size: float, random: np.random.Generator) -> RigidTransform:
+    turn, shift = BESIDE_RAD * random.standard_normal(3), BESIDE * size * random.standard_normal(3)
+    return RigidTransform.from_vectors(turn, np.zeros(3)) @ pose.moved(shift)
 
 
 def _box(points: NDArray[np.float64]) -> tuple[Floats, Floats]:
