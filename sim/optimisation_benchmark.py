@@ -1,4 +1,4 @@
-"""Searches on the demonstration's bench and what they are worth on a hidden one, beside their targets.
+"""Searches on a matched twin and what they are worth on its bench, a hidden one, beside their targets.
 
 Phase counts, stripe counts, the baseline of a bench as wide as the paper's, and the front of all together:
 each is searched with one worker for every core. What is found is judged with seeds that no search has seen,
@@ -63,7 +63,7 @@ class Trial:
     measured: candidates, by one worker and by two. workers: who search.
     """
 
-    twin: str = "rig_demo.yaml"
+    twin: str = "rig_matched.yaml"
     hidden: str = "rig_hidden.yaml"
     wide: str = "rig_paper.yaml"
     phases: str = "study_phases.yaml"

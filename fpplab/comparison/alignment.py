@@ -2,8 +2,7 @@
 
 Iterated closest points with the point-to-plane error (Chen and Medioni, 1992) and Huber's
 weights, from the given pose; when that ends far off, from the 24 ways in which the principal
-axes of mesh and cloud can lie on each other, and then from poses beside these: a camera sees one side
-of the mesh, whose axes are a little different.
+axes of mesh and cloud can lie on each other.
 """
 
 from __future__ import annotations
@@ -25,18 +24,21 @@ COARSE_POINTS = 2_000
 FINE_POINTS = 20_000
 COARSE_ROUNDS = 20
 FINE_ROUNDS = 60
-ATTEMPTS = 8
-BESIDE_RAD, BESIDE = 0.15, 0.05
-"""How far poses are tried beside axes on axes: standard deviations, in rad and in sizes of the mesh."""
+REACH, NARROWER = 0.05, 0.7
+"""Of a search from afar: up to where points count in full, and by how much less with every round."""
+BEFORE = 0.05
+"""How far before the mesh, as the camera sees it, a cloud is first laid, in sizes of the mesh."""
 STILL = 1e-7
 """Smallest motion that goes on, in rad and in sizes of the mesh."""
-FAR = 0.01
-"""Median distance, in sizes of the mesh, from which a pose is not the sought one."""
+FAR, SURE = 0.01, 3e-4
+"""Mean distance, in sizes of the mesh, from which a pose is not the sought one, and up to which no better one
+is looked for: where a part is nearly its own image, wrong poses are not far."""
 DETAIL, SIDE_POINTS = 0.004, 400_000
 """Sizes of the mesh below which it is not asked which side of it is seen, and points that tell the side."""
 HUBER = 1.345
-TRIMMED = 0.8
-"""Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else."""
+TRIMMED, WHOLE = 0.8, 0.97
+"""Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else. A sure one is
+agreed on by all but flying points: what is small on a part tells poses apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +69,12 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     fine, coarse = (_thinned(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
     target = Target(mesh)
     best = refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
-    for attempt in range(ATTEMPTS):
-        if _near(coarse, target, best[0]):
-            break
+    if target.misfit(coarse, best[0], WHOLE) > SURE * target.size:
         starts = _axis_poses(coarse, mesh, random)
-        if attempt:
-            starts = [_beside(start, target.size, random) for start in starts]
-        ends = [refine(coarse, target, start, COARSE_ROUNDS) for start in [best[0], *starts]]
-        best = min(ends, key=lambda end: target.misfit(coarse, end[0]))
+        ends = [refine(coarse, target, start, COARSE_ROUNDS, REACH) for start in starts]
+        best = min([best, *ends], key=lambda end: target.misfit(coarse, end[0]))
     pose, rounds = refine(fine, target, best[0], FINE_ROUNDS)
-    if not _near(fine, target, pose):
+    if target.misfit(fine, pose) >= FAR * target.size:
         raise DataError(
             "alignment: no pose brings the mesh onto the cloud; crop the cloud to the part, check that both "
             "are in mm, or place the mesh roughly by hand"
@@ -109,14 +107,14 @@ class Target:
         normals = self.normals[face]
         return np.einsum("ij,ij->i", placed - foot, normals), placed, normals
 
-    def misfit(self, points: Floats, pose: RigidTransform) -> float:
-        """Trimmed mean distance; a face seen from behind counts as far as the mesh is large."""
+    def misfit(self, points: Floats, pose: RigidTransform, share: float = TRIMMED) -> float:
+        """Mean distance of the nearest; a face seen from behind counts as far as the mesh is large."""
         placed = pose.apply(points)
         square, face, foot = igl.point_mesh_squared_distance(placed, self.vertices, self.faces)
         towards, side = pose.translation - placed, self.sides.at(foot, self.normals[face])
         behind = np.einsum("ij,ij->i", towards, side) < 0.0
         distances = np.where(behind, self.size, np.sqrt(square))
-        return float(np.sort(distances)[: int(np.ceil(TRIMMED * len(distances)))].mean())
+        return float(np.sort(distances)[: int(np.ceil(share * len(distances)))].mean())
 
 
 class _Sides:
@@ -143,21 +141,23 @@ class _Sides:
         return np.asarray((i[:, 0] << 40) + (i[:, 1] << 20) + i[:, 2])
 
 
-def _near(points: Floats, target: Target, pose: RigidTransform) -> bool:
-    return target.misfit(points, pose) < FAR * target.size
-
-
 def _thinned(points: Floats, count: int, random: np.random.Generator) -> Floats:
     if len(points) <= count:
         return np.asarray(points, np.float64)
     return np.asarray(points[random.choice(len(points), count, replace=False)], np.float64)
 
 
-def refine(points: Floats, target: Target, pose: RigidTransform, rounds: int) -> tuple[RigidTransform, int]:
-    """`T_mesh_camera` from a pose near it, for points (N, 3) in mm, and the rounds it took."""
+def refine(
+    points: Floats, target: Target, pose: RigidTransform, rounds: int, reach: float = 1e-9
+) -> tuple[RigidTransform, int]:
+    """`T_mesh_camera` from a pose near it, for points (N, 3) in mm, and the rounds it took.
+
+    reach: distance in sizes of the mesh up to which points count in full at first, however near the others
+    are: else a plate that lies right lets what stands on it nowhere.
+    """
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
-        scale = 1.4826 * float(np.median(np.abs(distance))) + 1e-9 * target.size
+        scale = max(1.4826 * float(np.median(np.abs(distance))), reach * NARROWER**done * target.size, 1e-12)
         weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(distance), 1e-12))
         centre = placed.mean(axis=0)
         rows = np.hstack([np.cross(placed - centre, normals) / target.size, normals])
@@ -172,26 +172,33 @@ def refine(points: Floats, target: Target, pose: RigidTransform, rounds: int) ->
 
 
 def _axis_poses(points: Floats, mesh: trimesh.Trimesh, random: np.random.Generator) -> list[RigidTransform]:
-    """The proper rotations that lay the cloud's principal axes on the mesh's, middle on middle."""
-    surface, _ = trimesh.sample.sample_surface(mesh, COARSE_POINTS, seed=int(random.integers(1 << 31)))
-    from_axes, from_middle = _box(points)
-    to_axes, to_middle = _box(np.asarray(surface))
+    """The proper rotations that lay the cloud's principal axes on the mesh's, middle on middle.
+
+    Of the mesh the middle of what then faces the camera, and the cloud a little before it: from within a
+    plate the way to its wrong side is as short.
+    """
+    surface, faces = trimesh.sample.sample_surface(mesh, COARSE_POINTS, seed=int(random.integers(1 << 31)))
+    surface, normals = np.asarray(surface), np.asarray(mesh.face_normals[faces])
+    from_axes, to_axes = _axes(points), _axes(surface)
+    from_middle = _middle(points, from_axes)
+    view = from_middle / np.linalg.norm(from_middle)
+    before = BEFORE * float(np.linalg.norm(mesh.extents)) * view
     poses = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         rotation = (to_axes[:, list(order)] * np.array(signs)) @ from_axes.T
         if np.linalg.det(rotation) > 0.0:
-            poses.append(RigidTransform(rotation, to_middle - rotation @ from_middle))
+            seen = surface[normals @ (rotation @ view) < 0.0]
+            to_middle = _middle(seen if len(seen) else surface, to_axes)
+            poses.append(RigidTransform(rotation, to_middle - rotation @ (from_middle + before)))
     return poses
 
 
-def _beside(pose: RigidTransform, size: float, random: np.random.Generator) -> RigidTransform:
-    turn, shift = BESIDE_RAD * random.standard_normal(3), BESIDE * size * random.standard_normal(3)
-    return RigidTransform.from_vectors(turn, np.zeros(3)) @ pose.moved(shift)
+def _axes(points: Floats) -> Floats:
+    """Principal axes in columns."""
+    return np.asarray(np.linalg.eigh(np.cov((points - np.median(points, axis=0)).T))[1])
 
 
-def _box(points: NDArray[np.float64]) -> tuple[Floats, Floats]:
-    """Principal axes in columns and the middle of the box along them."""
-    centre = np.median(points, axis=0)
-    _, axes = np.linalg.eigh(np.cov((points - centre).T))
-    along = (points - centre) @ axes
-    return axes, centre + axes @ ((along.min(axis=0) + along.max(axis=0)) / 2.0)
+def _middle(points: Floats, axes: Floats) -> Floats:
+    """Of the box along these axes."""
+    along = points @ axes
+    return np.asarray(axes @ ((along.min(axis=0) + along.max(axis=0)) / 2.0))

@@ -235,6 +235,15 @@ def test_alignment_finds_the_mesh_from_far(name: str) -> None:
     assert set(aligned.alignment.summary()) == {"rotation_deg", "translation_mm", "rms_um", "iterations"}
 
 
+@pytest.mark.parametrize("seed", [6, pytest.param(22, marks=pytest.mark.slow)])
+def test_alignment_does_not_take_the_wrong_side_of_a_plate(seed: int) -> None:
+    """With these seeds the axes alone bring the cloud nearer to the plate's back, from every side."""
+    cloud = perfect_cloud(placed("pillars"), 0.03).points.astype(np.float64)
+    found = align_mesh(cloud, artefacts.make("pillars"), seed)
+    assert found.rms_um < 40
+    np.testing.assert_allclose(found.transform.translation, [0, 0, 450], atol=0.05)
+
+
 def test_alignment_corrects_a_small_motion_exactly() -> None:
     mesh = placed("pillars")
     motion = RigidTransform.from_vectors(np.array([0.01, -0.02, 0.015]), np.array([0.5, -0.4, 0.3]))
