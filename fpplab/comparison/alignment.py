@@ -37,8 +37,8 @@ DETAIL, SIDE_POINTS = 0.004, 400_000
 """Sizes of the mesh below which it is not asked which side of it is seen, and points that tell the side."""
 HUBER = 1.345
 TRIMMED, WHOLE = 0.8, 0.97
-"""Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else. A sure one is
-agreed on by all but flying points: what is small on a part tells poses apart."""
+"""Share of the cloud, the nearest of it, that a pose is judged by; the rest may be something else. A sure one
+is agreed on by all but flying points: what is small on a part tells poses apart."""
 
 
 @dataclass(frozen=True, eq=False)
