@@ -33,8 +33,6 @@ PIXELS = 40_000
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCES = 6
-SHAKES = 2
-"""Rounds in which the displacement of one image is found."""
 
 
 def solution_of(parameters: Parameters, board: Floats) -> Solution:
@@ -112,19 +110,14 @@ def _shaken(
     slopes: (P, 3 + NUISANCES), by the displacement and what else is the image's own. An edge's level is
     no straight line over the displacement, so the twin is looked at once more where the board was.
     """
-    residual, own = view.residual[image], np.zeros(3)
+    residual = view.residual[image]
     if start.vibration_mm == 0:
-        return own, residual
-    held = start.poses[view.pose]
+        return np.zeros(3), residual
+    own = np.linalg.solve(slopes.T @ slopes, slopes.T @ residual)[:3]
+    twin.become(start.with_pose(view.pose, start.poses[view.pose].moved(own)))
+    level = twin.expected(view.pose, bench.shown([view.images[image]]), bench.settings)[0]
     u, v = view.pixels.astype(np.intp).T
-    solve = np.linalg.solve(slopes.T @ slopes, slopes.T)[:3]
-    for _ in range(SHAKES):
-        own = own + solve @ residual
-        twin.become(start.with_pose(view.pose, held.moved(own)))
-        level = twin.expected(view.pose, bench.shown([view.images[image]]), bench.settings)[0]
-        changed = np.where(view.clear[image], level[v, u] - view.expected[image], 0.0)
-        residual = view.residual[image] - changed
-    return own, residual
+    return own, residual - np.where(view.clear[image], level[v, u] - view.expected[image], 0.0)
 
 
 def _equations(
