@@ -51,7 +51,7 @@ from sim.timing import is_whole, plane_weights
 from sim.twin import SimTwin
 from sim.vibration import displaced, shaken
 from sim.worker import START_S, Blender
-from sim.world import Binning, BoardItem, World
+from sim.world import Binning, BoardItem, Subpixels, World
 
 DARK = "dark"
 """The pattern id of a frame that was taken with the projector blank."""
@@ -67,12 +67,25 @@ class BenchOptions(Document):
 
     world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
     of the world's. analytic: light on flat, matt items is computed instead of rendered, see
-    `sim.light.plane`.
+    `sim.light.plane`. subpixels: as in `sim.world.Render`, in place of the world's. still: nothing vibrates.
+    Both make searches quick: tables of light that stays are a fraction of those of an item that trembles.
     """
 
     world: str
     binning: Binning | None = None
     analytic: bool = False
+    subpixels: Subpixels | None = None
+    still: bool = False
+
+    def seen(self) -> World:
+        """The world as this bench has it. Raises `ConfigError`."""
+        world = World.load(self.world)
+        if self.binning is not None:
+            world = world.binned(self.binning)
+        if self.subpixels is not None:
+            render = world.render.model_copy(update={"subpixels": self.subpixels})
+            world = world.model_copy(update={"render": render})
+        return world.model_copy(update={"vibration_mm": 0.0}) if self.still else world
 
 
 class VirtualBench:
@@ -84,8 +97,7 @@ class VirtualBench:
 
     def __init__(self, options: dict[str, Any]) -> None:
         chosen = config.validate(options, BenchOptions, "bench")
-        world = World.load(chosen.world)
-        self.world = world if chosen.binning is None else world.binned(chosen.binning)
+        self.world = chosen.seen()
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
         self.light = Light(self.world, self.blender, analytic=self._analytic)

@@ -1,9 +1,9 @@
 """Searches on a matched twin and what they are worth on its bench, a hidden one, beside their targets.
 
 Phase counts, stripe counts, the baseline of a bench as wide as the paper's, and the front of all together:
-each is searched with one worker for every core. What is found is judged with seeds that no search has seen,
-and confirmed on a bench that no search has seen; the baseline on its own, by moving the stage. Rigs are
-characterised once, for all searches.
+each is searched with one worker for every core, on the matched twin at rest. What is found is judged on the
+twin as it is and on the hidden bench, which no search has seen; the baseline on its own bench, with seeds
+that the search has not seen and by moving the stage. Rigs are characterised once, for all searches.
 
 Speed is that of the paper's gradient descent through all of its epochs, with nothing on disk from an earlier
 run but the characterisation, which is not counted. What rendering its images would take is extrapolated:
@@ -33,7 +33,8 @@ from fpplab import console
 from fpplab.benchmarks import Result, above, below
 from fpplab.errors import DataError
 from fpplab.optimisation import objectives
-from fpplab.optimisation.candidate import Accuracy, Candidate, Evaluator, Score
+from fpplab.optimisation.candidate import Candidate, Evaluator, Score
+from fpplab.optimisation.confirm import Confirmation, Measured
 from fpplab.optimisation.measuring import candidate_of
 from fpplab.optimisation.run import Confirmed, Found, calibrated, confirm_found, optimise
 from fpplab.optimisation.scheduling import Cluster, Opener, OpenRig, Task
@@ -59,10 +60,12 @@ WARM = 6
 class Trial:
     """What is searched: rig and study files, and how much is timed.
 
-    wide: the rig of the baseline. epochs: of the gradient descent. rendered: images of each artefact.
+    search: the twin on which searches measure. wide: the rig of the baseline. epochs: of the gradient
+    descent. rendered: images of each artefact.
     measured: candidates, by one worker and by two. workers: who search.
     """
 
+    search: str = "rig_matched_still.yaml"
     twin: str = "rig_matched.yaml"
     hidden: str = "rig_hidden.yaml"
     wide: str = "rig_paper.yaml"
@@ -121,54 +124,49 @@ def searched(what: What, rig: str, name: str, folder: Path, workers: int) -> Fou
     return found
 
 
+def _on_both(trial: Trial, found: Found, folder: Path) -> list[tuple[Confirmed, Confirmed]]:
+    """Every plan that is confirmed, on the twin and on the hidden bench."""
+    both = (_confirmed(rig, found, folder) for rig in (trial.twin, trial.hidden))
+    return list(zip(*both, strict=True))
+
+
 def _confirmed(rig: str, found: Found, folder: Path) -> tuple[Confirmed, ...]:
     with console.progress(f"Confirming on {rig}") as report:
         return confirm_found(rig, found, _of_rig(rig, folder), report)
 
 
 def _phases(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.PHASES, trial.twin, trial.phases, folder, trial.workers)
-    (hidden,) = _confirmed(trial.hidden, found, folder)
-    there = hidden.confirmation
+    found = searched(What.PHASES, trial.search, trial.phases, folder, trial.workers)
+    ((twin, hidden),) = _on_both(trial, found, folder)
     return [
         below("optimise_phases_images", found.optimum.candidate.images, "images", MOST_IMAGES),
-        no_worse("optimise_phases_smcd", *gain_of(found)),
-        no_worse("optimise_phases_smcd_hidden", there.gain, there.uncertainty),
+        no_worse("optimise_phases_smcd", twin.confirmation),
+        no_worse("optimise_phases_smcd_hidden", hidden.confirmation),
     ]
 
 
-def gain_of(found: Found) -> tuple[float, float]:
-    """Of the optimum, as a share, and its standard uncertainty, with the seeds that chose nothing."""
-    gain = found.gain
-    if gain is None:
-        raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
-    before = objectives.Figures.of(found.again[found.start.candidate]).surface_smcd_um
-    return gain.down_um / before, (gain.uncertainty_um or 0.0) / before
-
-
-def no_worse(name: str, gain: float, uncertainty: float) -> Result:
+def no_worse(name: str, found: Confirmation) -> Result:
     """The distance as a multiple of the start's, less what is uncertain of it, beside 1."""
-    console.say(f"{name}: {1 - gain:.4f} ± {uncertainty:.4f} of the start's")
-    least = 1.0 - gain - COVERAGE * uncertainty
+    console.say(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
+    least = 1.0 - found.gain - COVERAGE * found.uncertainty
     return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
 
 
 def _stripes(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.STRIPES, trial.twin, trial.stripes, folder, trial.workers)
-    (hidden,) = _confirmed(trial.hidden, found, folder)
-    there = hidden.confirmation
-    after = [one for repeats in there.after.values() for one in repeats]
-    wrong = wrong_percent(found.again[found.optimum.candidate])
+    found = searched(What.STRIPES, trial.search, trial.stripes, folder, trial.workers)
+    ((twin, hidden),) = _on_both(trial, found, folder)
+    here, there = twin.confirmation, hidden.confirmation
     return [
-        above("optimise_stripes_down", 100 * gain_of(found)[0], "%", LEAST_STRIPES_PERCENT),
+        above("optimise_stripes_down", 100 * here.gain, "%", LEAST_STRIPES_PERCENT),
         above("optimise_stripes_down_hidden", 100 * there.gain, "%", LEAST_STRIPES_HIDDEN_PERCENT),
-        below("optimise_stripes_wrong_orders", wrong, "%", MOST_WRONG_PERCENT),
-        below("optimise_stripes_wrong_orders_hidden", wrong_percent(after), "%", MOST_WRONG_PERCENT),
+        below("optimise_stripes_wrong_orders", wrong_percent(here.after), "%", MOST_WRONG_PERCENT),
+        below("optimise_stripes_wrong_orders_hidden", wrong_percent(there.after), "%", MOST_WRONG_PERCENT),
     ]
 
 
-def wrong_percent(measured: Sequence[Accuracy]) -> float:
+def wrong_percent(found: Measured) -> float:
     """Of all points those that are a fringe or more off."""
+    measured = [one for repeats in found.values() for one in repeats]
     points = sum(one.points for one in measured)
     return 100 * sum(one.wrong_orders * one.points for one in measured) / points
 
@@ -180,22 +178,29 @@ def _baseline(folder: Path, trial: Trial) -> list[Result]:
     at = found.optimum.point[0]
     console.say(f"the baseline's minimum is at {at:g} mm of {least:g} to {most:g}")
     return [
-        above("optimise_baseline_down", 100 * gain_of(found)[0], "%", LEAST_BASELINE_PERCENT),
+        above("optimise_baseline_down", 100 * gain_of(found), "%", LEAST_BASELINE_PERCENT),
         above("optimise_baseline_down_moved", 100 * moved.confirmation.gain, "%", LEAST_BASELINE_PERCENT),
         above("optimise_baseline_inside", min(at - least, most - at), "mm", INSIDE * (most - least)),
     ]
 
 
+def gain_of(found: Found) -> float:
+    """Of the optimum, as a share, with the seeds that chose nothing."""
+    if found.gain is None:
+        raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
+    return found.gain.down_percent / 100.0
+
+
 def _pareto(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.PARETO, trial.twin, trial.pareto, folder, trial.workers)
+    found = searched(What.PARETO, trial.search, trial.pareto, folder, trial.workers)
     counts = [one.candidate.images for one in found.front]
     within = [n for n in counts if IMAGES_OF_FRONT[0] <= n <= IMAGES_OF_FRONT[1]]
-    pairs = zip(_confirmed(trial.twin, found, folder), _confirmed(trial.hidden, found, folder), strict=True)
+    apart = [deviation(twin, hidden) for twin, hidden in _on_both(trial, found, folder)]
     return [
         above("optimise_pareto_plans", len(within), "plans", LEAST_PLANS),
         below("optimise_pareto_fewest", min(counts), "images", FEWEST_IMAGES),
         below("optimise_pareto_vs_single", beside_singles(found), "of the single optimum's", 1.0),
-        below("optimise_pareto_hidden", max(deviation(*pair) for pair in pairs), "u", MOST_DEVIATION),
+        below("optimise_pareto_hidden", max(apart), "u", MOST_DEVIATION),
     ]
 
 
@@ -229,7 +234,7 @@ def deviation(twin: Confirmed, hidden: Confirmed) -> float:
 
 
 def _speed(folder: Path, trial: Trial) -> list[Result]:
-    study = _characterised(trial.twin, trial.gradient, folder)
+    study = _characterised(trial.search, trial.gradient, folder)
     assert isinstance(study.method, Gradient)
     # Never down by so much, it ends after just so many epochs.
     whole = study.method.model_copy(update={"gain": math.inf, "patience": trial.epochs})
@@ -239,11 +244,11 @@ def _speed(folder: Path, trial: Trial) -> list[Result]:
     with own_cache(out), console.progress(f"Gradient descent through {trial.epochs} epochs"):
         descent = study.model_copy(update={"method": whole})
         found = optimise(
-            What.STRIPES, trial.twin, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
+            What.STRIPES, trial.search, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
         )
     seconds = time.perf_counter() - begin
     images = len(study.artefacts) * sum(one.candidate.images for one in found.trials if one.measured)
-    each = _seconds_rendered(trial.twin, study, trial.rendered)
+    each = _seconds_rendered(trial.search, study, trial.rendered)
     console.say(
         f"{seconds:.0f} s; extrapolated from {each:.2f} s a render: {images} images in {images * each:.0f} s"
     )
@@ -346,8 +351,8 @@ class _Mortal:
 
 def _scale(folder: Path, trial: Trial) -> list[Result]:
     """Two workers against one, where there are two cores; and two of which one is killed."""
-    study = _characterised(trial.twin, trial.stripes, folder)
-    opener = OpenRig(trial.twin, study)
+    study = _characterised(trial.search, trial.stripes, folder)
+    opener = OpenRig(trial.search, study)
     tasks = [(one, study.seeds[0]) for one in _others(candidate_of(study.start), WARM + trial.measured)]
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as claims:
         place = Path(claims)

@@ -8,7 +8,7 @@ from sim.world.camera import Binning, CameraWorld, Sensor, Shutter
 from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
 from sim.world.materials import Diffuse, Glossy, Grain, Material, Ridges, Translucent
 from sim.world.projector import LedWorld, ProjectorWorld, Response
-from sim.world.render import LightPath, Render
+from sim.world.render import LightPath, Render, Subpixels
 from sim.world.world import StageWorld, World
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "Sensor",
     "Shutter",
     "StageWorld",
+    "Subpixels",
     "Translucent",
     "World",
 ]

@@ -10,6 +10,7 @@ from pydantic import Field
 from fpplab.config import Document
 
 LightPath = Literal["transport", "linear", "reference"]
+Subpixels = Annotated[int, Field(ge=1, le=8)]
 
 
 class Render(Document):
@@ -24,8 +25,8 @@ class Render(Document):
     """
 
     path: Literal["auto", "transport", "linear", "reference"] = "auto"
-    subpixels: Annotated[int, Field(ge=1, le=8)] = 2
-    computed_subpixels: Annotated[int, Field(ge=1, le=8)] | None = None
+    subpixels: Subpixels = 2
+    computed_subpixels: Subpixels | None = None
     samples: Annotated[int, Field(ge=1, le=4096)] = 1
     bounces: Annotated[int, Field(ge=0, le=16)] = 0
     device: Literal["CPU", "CUDA", "OPTIX", "HIP", "METAL", "ONEAPI"] = "CPU"

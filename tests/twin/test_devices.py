@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from fpplab.devices import CameraSettings
 from fpplab.errors import CapabilityError, ConfigError, LimitError, SettingError
 from fpplab.patterns import Pattern, uniform_patterns
 from sim.devices import DARK, SimCamera, SimStage, VirtualBench
-from tests.twin.conftest import Bench, plain, world
+from sim.light import Setup, Show
+from tests.twin.conftest import Bench, plain, world, write_world
 
 
 def test_frames_show_what_is_on_show(bench: Bench) -> None:
@@ -137,6 +140,18 @@ def test_fixture_lists_items_and_refuses_others(bench: Bench) -> None:
         bench.fixture.pose("cup")
 
 
+@pytest.mark.parametrize("still", [False, True])
+def test_a_bench_may_see_its_world_at_rest_and_with_fewer_rays(still: bool, tmp_path: Path) -> None:
+    file = write_world(tmp_path, plain(vibration_mm=0.05, render={"subpixels": 3}))
+    bench = VirtualBench({"world": file, "analytic": True, "subpixels": 2, "still": still})
+    assert bench.world.render.subpixels == 2
+    bench.setup = Setup("board")
+    bench.show = Show(tuple(uniform_patterns([255], bench.world.projector.size)), 0)
+    settings = CameraSettings(0.02, bits=12)
+    first, again = (bench.irradiance(settings, frame) for frame in range(2))
+    assert np.array_equal(first, again) == still
+
+
 def test_wrong_options_are_refused(bench: Bench) -> None:
     with pytest.raises(ConfigError, match="'world' is missing"):
         VirtualBench({})
@@ -144,6 +159,8 @@ def test_wrong_options_are_refused(bench: Bench) -> None:
         VirtualBench({"wrld": "x"})
     with pytest.raises(ConfigError, match="no such file"):
         VirtualBench({"world": "nowhere.yaml"})
+    with pytest.raises(ConfigError, match="'subpixels'"):
+        VirtualBench({"world": "world_demo.yaml", "subpixels": 9})
     with pytest.raises(ConfigError, match=r"needs the bench 'sim\.devices:VirtualBench'"):
         SimCamera("camera", {}, None)
     with pytest.raises(ConfigError, match="no option 'serial'"):
