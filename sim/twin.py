@@ -17,7 +17,7 @@ import trimesh
 
 from fpplab import config
 from fpplab.calibration import Calibration, CalibrationFile, PoseFile
-from fpplab.conventions import Image
+from fpplab.conventions import Image, Pixels
 from fpplab.devices import CameraSettings
 from fpplab.errors import ConfigError
 from fpplab.files import write_text
@@ -71,6 +71,15 @@ class SimTwin:
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         """What the camera sees of the board on average, (n, h, w)."""
         return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
+
+    def expected_at(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
+    ) -> Levels:
+        """What `expected` is at these pixels, (n, P)."""
+        setup = Setup(self._board, held=self._parameters.poses[pose])
+        irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
+        self._settings = settings
+        return SensorModel.of(self._world).expected(irradiance, settings)
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         """What the camera sees of another item of the world on average, (n, h, w)."""

@@ -20,7 +20,7 @@ from fpplab.calibration import INTRINSICS, Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.bundle import Level, Model, Solution, fit, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, Pixels
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.matching.bench import Bench
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
@@ -115,9 +115,9 @@ def _shaken(
         return np.zeros(3), residual
     own = np.linalg.solve(slopes.T @ slopes, slopes.T @ residual)[:3]
     twin.become(start.with_pose(view.pose, start.poses[view.pose].moved(own)))
-    level = twin.expected(view.pose, bench.shown([view.images[image]]), bench.settings)[0]
-    u, v = view.pixels.astype(np.intp).T
-    return own, residual - np.where(view.clear[image], level[v, u] - view.expected[image], 0.0)
+    pattern, at = bench.shown([view.images[image]]), view.at
+    level = twin.expected_at(view.pose, pattern, bench.settings, at)[0].astype(np.float64)
+    return own, residual - np.where(view.clear[image], level - view.expected[image], 0.0)
 
 
 def _equations(
@@ -160,14 +160,14 @@ def _turned(pose: Floats, move: Floats) -> Floats:
 class View:
     """Some pixels of some images of one pose.
 
-    pixels: (P, 2). expected, residual: (n, P), what the twin sees and the bench less that, where the levels
+    at: the pixels. expected, residual: (n, P), what the twin sees and the bench less that, where the levels
     are `clear`. bent: (n, P), the Laplacian of what the twin sees, to which a bit more blur is proportional.
     by_place: (n, P, 4), how the level changes with x, y on the board in mm and u, v of the projector in px.
     """
 
     pose: int
     images: tuple[int, ...]
-    pixels: Floats
+    at: Pixels
     clear: NDArray[np.bool_]
     expected: Floats
     residual: Floats
@@ -176,8 +176,9 @@ class View:
 
     def slopes(self, at: Parameters, free: int) -> Iterator[Floats]:
         """Of each image, slopes (P, C) by the parameters of `by_images`."""
-        places = _places(self.pixels, at.calibration, at.poses[self.pose], free)
-        across, down = ((self.pixels - self.pixels.mean(axis=0)) / np.ptp(self.pixels, axis=0)).T
+        pixels = np.stack(self.at[::-1], axis=-1).astype(np.float64)
+        places = _places(pixels, at.calibration, at.poses[self.pose], free)
+        across, down = ((pixels - pixels.mean(axis=0)) / np.ptp(pixels, axis=0)).T
         for seen, bent, by_place in zip(self.expected, self.bent, self.by_place, strict=True):
             geometric = np.einsum("pk,pkc->pc", by_place, places)
             other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, bent]
@@ -187,27 +188,28 @@ class View:
 def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     images = bench.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
-    v, u = thinned(looked_at, PIXELS)
-    seen = bench.frames(pose, images)[:, v, u]
-
-    def expected(parameters: Parameters) -> Levels:
-        twin.become(parameters)
-        return twin.expected(pose, bench.shown(images), bench.settings)
+    v, u = at = thinned(looked_at, PIXELS)
+    seen, patterns = bench.frames(pose, images)[:, v, u], bench.shown(images)
 
     def picked(levels: Levels) -> Floats:
         return np.asarray(levels[:, v, u], np.float64)
 
-    whole = expected(start)
+    def seen_from(there: Parameters) -> Floats:
+        twin.become(there)
+        return twin.expected_at(pose, patterns, bench.settings, at).astype(np.float64)
+
+    twin.become(start)
+    whole = twin.expected(pose, patterns, bench.settings)
     here = picked(whole)
     bent = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
-    slopes = [(sign * (picked(expected(there)) - here) / by) for there, by, sign in _shifted(start, pose)]
+    slopes = [(sign * (seen_from(there) - here) / by) for there, by, sign in _shifted(start, pose)]
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * bench.full_scale + 1.0
     clear = (seen < bench.full_scale) & (here < bench.full_scale) & (here > dark)
     return View(
         pose,
         tuple(images),
-        np.stack([u, v], axis=-1).astype(np.float64),
+        at,
         clear,
         here,
         np.where(clear, seen - here, 0.0),

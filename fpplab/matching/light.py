@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, Pixels
 from fpplab.gamma import Curve
 from fpplab.matching.bench import Bench
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
@@ -85,12 +84,11 @@ KNOBS = {
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some pixels of some images of a pose: pixels' rows and columns (P,), the bench's levels (n, P)."""
+    """Some pixels of some images of a pose, and the bench's levels (n, P) there."""
 
     pose: int
     images: tuple[int, ...]
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    pixels: Pixels
     seen: Floats
 
 
@@ -103,7 +101,7 @@ def samples(
         area = board_mask(parameters.calibration.camera, parameters.poses[pose], bench.target, -BEYOND_PX)
         v, u = thinned(area, PIXELS)
         seen = bench.frames(pose, images)[:, v, u].astype(np.float64)
-        return Sample(pose, tuple(images), v, u, seen)
+        return Sample(pose, tuple(images), (v, u), seen)
 
     return [one(pose) for pose in poses]
 
@@ -114,8 +112,8 @@ def residuals(bench: Bench, twin: Twin, looked: Sequence[Sample]) -> Floats:
 
 
 def _residual(bench: Bench, twin: Twin, sample: Sample) -> Floats:
-    levels = twin.expected(sample.pose, bench.shown(sample.images), bench.settings)
-    here = levels[:, sample.rows, sample.columns].astype(np.float64)
+    patterns = bench.shown(sample.images)
+    here = twin.expected_at(sample.pose, patterns, bench.settings, sample.pixels).astype(np.float64)
     clear = (sample.seen < bench.full_scale) & (here < bench.full_scale)
     return np.where(clear, sample.seen - here, 0.0)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.config import Document
-from fpplab.conventions import Floats, Mask
+from fpplab.conventions import Floats, Mask, Pixels
 from fpplab.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
@@ -126,8 +126,8 @@ def board_mask(
     return np.asarray(area, np.bool_)
 
 
-def thinned(area: Mask, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of an area's pixels, evenly thinned to about `most`."""
+def thinned(area: Mask, most: int) -> Pixels:
+    """An area's pixels, evenly thinned to about `most`."""
     v, u = np.nonzero(area)
     thin = max(1, int(np.sqrt(len(u) / most)))
     chosen = (v % thin == 0) & (u % thin == 0)

@@ -287,10 +287,10 @@ def _noise(state: _State) -> float:
     squares = []
     for sample in state.at.looked:
         patterns = bench.shown(sample.images)
-        expected = twin.expected(sample.pose, patterns, bench.settings)
+        expected = twin.expected_at(sample.pose, patterns, bench.settings, sample.pixels)
         for frame, level in zip(twin.frames(sample.pose, patterns, bench.settings), expected, strict=True):
-            off = frame.astype(np.float64) - level
-            squares.append(float(np.mean(off[sample.rows, sample.columns] ** 2)))
+            off = frame[sample.pixels].astype(np.float64) - level
+            squares.append(float(np.mean(off**2)))
     return float(np.mean(squares))
 
 

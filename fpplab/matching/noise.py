@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpplab.conventions import Floats, Image
+from fpplab.conventions import Floats, Image, Pixels
 from fpplab.matching.bench import Bench
 from fpplab.matching.loss import board_mask, thinned
 from fpplab.matching.twin import Parameters, Twin
@@ -67,34 +66,33 @@ def match_noise(bench: Bench, twin: Twin, poses: Sequence[int]) -> Parameters:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Pixels of a pose: rows, columns (P,); levels expected (n, P), and by displacement in mm (n, P, 3)."""
+    """Pixels of a pose; levels expected (n, P), and by displacement in mm (n, P, 3)."""
 
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    pixels: Pixels
     expected: Floats
     slopes: Floats
 
     @classmethod
     def of(cls, bench: Bench, twin: Twin, now: Parameters, pose: int, images: Sequence[int]) -> _View:
-        v, u = thinned(board_mask(now.calibration.camera, now.poses[pose], bench.target), PIXELS)
+        pixels = thinned(board_mask(now.calibration.camera, now.poses[pose], bench.target), PIXELS)
 
         def expected(parameters: Parameters) -> Floats:
             twin.become(parameters)
-            levels = twin.expected(pose, bench.shown(images), bench.settings)
-            return np.asarray(levels[:, v, u], np.float64)
+            levels = twin.expected_at(pose, bench.shown(images), bench.settings, pixels)
+            return levels.astype(np.float64)
 
         here, held = expected(now), now.poses[pose]
         slopes = []
         for axis in np.eye(3):
             there = now.with_pose(pose, held.moved(STEP_MM * axis))
             slopes.append((expected(there) - here) / STEP_MM)
-        return cls(v, u, here, np.stack(slopes, axis=-1))
+        return cls(pixels, here, np.stack(slopes, axis=-1))
 
     def taken_apart(self, frames: Sequence[Image]) -> tuple[Floats, Floats, Floats]:
         """Displacement of every frame in mm (n, 3), its variance (n, 3), and what it leaves (n, P)."""
         shifts, variances, rest = [], [], []
         for frame, expected, slopes in zip(frames, self.expected, self.slopes, strict=True):
-            seen = np.asarray(frame)[self.rows, self.columns].astype(np.float64)
+            seen = np.asarray(frame)[self.pixels].astype(np.float64)
             basis = np.column_stack([slopes, expected, np.ones_like(expected)])
             normal = basis.T @ basis
             found = np.linalg.solve(normal, basis.T @ (seen - expected))

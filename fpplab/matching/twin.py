@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from fpplab.calibration import Calibration
-from fpplab.conventions import Image
+from fpplab.conventions import Image, Pixels
 from fpplab.devices import CameraSettings
 from fpplab.gamma import Curve
 from fpplab.geometry import RigidTransform
@@ -87,6 +87,11 @@ class Twin(Protocol):
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         """What the camera sees of the board on average, without noise and vibration."""
+
+    def expected_at(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
+    ) -> Levels:
+        """What `expected` is at these pixels, (n, P), for little more than their share of the time."""
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Frames of the board with the sensor's noise and the item's vibration; another draw each call.

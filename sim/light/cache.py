@@ -22,6 +22,7 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.conventions import Pixels
 from fpplab.system import cache_directory
 from sim.light.table import Table
 from sim.scene import Scene, View
@@ -32,10 +33,10 @@ FORMAT = "fpplab light table 4"
 _log = logging.getLogger(__name__)
 
 
-def digest(scene: Scene, views: list[View]) -> str:
-    """Names all that a table depends on."""
+def digest(scene: Scene, views: list[View], pixels: Pixels | None = None) -> str:
+    """Names all that a table depends on. pixels: that it is of, where not of all."""
     hashed = hashlib.sha256()
-    _feed(hashed, (scene, views))
+    _feed(hashed, (scene, views) if pixels is None else (scene, views, pixels))
     return hashed.hexdigest()[:32]
 
 

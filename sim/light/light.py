@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fpplab.conventions import Floats, full_scale
+from fpplab.conventions import Floats, Pixels, full_scale
 from fpplab.geometry import Pinhole
 from fpplab.patterns import Pattern
 from sim.build import Setup, build_scene
@@ -126,6 +126,22 @@ class Light:
             picture *= self._falloff
         return picture
 
+    def irradiance_at(self, setup: Setup, patterns: tuple[Pattern, ...], pixels: Pixels) -> Picture:
+        """What `irradiance` is at some pixels, under each of the patterns (n, P).
+
+        Where light is computed it is traced for these alone.
+        """
+        if self._world.path != "transport" or not self.computes(setup):
+            return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
+        _, scene, _ = self._built(setup)
+        views = self._views(setup)
+        table = self._tables.get(
+            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
+        )
+        seen = self._seen(setup, table, [self._level(pattern) for pattern in patterns])[:, 0]
+        seen += np.float32(self._world.ambient) * table.albedo[0]
+        return seen if self._falloff is None else seen * self._falloff[pixels]
+
     def computes(self, setup: Setup) -> bool:
         """Whether the item's light takes no render."""
         return self._analytic and can_compute(self._built(setup)[1])
@@ -204,6 +220,10 @@ class Light:
         else:
             table = self._basis_under(setup, basis).table
             light = [levels.of(n) - basis.level(n) for n in states]
+        return self._seen(setup, table, light)
+
+    def _seen(self, setup: Setup, table: Table, light: Sequence[Picture]) -> Picture:
+        """Under mirrors at these light levels, as the table has its pixels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         part = table.part(texture.shape)
         return table.look_up(self._textures(setup, light, part), scene.lamp.sharp, part[:2])

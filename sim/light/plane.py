@@ -24,8 +24,9 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.conventions import Floats, Pixels
 from fpplab.geometry import Pinhole, RigidTransform, distort
 from sim.light.table import Picture, Table, circle_level
 from sim.scene import Paint, Scene, Surface, View
@@ -48,18 +49,19 @@ def can_compute(scene: Scene) -> bool:
     return flat and surface.paint == Paint(surface.paint.reflectance, ink=surface.paint.ink)
 
 
-def computed(scene: Scene, views: list[View], spots: bool = False) -> Table:
+def computed(scene: Scene, views: list[View], spots: bool = False, pixels: Pixels | None = None) -> Table:
     """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes.
 
-    spots: whether samples see spots instead of points.
+    spots: whether samples see spots instead of points. pixels: of these alone, as one row of an image.
     """
     camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
     width, height = camera.size
     pose = _transform(surface.T_camera_item)
     lamp_pose = _transform(lamp.T_camera_projector)
     left, top, right, bottom = scene.window
-    samples = np.zeros((len(views), max(bottom - top, 0), max(right - left, 0), 4), np.float32)
-    albedo = np.zeros((height, width), np.float32)
+    rows, columns = np.mgrid[top:bottom, left:right] if pixels is None else pixels
+    samples = np.zeros((len(views), rows.size, 4), np.float32)
+    albedo = np.zeros(rows.size, np.float32)
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
     spots = spots and surface.picture is not None  # what is even has nothing to blur
@@ -69,8 +71,9 @@ def computed(scene: Scene, views: list[View], spots: bool = False) -> Table:
     if spots and len(views) > 1:
         shifts *= np.sqrt(_places_share(len(views)) / (1.0 - 1.0 / len(views)))
     _trace(
-        left,
-        top,
+        columns.ravel(),
+        rows.ravel(),
+        height,
         np.column_stack([shifts, lens]).astype(np.float64),
         _joint_variance(shifts, lens),
         camera.matrix,
@@ -95,7 +98,11 @@ def computed(scene: Scene, views: list[View], spots: bool = False) -> Table:
         samples,
         albedo,
     )
-    return Table(samples, albedo, (left, top))
+    if pixels is not None:
+        return Table(samples[:, None], albedo[None])
+    whole = np.zeros((height, width), np.float32)
+    whole[top:bottom, left:right] = albedo.reshape(rows.shape)
+    return Table(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +260,9 @@ def cell_noise(column: int, row: int) -> float:
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _trace(
-    left: int,
-    top: int,
+    columns: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    height: int,
     views: Floats,
     variance: tuple[float, float],
     matrix: Floats,
@@ -279,73 +287,70 @@ def _trace(
     samples: Picture,
     albedo: Picture,
 ) -> None:
-    """views: (K, 4) shift u, v and lens x, y, with their joint `variance`. lamp: in the item's frame.
+    """columns, rows: (P,) of an image of that height. samples: (K, P, 4), albedo (P,).
 
+    views: (K, 4) shift u, v and lens x, y, with their joint `variance`. lamp: in the item's frame.
     low, high, variances, prints: as in `_Prints`.
     """
-    _, rows, columns, _ = samples.shape
-    height = len(albedo)
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
     share = 1.0 / len(views)
     pixel = 1.0 / (matrix[0, 0] * matrix[1, 1])
-    for row in numba.prange(rows):
-        v = top + row
-        for column in range(columns):
-            u = left + column
-            sine, turned = 0.0, 1.0
-            if radius > 0 and len(variances) == 1:
-                turn = 2 * np.pi * cell_noise(u, height - 1 - v)
-                sine, turned = np.sin(turn), np.cos(turn)
-            reached = radius
-            if radius > 0 and len(variances) > 1 and len(views) > 1:
-                x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
-                middle = -t[2] / (R[2, 0] * x + R[2, 1] * y + R[2, 2])
-                circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
-                if circle != 0:
-                    reached = radius * _opened(circle, len(views), variance)
-            for k in range(len(views)):
-                x, y = _undistorted(
-                    (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
-                    (v + views[k, 1] - matrix[1, 2]) / matrix[1, 1],
-                    lens,
-                    reach,
-                )
-                # The shader's y points up.
-                ox = reached * (views[k, 2] * turned - views[k, 3] * sine)
-                oy = -reached * (views[k, 2] * sine + views[k, 3] * turned)
-                dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
-                start = R[2, 0] * ox + R[2, 1] * oy + t[2]
-                fall = -(R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz)
-                length = start / fall
-                if not length > 0:
-                    continue
-                cx, cy = ox + length * dx, oy + length * dy
-                ix = R[0, 0] * cx + R[0, 1] * cy + R[0, 2] * length + t[0]
-                iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
-                if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
-                    continue
-                across, down = (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
-                if len(variances) == 1:
-                    grey = _between_pixels(prints[0], across, down)
-                else:
-                    spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
-                    size, more = _between_sizes(spot, variances)
-                    grey = (1 - more) * _between_pixels(prints[size], across, down)
-                    grey += more * _between_pixels(prints[size + 1], across, down)
-                albedo[v, u] += share * grey
-                qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
-                qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
-                qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
-                away = np.sqrt(qx * qx + qy * qy + qz * qz)
-                if start * lamp[2] <= 0 or qz <= cosine * away or grey <= 0:
-                    continue
-                xd, yd, _, _, _ = _distort(qx / qz, qy / qz, lamp_lens)
-                sample = samples[k, row, column]
-                sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
-                sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
-                sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
-                sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
+    for i in numba.prange(len(rows)):
+        u, v = columns[i], rows[i]
+        sine, turned = 0.0, 1.0
+        if radius > 0 and len(variances) == 1:
+            turn = 2 * np.pi * cell_noise(u, height - 1 - v)
+            sine, turned = np.sin(turn), np.cos(turn)
+        reached = radius
+        if radius > 0 and len(variances) > 1 and len(views) > 1:
+            x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
+            middle = -t[2] / (R[2, 0] * x + R[2, 1] * y + R[2, 2])
+            circle = radius * (1.0 / middle - 1.0 / focus) / np.sqrt(pixel)
+            if circle != 0:
+                reached = radius * _opened(circle, len(views), variance)
+        for k in range(len(views)):
+            x, y = _undistorted(
+                (u + views[k, 0] - matrix[0, 2]) / matrix[0, 0],
+                (v + views[k, 1] - matrix[1, 2]) / matrix[1, 1],
+                lens,
+                reach,
+            )
+            # The shader's y points up.
+            ox = reached * (views[k, 2] * turned - views[k, 3] * sine)
+            oy = -reached * (views[k, 2] * sine + views[k, 3] * turned)
+            dx, dy, dz = x - ox / focus, y - oy / focus, 1.0
+            start = R[2, 0] * ox + R[2, 1] * oy + t[2]
+            fall = -(R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz)
+            length = start / fall
+            if not length > 0:
+                continue
+            cx, cy = ox + length * dx, oy + length * dy
+            ix = R[0, 0] * cx + R[0, 1] * cy + R[0, 2] * length + t[0]
+            iy = R[1, 0] * cx + R[1, 1] * cy + R[1, 2] * length + t[1]
+            if not (low[0] <= ix <= high[0] and low[1] <= iy <= high[1]):
+                continue
+            across, down = (ix - low[0]) / (high[0] - low[0]), (iy - low[1]) / (high[1] - low[1])
+            if len(variances) == 1:
+                grey = _between_pixels(prints[0], across, down)
+            else:
+                spot = _spot(length, abs(fall), pixel, radius, focus, len(views))
+                size, more = _between_sizes(spot, variances)
+                grey = (1 - more) * _between_pixels(prints[size], across, down)
+                grey += more * _between_pixels(prints[size + 1], across, down)
+            albedo[i] += share * grey
+            qx = P[0, 0] * ix + P[0, 1] * iy + p[0]
+            qy = P[1, 0] * ix + P[1, 1] * iy + p[1]
+            qz = P[2, 0] * ix + P[2, 1] * iy + p[2]
+            away = np.sqrt(qx * qx + qy * qy + qz * qz)
+            if start * lamp[2] <= 0 or qz <= cosine * away or grey <= 0:
+                continue
+            xd, yd, _, _, _ = _distort(qx / qz, qy / qz, lamp_lens)
+            sample = samples[k, i]
+            sample[0] = to_texel[0, 0] * xd + to_texel[0, 1] * yd + to_texel[0, 2]
+            sample[1] = to_texel[1, 0] * xd + to_texel[1, 1] * yd + to_texel[1, 2]
+            sample[2] = circle_level(qz, circle_scale, inverse_focus, squares)
+            sample[3] = grey * distance * distance * abs(lamp[2]) / (qz * qz * qz)
 
 
 @numba.njit(cache=True, inline="always")

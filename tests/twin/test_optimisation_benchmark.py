@@ -176,7 +176,7 @@ def test_a_search_that_has_ended_is_not_run_again(
         raise AssertionError("measured again")
 
     monkeypatch.setattr("fpplab.optimisation.measuring.RigEvaluator.measure", refused)
-    found = searched(What.STRIPES, trial.twin, trial.stripes, folder, 1)
+    found = searched(What.STRIPES, trial.search, trial.stripes, folder, 1)
     assert found.gain is not None
 
 

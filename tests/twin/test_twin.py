@@ -17,7 +17,7 @@ from fpplab.errors import ConfigError
 from fpplab.gamma import Curve
 from fpplab.geometry import RigidTransform
 from fpplab.matching.twin import Parameters, Twin
-from fpplab.patterns import Pattern, make_patterns
+from fpplab.patterns import Pattern, make_patterns, uniform_patterns
 from fpplab.plan import FringeSet, Plan
 from fpplab.rig import Rig
 from sim.build import Setup
@@ -26,7 +26,7 @@ from sim.sensor import SensorModel
 from sim.twin import SimTwin
 from sim.worker import Blender
 from sim.world import World
-from tests.twin.conftest import plain
+from tests.twin.conftest import SIZE, plain
 
 SETTINGS = CameraSettings(0.02, bits=12)
 PLAN = Plan(fringes=(FringeSet(axis="x", stripes=32, steps=3),))
@@ -95,6 +95,30 @@ def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
         noise = frames.std(axis=0)[lit] / np.sqrt(60)
         assert abs(error.mean()) < 5 * noise.mean() / np.sqrt(lit.sum())
         assert np.abs(error / noise).mean() == pytest.approx(np.sqrt(2 / np.pi), rel=0.1)
+
+
+@pytest.mark.parametrize("ambient", [0.05, 0.0])
+def test_at_some_pixels_it_sees_what_it_sees_there(ambient: float) -> None:
+    """Also at pixels that see nothing, and not in the image's order."""
+    twin = _twin(_bent())
+    twin.become(replace(twin.parameters, ambient=ambient))
+    patterns, random = _patterns(twin), np.random.default_rng(0)
+    pixels = random.integers(0, SIZE[1], 500), random.integers(0, SIZE[0], 500)
+    whole = twin.expected(2, patterns, SETTINGS)[:, *pixels]
+    np.testing.assert_array_equal(twin.expected_at(2, patterns, SETTINGS, pixels), whole)
+    assert len(np.unique(whole)) > 100
+    assert np.count_nonzero(whole == whole.min()) > 100
+
+
+def test_light_that_is_rendered_is_the_same_at_some_pixels(blender: Blender) -> None:
+    of = _bent()
+    light, size = Light(of, blender, analytic=True), of.projector.size
+    patterns = tuple(uniform_patterns([255, 64], size))
+    pixels = np.arange(40, 80), np.arange(90, 130)
+    found = light.irradiance_at(Setup("pillars"), patterns, pixels)
+    whole = [light.irradiance(Setup("pillars"), Show(patterns, n)) for n in range(2)]
+    np.testing.assert_array_equal(found, [one[pixels] for one in whole])
+    assert found[0].min() > 2 * found[1].max() > 0
 
 
 def test_given_another_bench_s_parameters_it_sees_what_that_sees(twin: SimTwin) -> None:

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from fpplab import artefacts, config
 from fpplab.calibration import Calibration
-from fpplab.conventions import Floats, Image, Lattice, full_scale
+from fpplab.conventions import Floats, Image, Lattice, Pixels, full_scale
 from fpplab.devices import CameraSettings, Frame
 from fpplab.gamma import Curve
 from fpplab.geometry import Pinhole, RigidTransform
@@ -99,6 +99,11 @@ class PlaneTwin:
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         return self._seen(self._now.poses[pose], patterns, settings, board=True)
+
+    def expected_at(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
+    ) -> Levels:
+        return self.expected(pose, patterns, settings)[:, pixels[0], pixels[1]]
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         return self._seen(CARD, patterns, settings, board=False)
