@@ -15,6 +15,7 @@ variance D²/16, comes on top. `blur = 0` are ideal mirrors with sharp edges, wh
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -95,20 +96,25 @@ class MirrorTexture:
 
         circle: diameter of the circle of confusion in texels, at most `widest`. part: so much of the texture.
         """
+        return self.spreads(light, (circle,), part)[0]
+
+    def spreads(
+        self, light: NDArray[np.float32], circles: Sequence[float], part: Part | None = None
+    ) -> list[Texels]:
+        """What `spread` gives for each of several circles; the mirrors are laid out once for all."""
+        kernels = [self._kernels(circle) for circle in circles]
+        reach = max(sum(len(k) // 2 for k in pair if k is not None) for pair in kernels)
+        sharp, inside = self._sharp(light, part, reach)
+        return [_blurred(sharp, *pair)[inside] for pair in kernels]
+
+    def _kernels(self, circle: float) -> tuple[Floats | None, Floats | None]:
+        """Of the Gaussian along each axis, and of the disc, None where there is none."""
         variance, disc = self._variance, None
-        if circle > 0:
-            if circle > _SMALL_DISC:
-                disc = _disc_of(circle)
-            else:
-                variance += circle**2 / 16
-        kernel = _gaussian(math.sqrt(variance)) if variance > 0 else None
-        reach = sum(len(k) // 2 for k in (kernel, disc) if k is not None)
-        texture, inside = self._sharp(light, part, reach)
-        if kernel is not None:
-            cv2.sepFilter2D(texture, -1, kernel, kernel, dst=texture, borderType=cv2.BORDER_CONSTANT)
-        if disc is not None:
-            cv2.filter2D(texture, -1, disc, dst=texture, borderType=cv2.BORDER_CONSTANT)
-        return texture[inside]
+        if circle > _SMALL_DISC:
+            disc = _disc_of(circle)
+        elif circle > 0:
+            variance += circle**2 / 16
+        return (_gaussian(math.sqrt(variance)) if variance > 0 else None), disc
 
     def _sharp(
         self, light: NDArray[np.float32], part: Part | None, reach: int
@@ -123,6 +129,16 @@ class MirrorTexture:
         mirrors = self._layout.mirrors[y : bottom + reach, x : right + reach]
         texture = np.where(mirrors >= 0, np.take(light, mirrors), np.float32(0))
         return texture, (slice(top - y, bottom - y), slice(left - x, right - x))
+
+
+def _blurred(texture: Texels, gaussian: Floats | None, disc: Floats | None) -> Texels:
+    if gaussian is not None:
+        texture = np.asarray(
+            cv2.sepFilter2D(texture, -1, gaussian, gaussian, borderType=cv2.BORDER_CONSTANT), np.float32
+        )
+    if disc is not None:
+        texture = np.asarray(cv2.filter2D(texture, -1, disc, borderType=cv2.BORDER_CONSTANT), np.float32)
+    return texture
 
 
 def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:

@@ -312,9 +312,9 @@ class Light:
         if part is not None:
             columns, rows = part[2] - part[0], part[3] - part[1]
         textures = np.empty((len(circles), rows, columns, len(levels)), np.float32)
-        for of_circle, circle in zip(textures, circles, strict=True):
-            for n, level in enumerate(levels):
-                of_circle[..., n] = texture.spread(level, circle, part)
+        for n, level in enumerate(levels):
+            for of_circle, texels in zip(textures, texture.spreads(level, circles, part), strict=True):
+                of_circle[..., n] = texels
         return textures
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:

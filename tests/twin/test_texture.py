@@ -100,5 +100,6 @@ def test_a_part_of_a_texture_is_cut_out_of_the_whole(
     whole = texture.spread(light, circle)
     (x, y), (width, height) = corner, size
     right, bottom = min(x + width, whole.shape[1]), min(y + height, whole.shape[0])
-    part = texture.spread(light, circle, (x, y, right, bottom))
-    np.testing.assert_allclose(part, whole[y:bottom, x:right], atol=1e-6)
+    for circles in ((circle,), (7.0, circle, 0.0)):
+        part = texture.spreads(light, circles, (x, y, right, bottom))[circles.index(circle)]
+        np.testing.assert_allclose(part, whole[y:bottom, x:right], atol=1e-6)
