@@ -68,7 +68,7 @@ class BenchOptions(Document):
     world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
     of the world's. analytic: light on flat, matt items is computed instead of rendered, see
     `sim.light.plane`. subpixels: as in `sim.world.Render`, in place of the world's. still: nothing vibrates.
-    Both make searches quick: tables of light that stays are a fraction of those of an item that trembles.
+    Both make searches quick: an item at rest takes one table of light where one that trembles takes four.
     """
 
     world: str

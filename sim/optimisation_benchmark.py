@@ -61,8 +61,8 @@ class Trial:
     """What is searched: rig and study files, and how much is timed.
 
     search: the twin on which searches measure. wide: the rig of the baseline. epochs: of the gradient
-    descent. rendered: images of each artefact.
-    measured: candidates, by one worker and by two. workers: who search.
+    descent. rendered: images of each artefact. measured: candidates, by one worker and by two. workers: who
+    search.
     """
 
     search: str = "rig_matched_still.yaml"

@@ -115,8 +115,8 @@ def _shaken(
         return np.zeros(3), residual
     own = np.linalg.solve(slopes.T @ slopes, slopes.T @ residual)[:3]
     twin.become(start.with_pose(view.pose, start.poses[view.pose].moved(own)))
-    pattern, at = bench.shown([view.images[image]]), view.at
-    level = twin.expected_at(view.pose, pattern, bench.settings, at)[0].astype(np.float64)
+    pattern = bench.shown([view.images[image]])
+    level = twin.expected_at(view.pose, pattern, bench.settings, view.pixels)[0].astype(np.float64)
     return own, residual - np.where(view.clear[image], level - view.expected[image], 0.0)
 
 
@@ -160,14 +160,14 @@ def _turned(pose: Floats, move: Floats) -> Floats:
 class View:
     """Some pixels of some images of one pose.
 
-    at: the pixels. expected, residual: (n, P), what the twin sees and the bench less that, where the levels
-    are `clear`. bent: (n, P), the Laplacian of what the twin sees, to which a bit more blur is proportional.
+    expected, residual: (n, P), what the twin sees and the bench less that, where the levels are `clear`.
+    bent: (n, P), the Laplacian of what the twin sees, to which a bit more blur is proportional.
     by_place: (n, P, 4), how the level changes with x, y on the board in mm and u, v of the projector in px.
     """
 
     pose: int
     images: tuple[int, ...]
-    at: Pixels
+    pixels: Pixels
     clear: NDArray[np.bool_]
     expected: Floats
     residual: Floats
@@ -176,9 +176,9 @@ class View:
 
     def slopes(self, at: Parameters, free: int) -> Iterator[Floats]:
         """Of each image, slopes (P, C) by the parameters of `by_images`."""
-        pixels = np.stack(self.at[::-1], axis=-1).astype(np.float64)
-        places = _places(pixels, at.calibration, at.poses[self.pose], free)
-        across, down = ((pixels - pixels.mean(axis=0)) / np.ptp(pixels, axis=0)).T
+        points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
+        places = _places(points, at.calibration, at.poses[self.pose], free)
+        across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
         for seen, bent, by_place in zip(self.expected, self.bent, self.by_place, strict=True):
             geometric = np.einsum("pk,pkc->pc", by_place, places)
             other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, bent]
@@ -188,15 +188,15 @@ class View:
 def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     images = bench.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
-    v, u = at = thinned(looked_at, PIXELS)
-    seen, patterns = bench.frames(pose, images)[:, v, u], bench.shown(images)
+    pixels = thinned(looked_at, PIXELS)
+    seen, patterns = bench.frames(pose, images)[:, *pixels], bench.shown(images)
 
     def picked(levels: Levels) -> Floats:
-        return np.asarray(levels[:, v, u], np.float64)
+        return np.asarray(levels[:, *pixels], np.float64)
 
     def seen_from(there: Parameters) -> Floats:
         twin.become(there)
-        return twin.expected_at(pose, patterns, bench.settings, at).astype(np.float64)
+        return twin.expected_at(pose, patterns, bench.settings, pixels).astype(np.float64)
 
     twin.become(start)
     whole = twin.expected(pose, patterns, bench.settings)
@@ -209,7 +209,7 @@ def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     return View(
         pose,
         tuple(images),
-        at,
+        pixels,
         clear,
         here,
         np.where(clear, seen - here, 0.0),

@@ -99,9 +99,9 @@ def samples(
 
     def one(pose: int) -> Sample:
         area = board_mask(parameters.calibration.camera, parameters.poses[pose], bench.target, -BEYOND_PX)
-        v, u = thinned(area, PIXELS)
-        seen = bench.frames(pose, images)[:, v, u].astype(np.float64)
-        return Sample(pose, tuple(images), (v, u), seen)
+        pixels = thinned(area, PIXELS)
+        seen = bench.frames(pose, images)[:, *pixels].astype(np.float64)
+        return Sample(pose, tuple(images), pixels, seen)
 
     return [one(pose) for pose in poses]
 

@@ -22,7 +22,6 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Pixels
 from fpplab.system import cache_directory
 from sim.light.table import Table
 from sim.scene import Scene, View
@@ -33,10 +32,10 @@ FORMAT = "fpplab light table 4"
 _log = logging.getLogger(__name__)
 
 
-def digest(scene: Scene, views: list[View], pixels: Pixels | None = None) -> str:
-    """Names all that a table depends on. pixels: that it is of, where not of all."""
+def digest(scene: Scene, views: list[View], *more: object) -> str:
+    """Names all that a table depends on: more than scene and views where it is not of all pixels."""
     hashed = hashlib.sha256()
-    _feed(hashed, (scene, views) if pixels is None else (scene, views, pixels))
+    _feed(hashed, (scene, views, *more))
     return hashed.hexdigest()[:32]
 
 

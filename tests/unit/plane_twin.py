@@ -103,7 +103,7 @@ class PlaneTwin:
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
     ) -> Levels:
-        return self.expected(pose, patterns, settings)[:, pixels[0], pixels[1]]
+        return self.expected(pose, patterns, settings)[:, *pixels]
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
         return self._seen(CARD, patterns, settings, board=False)

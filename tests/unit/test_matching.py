@@ -128,7 +128,7 @@ def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Bench)
     there = geometry._turned(geometry.vectors_of(truth.poses[0]), move)
     twin.become(replace(truth, poses=(geometry.transform(there), *truth.poses[1:])))
     first = bench.finest_spread[:1]
-    change = twin.expected_at(0, bench.shown(first), SETTINGS, view.at)[0] - view.expected[0]
+    change = twin.expected_at(0, bench.shown(first), SETTINGS, view.pixels)[0] - view.expected[0]
     looked_at = view.by_place[0].any(axis=-1)
     predicted = slopes[:, 16:22] @ move
     rest = (change - predicted)[looked_at]
@@ -143,7 +143,7 @@ def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters,
     slopes = next(view.slopes(truth, 5))[:, 2 * 5 + 6 + 3 :]
     there = geometry._turned(geometry.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
     twin.become(replace(truth, poses=(geometry.transform(there), *truth.poses[1:])))
-    seen = twin.expected_at(0, bench.shown(view.images[:1]), SETTINGS, view.at)[0]
+    seen = twin.expected_at(0, bench.shown(view.images[:1]), SETTINGS, view.pixels)[0]
     view.residual[0] = np.where(view.clear[0], seen - view.expected[0], 0.0)
     own, left = geometry._shaken(bench, twin, replace(truth, vibration_mm=0.05), view, 0, slopes)
     assert np.all(np.abs(own - move) < [2e-3, 2e-3, 0.02])  # depth is known the least
