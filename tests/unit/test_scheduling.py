@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import resource
 import socket
+import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fpplab.errors import DeviceError, LimitError
@@ -25,6 +28,7 @@ TASKS: list[Task] = [
     for k in range(4)
     for seed in (1, 2)
 ]
+IMAGES, IMAGE_BYTES = 60, 3_000_000
 
 
 def measured(workers: Workers, tasks: list[Task]) -> dict[int, Outcome]:
@@ -71,6 +75,35 @@ def test_a_killed_workers_measurement_is_done_again(tmp_path: Path) -> None:
         cluster.close()
     assert (tmp_path / "died").exists()
     assert found == measured(Here(Formula()), TASKS)
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Fills an array as large as an image, again and again, and scores the pages that were mapped for it."""
+
+    def __call__(self) -> Filling:
+        return self
+
+    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(IMAGES):
+            np.ones(IMAGE_BYTES, np.uint8)
+        mapped = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+        (score, _) = Formula()().measure(candidate, seed)
+        return (replace(score, points=mapped),)
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="what glibc does with memory")
+def test_memory_of_an_image_is_there_for_the_next(pair: Cluster) -> None:
+    other = object.__new__(Cluster)
+    other._opener, other._client = Filling(), pair._client
+    (found,) = measured(other, TASKS[:1]).values()
+    mapped = found[0].points  # type: ignore[union-attr]
+    once = IMAGE_BYTES / resource.getpagesize()
+    assert mapped < IMAGES * once / 10
 
 
 @dataclass(frozen=True)
