@@ -35,7 +35,14 @@ def optimise(
     seeds: Annotated[
         int | None, typer.Option("--seeds", min=1, help="Seeds 1 … N of the noise, or repeats on a real rig.")
     ] = None,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes that measure.")] = 1,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            min=1,
+            help="Processes that measure; by default a simulation's are one for every core.",
+        ),
+    ] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Address of a `dask` scheduler whose workers measure.")
     ] = None,
@@ -60,7 +67,7 @@ def optimise(
 
     name = study or f"study_{what}.yaml"
     wanted = _changed(Study.load(name), calibration, seeds)
-    if scheduler and workers > 1:
+    if scheduler and workers:
         raise ConfigError(
             "--workers counts processes of this computer, and a --scheduler has its own: give one"
         )

@@ -22,7 +22,8 @@ class RigLimits:
     name: the rig's own. size: the projector's (width, height). patterns: how many it holds. exposure_s:
     (least, most) of projector and camera together. dead_s: between exposures. stage_mm: travel of its stage,
     None without. turns: whether the projector can be turned, which only a simulation's can. items: what its
-    fixture holds, None where that is anything.
+    fixture holds, None where that is anything. copies: whether several processes can have one each, which
+    only a simulation can be.
     """
 
     name: str
@@ -33,6 +34,7 @@ class RigLimits:
     stage_mm: tuple[float, float] | None
     turns: bool
     items: frozenset[str] | None
+    copies: bool = False
 
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
@@ -53,6 +55,7 @@ class RigLimits:
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
             turns=hasattr(rig.bench, "turn"),
             items=None if held is None else frozenset(held),
+            copies=hasattr(rig.bench, "draw"),
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from fpplab import config
 from fpplab.errors import ConfigError, DataError
@@ -34,6 +36,8 @@ from fpplab.plan import Plan
 from fpplab.rig import Rig
 from fpplab.targets import Target
 
+WORKER_BYTES = 3 << 30
+"""Memory of a process that measures on a simulation: light tables, and the frames of sets."""
 JOURNAL = "study.jsonl"
 """The journal in the folder of a front; that of a single plan is named as the plan."""
 
@@ -134,7 +138,7 @@ def optimise(
     out: Path,
     source: str,
     *,
-    workers: int = 1,
+    workers: int | None = 1,
     scheduler: str | None = None,
     opener: Opener | None = None,
     observe: Observer = unseen,
@@ -143,8 +147,9 @@ def optimise(
     """Search, and leave the plan in `out`, or a front's plans in the folder `out`.
 
     Goes on where a journal beside them ends. source: names the study in complaints. opener: of the rig to
-    measure on, by default `rig` itself. Raises `ConfigError` for a study that fits neither `what` nor the
-    rig; `DataError` when no plan keeps the limits.
+    measure on, by default `rig` itself. workers: processes, None for as many as help. Raises `ConfigError`
+    for a study that fits neither `what` nor the rig, and for several workers of a rig that is not a
+    simulation; `DataError` when no plan keeps the limits.
     """
     with Rig.load(rig) as opened:
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
@@ -152,12 +157,13 @@ def optimise(
         _check_artefacts(study, limits, source)
         space = Space.of(study, limits, source)
         _check_what(what, space, source)
+        count = processes(limits, workers)
         if scheduler is not None:  # told before the rig is characterised, which takes its time
-            workers_of(OpenRig(_absolute(rig), study), workers, scheduler).close()
+            workers_of(OpenRig(_absolute(rig), study), count, scheduler).close()
         if opener is None and not study.calibrations:
             study = calibrated(opened, study, folder_of(out), progress)
     journal = Journal(journal_of(what, out), study, file)
-    measuring = workers_of(opener or OpenRig(_absolute(rig), study), workers, scheduler)
+    measuring = workers_of(opener or OpenRig(_absolute(rig), study), count, scheduler)
     try:
         lab = Lab(space, measuring, journal, observe)
         ended = _searched(lab)
@@ -237,6 +243,19 @@ def confirm_found(
         )
         for path, trial in trials
     )
+
+
+def processes(limits: RigLimits, wanted: int | None) -> int:
+    """How many measure: as wanted, or one for every core where the rig is a simulation and memory allows."""
+    if wanted is None:
+        fit = psutil.virtual_memory().available // WORKER_BYTES
+        return max(1, min(os.cpu_count() or 1, fit)) if limits.copies else 1
+    if wanted > 1 and not limits.copies:
+        raise ConfigError(
+            f"--workers {wanted}: rig '{limits.name}' is no simulation, and instruments serve one process; "
+            "leave --workers out"
+        )
+    return wanted
 
 
 def _absolute(rig: str) -> str:

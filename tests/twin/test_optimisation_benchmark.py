@@ -32,6 +32,7 @@ from sim.optimisation_benchmark import (
     gain_of,
     groups_changed,
     no_worse,
+    on_both,
     own_cache,
     searched,
     wrong_percent,
@@ -178,6 +179,16 @@ def test_a_search_that_has_ended_is_not_run_again(
     monkeypatch.setattr("fpplab.optimisation.measuring.RigEvaluator.measure", refused)
     found = searched(What.STRIPES, trial.search, trial.stripes, folder, 1)
     assert found.gain is not None
+
+
+@pytest.mark.slow
+def test_plans_are_confirmed_side_by_side(folder: Path, trial: Trial, results: dict[str, Result]) -> None:
+    """By processes of their own, which compare all points."""
+    found = searched(What.STRIPES, trial.search, trial.stripes, folder, 1)
+    ((twin, hidden),) = on_both(replace(trial, workers=2), found, folder)
+    assert (twin.rig, hidden.rig) == ("twin", "hidden")
+    for one, name in ((twin, "stripes_down"), (hidden, "stripes_down_hidden")):
+        assert 100 * one.confirmation.gain == pytest.approx(results[f"optimise_{name}"].value, abs=2)
 
 
 def test_what_a_figure_must_reach_and_what_it_must_not_exceed() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,13 +14,13 @@ from fpplab.errors import ConfigError, DataError, LimitError
 from fpplab.live import Viewer
 from fpplab.measurement import take
 from fpplab.optimisation.lab import Epoch
-from fpplab.optimisation.run import Found, optimise
+from fpplab.optimisation.run import Found, optimise, processes
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.what import What
 from fpplab.plan import Plan
 from fpplab.report.optimisation import write_optimisation_report
 from fpplab.rig import Rig
-from tests.unit.searching import FRINGES, Formula, study
+from tests.unit.searching import FRINGES, LIMITS, Formula, study
 
 ITEMS = ["pyramid", "steps"]
 START = {"fringes": [{**fringe, "steps": 5} for fringe in FRINGES], "stage_mm": 0.0}
@@ -137,3 +139,21 @@ def test_a_plan_with_a_stage_needs_one() -> None:
         rig.stage = None
         with pytest.raises(ConfigError, match="'stage' is missing, and the plan's stage_mm 5 needs one"):
             rig.place_stage(5.0)
+
+
+@pytest.mark.parametrize(
+    ("copies", "gigabytes", "wanted", "count"),
+    [(True, 30, None, 8), (True, 7, None, 2), (True, 1, None, 1), (True, 1, 5, 5), (False, 30, None, 1)],
+)
+def test_every_core_measures_on_a_simulation(
+    copies: bool, gigabytes: int, wanted: int | None, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=gigabytes << 30))
+    assert processes(replace(LIMITS, copies=copies), wanted) == count
+
+
+def test_instruments_serve_one_process() -> None:
+    assert processes(LIMITS, 1) == 1
+    with pytest.raises(ConfigError, match="--workers 2: rig 'Formula' is no simulation"):
+        processes(LIMITS, 2)
