@@ -36,7 +36,7 @@ from fpplab.plan import Plan
 from fpplab.rig import Rig
 from fpplab.targets import Target
 
-WORKER_BYTES = 3 << 30
+WORKER_BYTES = 4 << 30
 """Memory of a process that measures on a simulation: light tables, and the frames of sets."""
 JOURNAL = "study.jsonl"
 """The journal in the folder of a front; that of a single plan is named as the plan."""

@@ -143,7 +143,7 @@ def test_a_plan_with_a_stage_needs_one() -> None:
 
 @pytest.mark.parametrize(
     ("copies", "gigabytes", "wanted", "count"),
-    [(True, 30, None, 8), (True, 7, None, 2), (True, 1, None, 1), (True, 1, 5, 5), (False, 30, None, 1)],
+    [(True, 40, None, 8), (True, 9, None, 2), (True, 1, None, 1), (True, 1, 5, 5), (False, 30, None, 1)],
 )
 def test_every_core_measures_on_a_simulation(
     copies: bool, gigabytes: int, wanted: int | None, count: int, monkeypatch: pytest.MonkeyPatch
