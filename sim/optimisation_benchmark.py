@@ -213,7 +213,8 @@ def _pareto(folder: Path, trial: Trial) -> list[Result]:
 def beside_singles(found: Found) -> float:
     """The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
 
-    Of those with as many images, among all that were measured and keep the limits.
+    Of those with as many images, among all that were measured and keep the limits: the search of a front
+    begins with searches of each kind of parameter by itself.
     """
     wanted = [trial for trial in found.trials if found.judge.wanted(trial)]
     single = [trial for trial in wanted if len(groups_changed(found, trial)) <= 1]

@@ -75,7 +75,7 @@ def optimise(
 
     from fpplab.live import Viewer
     from fpplab.optimisation import run
-    from fpplab.report.optimisation import error_maps, write_optimisation_report
+    from fpplab.report.optimisation import look, write_optimisation_report
 
     if confirm:
         run.check_confirmable(confirm, wanted, name)
@@ -107,7 +107,7 @@ def optimise(
                 confirmed = run.confirm_found(confirm, found, run.folder_of(out) / "confirm", report)
         page = run.page_of(what, out)
         with console.progress("Comparing before and after"):
-            write_optimisation_report(page, found, confirmed, error_maps(rig, found))
+            write_optimisation_report(page, found, confirmed, look(rig, found))
         result = {
             **found.summary(),
             "confirmed": [one.summary() for one in confirmed],

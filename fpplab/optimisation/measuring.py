@@ -81,6 +81,17 @@ class RigEvaluator:
         _, cloud = points_of(self._decoded(name, candidate, seed), calibration, plan)
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
+    def angle_deg(self, candidate: Candidate) -> float:
+        """Of triangulation: how far apart an artefact's middle sees camera and projector, the mean over all.
+
+        Raises as `measure`.
+        """
+        projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
+        middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._study.artefacts])
+        there = projector - middles
+        norms = np.linalg.norm(middles, axis=1) * np.linalg.norm(there, axis=1)
+        return float(np.degrees(np.arccos(-np.sum(middles * there, axis=1) / norms)).mean())
+
     def close(self) -> None:
         """Let go of the rig."""
         self._stack.close()

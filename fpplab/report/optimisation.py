@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from fpplab.optimisation.objectives import Figures, Trial
 from fpplab.optimisation.run import Confirmed, Found
 from fpplab.optimisation.scoring import Figures as Measured
 from fpplab.optimisation.space import Parameter
-from fpplab.report.drawing import ACCENT, ALARM, FULL, INK, SECOND, blank, pair, picture
+from fpplab.report.drawing import ACCENT, ALARM, FULL, INK, SECOND, blank, picture
 from fpplab.report.figures import error_map
 from fpplab.report.page import Figure, Section, Table, write_page
 
@@ -44,6 +46,17 @@ Maps = Mapping[str, tuple[bytes, bytes]]
 """Of each artefact the picture of its errors, PNG, with the start's plan and with the one found."""
 
 
+@dataclass(frozen=True)
+class Looks:
+    """What is seen on the rig of a search when it is over.
+
+    angles: of triangulation in degrees, by the stage's position in mm; empty where nothing moves it.
+    """
+
+    maps: Maps
+    angles: Mapping[float, float]
+
+
 CONFIRMED = (
     "Plan",
     "Images",
@@ -58,34 +71,32 @@ CONFIRMED = (
 
 
 def write_optimisation_report(
-    path: Path, found: Found, confirmed: Sequence[Confirmed] = (), maps: Maps | None = None
+    path: Path, found: Found, confirmed: Sequence[Confirmed] = (), looks: Looks | None = None
 ) -> None:
     """Write a search as one HTML file. Raises `DataError`."""
     sections = [_confirmed_section(confirmed)] if confirmed else []
     sections.append(_convergence_section(found))
     if len(found.front) > 1:
         sections.append(_front_section(found))
+    maps, angles = (looks.maps, looks.angles) if looks else ({}, {})
     sections += [
-        _parameter_section(found),
-        *(_map_section(name, *both) for name, both in (maps or {}).items()),
+        _parameter_section(found, angles),
+        *(_map_section(name, *both) for name, both in maps.items()),
     ]
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
 
 
-def error_maps(rig: str, found: Found) -> Maps:
-    """Every artefact measured once more on the rig of the search, before and after."""
-    evaluator = RigEvaluator(rig, found.study)
-    seed = found.study.seeds[0]
-    try:
-        return {
-            name: (
-                _errors(evaluator, name, found.start.candidate, seed),
-                _errors(evaluator, name, found.optimum.candidate, seed),
-            )
+def look(rig: str, found: Found) -> Looks:
+    """Every artefact measured once more on the rig of the search, before and after. Raises as measuring."""
+    seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
+    candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}
+    with closing(RigEvaluator(rig, found.study)) as evaluator:
+        maps = {
+            name: (_errors(evaluator, name, plans[0], seed), _errors(evaluator, name, plans[1], seed))
             for name in found.study.artefacts
         }
-    finally:
-        evaluator.close()
+        angles = {mm: evaluator.angle_deg(one) for mm, one in candidates.items() if mm is not None}
+    return Looks(maps, angles)
 
 
 def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:
@@ -181,22 +192,25 @@ def _convergence_section(found: Found) -> Section:
 
 @picture
 def convergence(found: Found) -> Sheet:
-    """Mean distance and images of every candidate in the order measured, and of the best until then."""
-    figure, both = pair(3.0, (1.0, 1.0))
+    """Distance, and images if they differ, of every candidate as measured, and of the best until then."""
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
-    names: tuple[tuple[str, Callable[[Figures], float]], ...] = (
+    names: list[tuple[str, Callable[[Figures], float]]] = [
         (DISTANCE, lambda figures: figures.surface_smcd_um),
         ("images", lambda figures: figures.images),
-    )
-    for axes, (name, value) in zip(both, names, strict=True):
+    ]
+    if len({trial.figures.images for _, trial in measured}) == 1:
+        names.pop()
+    figure = blank(FULL, 3.0)
+    panels: list[Axes] = list(figure.subplots(1, len(names), squeeze=False)[0])
+    for axes, (name, value) in zip(panels, names, strict=True):
         for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
             chosen = [(i, value(t.figures)) for i, t in measured if found.judge.wanted(t) is keeps]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
         axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
         axes.set(xlabel="candidate", ylabel=name)
-    both[1].yaxis.set_major_locator(MaxNLocator(integer=True))
-    _from_least(both[0], [t.figures.surface_smcd_um for _, t in measured])
+    panels[-1].yaxis.set_major_locator(MaxNLocator(integer=len(names) > 1))
+    _from_least(panels[0], [t.figures.surface_smcd_um for _, t in measured])
     return figure
 
 
@@ -268,7 +282,7 @@ def front(found: Found) -> Sheet:
     return figure
 
 
-def _parameter_section(found: Found) -> Section:
+def _parameter_section(found: Found, angles: Mapping[float, float]) -> Section:
     figures = []
     for i, parameter in enumerate(found.space.parameters):
         caption = (
@@ -278,26 +292,35 @@ def _parameter_section(found: Found) -> Section:
         if parameter.group == "geometry":
             caption = (
                 "What a wider baseline trades: the share of the surface that is measured, which shadow takes "
-                "away, and the RMS of what is measured."
+                "away, and the RMS of what is measured. Dotted: start, red, and found."
             )
+            along_angle = angles if parameter.name == "stage_mm" else {}
             figures.append(
-                Figure.of(shadow(found, i, parameter), f"Shadow against {parameter.name}", caption)
+                Figure.of(
+                    shadow(found, i, parameter, along_angle), f"Shadow against {parameter.name}", caption
+                )
             )
     return Section("Parameters", figures=tuple(figures))
 
 
 @picture
-def shadow(found: Found, i: int, parameter: Parameter) -> Sheet:
-    """Completeness and RMS of every candidate against one parameter of the geometry."""
+def shadow(found: Found, i: int, parameter: Parameter, angles: Mapping[float, float]) -> Sheet:
+    """Completeness and RMS of every candidate against one parameter of the geometry, or its angles."""
     figure = blank(FULL / 2, 3.0)
     axes = figure.subplots()
     rms = axes.twinx()
     measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
-    values = [trial.point[i] for trial in measured]
+
+    def place(trial: Trial) -> float:
+        return angles.get(trial.point[i], trial.point[i])
+
+    values = [place(trial) for trial in measured]
     mark = ".-" if len(found.space.parameters) == 1 else "."
     axes.plot(values, [100 * t.figures.completeness for t in measured], mark, color=ACCENT, linewidth=0.8)
     rms.plot(values, [t.figures.surface_rms_um for t in measured], mark, color=SECOND, linewidth=0.8)
-    axes.set_xlabel(parameter.name)
+    for trial, colour in ((found.start, ALARM), (found.optimum, ACCENT)):
+        axes.axvline(place(trial), color=colour, linewidth=0.8, linestyle=":")
+    axes.set_xlabel("angle of triangulation, degrees" if angles else parameter.name)
     axes.set_ylabel("completeness, %", color=ACCENT)
     rms.set_ylabel("RMS distance, µm", color=SECOND)
     return figure

@@ -123,17 +123,34 @@ def test_the_gain_is_confirmed_within_its_uncertainty(searched: tuple[Path, dict
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("rig", ["rig_demo_quick", "rig_emulated_quick"])
 def test_the_plan_found_runs_unchanged(
-    fpplab: Command, demo: Demo, searched: tuple[Path, dict[str, Any], bytes], tmp_path: Path
+    rig: str, fpplab: Command, demo: Demo, searched: tuple[Path, dict[str, Any], bytes], tmp_path: Path
 ) -> None:
     folder, answer, _ = searched
     plan = Plan.load(folder / "plan.yaml")
     assert [f.stripes for f in plan.fringes] == [f["stripes"] for f in answer["optimum"]["fringes"]]
     done = fpplab(
-        "scan", "--rig", "rig_demo_quick", "--plan", folder / "plan.yaml", "--item", "pyramid", "--json",
+        "scan", "--rig", rig, "--plan", folder / "plan.yaml", "--item", "pyramid", "--json",
         "--calibration", demo.folder / "calibration.yaml", "--out", tmp_path / "scan",
     )  # fmt: skip
     assert done.json["images"] == answer["images"]
+
+
+@pytest.mark.slow
+def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    """The real drivers, by one process: that is what instruments serve."""
+    words = [
+        "optimise", "stripes", "--rig", "rig_emulated_quick", "--study",
+        written(tmp_path / "study.yaml", seeds=[1], budget=3), "--out", tmp_path / "plan.yaml",
+        "--calibration", demo.folder / "calibration.yaml", "--json",
+    ]  # fmt: skip
+    refused = fpplab(*words, "--workers", 2)
+    assert refused.code == 2
+    assert "rig 'Emulated bench, quick' is no simulation" in refused.json["error"]
+    done = fpplab(*words)
+    assert done.code == 0, done.err
+    assert done.json["optimum"]["surface_smcd_um"] < done.json["initial"]["surface_smcd_um"]
 
 
 @pytest.mark.slow

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fpplab import artefacts, config
@@ -104,6 +107,18 @@ def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch:
     assert found.surface_smcd_um == pytest.approx(known.surface_smcd_um, rel=0.05)
     assert found.points == pytest.approx(known.points, rel=0.01)
     assert found.wrong_orders == 0.0
+
+
+def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> None:
+    """Camera at the origin, projector, and the middle of the artefact: by the lengths of the sides."""
+    world = World.load(folder / "world.yaml")
+    with closing(RigEvaluator(str(folder / "rig.yaml"), study(folder))) as evaluator:
+        for mm in (0.0, 20.0):
+            true = artefacts.make("pillars").apply_transform(evaluator._rig.fixture.pose("pillars").matrix)  # type: ignore[union-attr]
+            middle, projector = true.bounds.mean(axis=0), world.T_projector_camera(mm).inverse().translation
+            a, b, c = (float(np.linalg.norm(side)) for side in (middle, middle - projector, projector))
+            angle = math.degrees(math.acos((a**2 + b**2 - c**2) / (2 * a * b)))
+            assert evaluator.angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
 
 
 def test_a_study_without_what_it_needs_is_refused(folder: Path) -> None:
