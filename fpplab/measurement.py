@@ -65,8 +65,10 @@ def take(
     """Acquire the plan on an open rig into `out`, or complete the interrupted session there.
 
     mount: what the rig's fixture puts up first. complete_too: leave a session that is complete as it is,
-    instead of refusing it.
+    instead of refusing it. Where the stage cannot go nothing is replaced.
     """
+    if plan.stage_mm is not None:
+        rig.need_stage(plan.stage_mm)
     session = Session.resume(out, plan, rig.described(mount), force, complete_too)
     if plan.stage_mm is not None and session.missing():
         rig.place_stage(plan.stage_mm)

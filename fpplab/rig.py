@@ -137,16 +137,22 @@ class Rig:
             raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
         return self.fixture
 
-    def place_stage(self, mm: float) -> None:
-        """Bring the stage to a position, homed first where it is not.
+    def need_stage(self, mm: float) -> Stage:
+        """The stage, which can go there. Nothing moves.
 
         Raises `ConfigError` for a rig without one, `LimitError` outside the travel.
         """
         if self.stage is None:
             raise ConfigError(f"{self._source}: 'stage' is missing, and the plan's stage_mm {mm:g} needs one")
-        if not self.stage.homed:
-            self.stage.home()
-        self.stage.move_to(mm)
+        self.stage.check(mm)
+        return self.stage
+
+    def place_stage(self, mm: float) -> None:
+        """Bring the stage to a position, homed first where it is not. Raises as `need_stage`."""
+        stage = self.need_stage(mm)
+        if not stage.homed:
+            stage.home()
+        stage.move_to(mm)
 
     def _open_bench(self, stack: ExitStack) -> Any:
         if self.file.bench is None:

@@ -57,16 +57,25 @@ class Stage(Device):
         Raises `LimitError` outside the travel, `StateError` before homing, `TimeoutError`.
         """
         self._need(State.IDLE, doing="move_to")
-        least, most = self.caps.travel_mm
-        if not least <= mm <= most:
-            raise LimitError(
-                self.name, "move_to", f"{mm:g} mm was asked for", f"the travel is {least:g} to {most:g} mm"
-            )
+        self._check_travel("move_to", mm)
         if not self._homed:
             raise StateError(self.name, "move_to", "is not homed", "home it first")
         with self._guard("move_to"):
             self._move_to(mm, time.monotonic() + timeout_s)
             return self._position_mm()
+
+    @final
+    def check(self, mm: float) -> None:
+        """Refuse a position outside the travel: `LimitError`; nothing moves."""
+        self._need(State.IDLE, doing="check")
+        self._check_travel("check", mm)
+
+    def _check_travel(self, doing: str, mm: float) -> None:
+        least, most = self.caps.travel_mm
+        if not least <= mm <= most:
+            raise LimitError(
+                self.name, doing, f"{mm:g} mm was asked for", f"the travel is {least:g} to {most:g} mm"
+            )
 
     @property
     @final

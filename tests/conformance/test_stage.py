@@ -47,7 +47,11 @@ def test_moves_out_of_the_travel_are_refused(stage: Stage) -> None:
     for mm in (math.nextafter(least, -math.inf), math.nextafter(most, math.inf), math.nan, math.inf):
         with pytest.raises(LimitError, match="the travel is"):
             stage.move_to(mm)
+        with pytest.raises(LimitError, match="the travel is"):
+            stage.check(mm)
         assert stage.position_mm == here
+    stage.check(most)
+    assert stage.position_mm == here
     assert stage.state is State.IDLE
 
 

@@ -20,6 +20,7 @@ from fpplab.optimisation.what import What
 from fpplab.plan import Plan
 from fpplab.report.optimisation import write_optimisation_report
 from fpplab.rig import Rig
+from fpplab.session import Session
 from tests.unit.searching import FRINGES, LIMITS, Formula, study
 
 ITEMS = ["pyramid", "steps"]
@@ -132,6 +133,19 @@ def test_a_plan_says_where_the_stage_stands(tmp_path: Path, monkeypatch: pytest.
         with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
             rig.place_stage(61.0)
     assert stood == [12.5]
+
+
+def test_nothing_is_replaced_where_the_stage_cannot_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
+    monkeypatch.setattr("fpplab.measurement.acquire", lambda *others: None)
+    with Rig.load("rig_demo_quick") as rig:
+        take(rig, plan, tmp_path / "s")
+        for beyond in (61.0, -61.0):
+            with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
+                take(rig, plan.model_copy(update={"stage_mm": beyond}), tmp_path / "s", force=True)
+    assert Session.open(tmp_path / "s").plan == plan
 
 
 def test_a_plan_with_a_stage_needs_one() -> None:
