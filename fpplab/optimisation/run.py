@@ -233,7 +233,8 @@ def confirm_found(
         for path, trial in trials:
             limits.check(trial.candidate, str(path))
         if limits.name != found.rig:
-            study = calibrated(opened, study.model_copy(update={"calibrations": ()}), folder, progress)
+            stands = [mm for _, trial in trials if (mm := trial.candidate.stage_mm) is not None]
+            study = calibrated(opened, study, folder, progress, stands)
     return tuple(
         Confirmed(
             rig=limits.name,
@@ -263,13 +264,23 @@ def _absolute(rig: str) -> str:
     return str(Path(rig).resolve()) if Path(rig).exists() else rig
 
 
-def calibrated(rig: Rig, study: Study, folder: Path, progress: Progress = nothing) -> Study:
-    """The study with calibrations of the open rig, which is characterised wherever the stage may stand.
+def calibrated(
+    rig: Rig,
+    study: Study,
+    folder: Path,
+    progress: Progress = nothing,
+    stands: Sequence[float] | None = None,
+) -> Study:
+    """The study with calibrations of the open rig, characterised at the ends of where the stage may stand.
 
-    Sessions and calibrations stay in `folder`, and what is there already is kept.
+    stands: where it will, beside the start; anywhere that is searched if None. Sessions and calibrations stay
+    in `folder`, and what is there already is kept.
     """
     searched, start = study.space.stage_mm, study.start.stage_mm
-    positions = [start] if searched is None else sorted({*searched, start or 0.0})
+    positions: Sequence[float | None] = [start]
+    if searched is not None:
+        among = (start or 0.0, *(stands or searched))
+        positions = sorted({min(among), among[0], max(among)})
     board = study.board
     files = characterise_positions(
         rig,

@@ -14,7 +14,7 @@ from fpplab.errors import ConfigError, DataError, LimitError
 from fpplab.live import Viewer
 from fpplab.measurement import take
 from fpplab.optimisation.lab import Epoch
-from fpplab.optimisation.run import Found, optimise, processes
+from fpplab.optimisation.run import Found, calibrated, optimise, processes
 from fpplab.optimisation.study import Study
 from fpplab.optimisation.what import What
 from fpplab.plan import Plan
@@ -146,6 +146,27 @@ def test_nothing_is_replaced_where_the_stage_cannot_go(
             with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
                 take(rig, plan.model_copy(update={"stage_mm": beyond}), tmp_path / "s", force=True)
     assert Session.open(tmp_path / "s").plan == plan
+
+
+@pytest.mark.parametrize(
+    ("stands", "wanted"), [(None, [-40, 0, 40]), ([-40.0, -30.0], [-40, 0]), ([20.0], [0, 20]), ([0.0], [0])]
+)
+def test_a_rig_is_characterised_where_the_stage_will_stand(
+    stands: list[float] | None, wanted: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[float]] = []
+
+    def characterised(rig: Rig, positions: list[float], *others: object) -> dict[float, Path]:
+        asked.append(positions)
+        return {mm: tmp_path / f"{mm:g}.yaml" for mm in positions}
+
+    monkeypatch.setattr("fpplab.optimisation.run.characterise_positions", characterised)
+    with Rig.load("rig_demo_quick") as rig:
+        known = calibrated(rig, study(**FRONT), tmp_path, stands=stands).calibrations
+    assert asked == [wanted]
+    assert [(one.stage_mm, one.file) for one in known] == [
+        (mm, str((tmp_path / f"{mm:g}.yaml").resolve())) for mm in wanted
+    ]
 
 
 def test_a_plan_with_a_stage_needs_one() -> None:
