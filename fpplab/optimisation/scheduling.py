@@ -30,7 +30,7 @@ ALLOCATION = {
 }
 """Environment of a worker, for glibc: memory is kept for the next image, which needs as much again.
 
-dask's own setting gives it back after every array, and the pages are mapped anew a hundred thousand times for
+dask's own setting gives it back after every array, and pages are mapped anew half a million times for
 each measurement: a third of its time.
 """
 
