@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fpplab.conventions import Axis, axis_length
 from fpplab.errors import ConfigError
 from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.sets import Draws
 from fpplab.patterns import Pattern
 from fpplab.rig import Rig
 
@@ -55,7 +56,7 @@ class RigLimits:
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
             turns=hasattr(rig.bench, "turn"),
             items=None if held is None else frozenset(held),
-            copies=hasattr(rig.bench, "draw"),
+            copies=isinstance(rig.bench, Draws),
         )
 
     @property

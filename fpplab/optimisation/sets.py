@@ -16,7 +16,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from fpplab.acquisition import capture
 from fpplab.conventions import Axis, Image
@@ -27,6 +27,7 @@ from fpplab.rig import Rig
 KEEP_BYTES = 3 << 28
 
 
+@runtime_checkable
 class Draws(Protocol):
     """A bench whose frames' noise can be told what to follow from."""
 
@@ -66,7 +67,7 @@ class FringeSets:
         self, rig: Rig, like: Plan, stand: Callable[[View], None], keep_bytes: int = KEEP_BYTES
     ) -> None:
         self._rig, self._like, self._stand, self._limit = rig, like, stand, keep_bytes
-        self._draws: Draws | None = rig.bench if hasattr(rig.bench, "draw") else None
+        self._draws: Draws | None = rig.bench if isinstance(rig.bench, Draws) else None
         self._kept: OrderedDict[_Key, dict[int, list[Image]]] = OrderedDict()
         self.acquired = 0
         """Images taken since the beginning."""

@@ -19,7 +19,7 @@ from fpplab.optimisation.objectives import Figures, Trial
 from fpplab.optimisation.run import Confirmed, Found
 from fpplab.optimisation.scoring import Figures as Measured
 from fpplab.optimisation.space import Parameter
-from fpplab.report.drawing import ACCENT, ALARM, FULL, INK, SECOND, blank, picture
+from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, pair, picture, sheet
 from fpplab.report.figures import error_map
 from fpplab.report.page import Figure, Section, Table, write_page
 
@@ -78,10 +78,10 @@ def write_optimisation_report(
     sections.append(_convergence_section(found))
     if len(found.front) > 1:
         sections.append(_front_section(found))
-    maps, angles = (looks.maps, looks.angles) if looks else ({}, {})
+    looks = looks or Looks({}, {})
     sections += [
-        _parameter_section(found, angles),
-        *(_map_section(name, *both) for name, both in maps.items()),
+        _parameter_section(found, looks.angles),
+        *(_map_section(name, *both) for name, both in looks.maps.items()),
     ]
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
 
@@ -195,21 +195,23 @@ def convergence(found: Found) -> Sheet:
     """Distance, and images if they differ, of every candidate as measured, and of the best until then."""
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
-    names: list[tuple[str, Callable[[Figures], float]]] = [
+    names: tuple[tuple[str, Callable[[Figures], float]], ...] = (
         (DISTANCE, lambda figures: figures.surface_smcd_um),
         ("images", lambda figures: figures.images),
-    ]
-    if len({trial.figures.images for _, trial in measured}) == 1:
-        names.pop()
-    figure = blank(FULL, 3.0)
-    panels: list[Axes] = list(figure.subplots(1, len(names), squeeze=False)[0])
-    for axes, (name, value) in zip(panels, names, strict=True):
+    )
+    panels: tuple[Axes, ...]
+    if len({trial.figures.images for _, trial in measured}) > 1:
+        figure, panels = pair(3.0, (1.0, 1.0))
+        panels[1].yaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        figure, axes = sheet(FULL, 3.0)
+        panels = (axes,)
+    for axes, (name, value) in zip(panels, names, strict=False):
         for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
             chosen = [(i, value(t.figures)) for i, t in measured if found.judge.wanted(t) is keeps]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
         axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
         axes.set(xlabel="candidate", ylabel=name)
-    panels[-1].yaxis.set_major_locator(MaxNLocator(integer=len(names) > 1))
     _from_least(panels[0], [t.figures.surface_smcd_um for _, t in measured])
     return figure
 
@@ -243,8 +245,7 @@ def _front_section(found: Found) -> Section:
 @picture
 def front(found: Found) -> Sheet:
     """Mean distance against images: all candidates, and the front with its spread."""
-    figure = blank(FULL, 3.6)
-    axes = figure.subplots()
+    figure, axes = sheet(FULL, 3.6)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour, words in (
         (True, ".", FAINT, "measured"),
@@ -306,8 +307,7 @@ def _parameter_section(found: Found, angles: Mapping[float, float]) -> Section:
 @picture
 def shadow(found: Found, i: int, parameter: Parameter, angles: Mapping[float, float]) -> Sheet:
     """Completeness and RMS of every candidate against one parameter of the geometry, or its angles."""
-    figure = blank(FULL / 2, 3.0)
-    axes = figure.subplots()
+    figure, axes = sheet(HALF, 3.0)
     rms = axes.twinx()
     measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
 
@@ -329,8 +329,7 @@ def shadow(found: Found, i: int, parameter: Parameter, angles: Mapping[float, fl
 @picture
 def along(found: Found, i: int, parameter: Parameter) -> Sheet:
     """Mean distance of every candidate against one parameter, with the spread over seeds."""
-    figure = blank(FULL / 2, 3.0)
-    axes = figure.subplots()
+    figure, axes = sheet(HALF, 3.0)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
         chosen = [trial for trial in measured if found.judge.wanted(trial) is keeps]

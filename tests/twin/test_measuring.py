@@ -20,6 +20,7 @@ from fpplab.optimisation.measuring import RigEvaluator, candidate_of
 from fpplab.optimisation.study import Study
 from fpplab.plan import FringeSet, Plan
 from fpplab.rig import Rig
+from sim.items import item_poses
 from sim.world import World
 from tests.twin.conftest import RIG, plain, write_world
 
@@ -114,7 +115,7 @@ def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> Non
     world = World.load(folder / "world.yaml")
     with closing(RigEvaluator(str(folder / "rig.yaml"), study(folder))) as evaluator:
         for mm in (0.0, 20.0):
-            true = artefacts.make("pillars").apply_transform(evaluator._rig.fixture.pose("pillars").matrix)  # type: ignore[union-attr]
+            true = artefacts.make("pillars").apply_transform(item_poses(world, "pillars")[0].matrix)
             middle, projector = true.bounds.mean(axis=0), world.T_projector_camera(mm).inverse().translation
             a, b, c = (float(np.linalg.norm(side)) for side in (middle, middle - projector, projector))
             angle = math.degrees(math.acos((a**2 + b**2 - c**2) / (2 * a * b)))
