@@ -11,8 +11,8 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
-	$(BIN)/python -m fpplab.system
-	$(BIN)/python -m fpplab.warmup
+	$(BIN)/python -m fpplab.core.system
+	$(BIN)/python -m fpplab.cli.warmup
 	touch $(READY)
 
 demo: setup

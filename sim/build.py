@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpplab.conventions import Floats
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.items import item_poses, item_shape, item_surface
 from sim.scene import Aperture, Lamp, Optics, Scene, Surface
 from sim.texture import MirrorTexture

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab import config
-from fpplab.config import Document
-from fpplab.conventions import Floats
-from fpplab.dataset.studio import Studio
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -37,10 +38,9 @@ from fpplab.devices import (
     StageCaps,
     Trigger,
 )
-from fpplab.errors import ConfigError
-from fpplab.geometry import RigidTransform
-from fpplab.matching.twin import Twin
-from fpplab.patterns import Pattern, quantise
+from fpplab.patterns.fringes import Pattern, quantise
+from fpplab.simulation.arrangeable import Studio
+from fpplab.simulation.matchable import Twin
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
 from sim.light import Light, Picture, Show

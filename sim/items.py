@@ -11,13 +11,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fpplab import artefacts, config
+from fpplab import artefacts
 from fpplab.artefacts.models import Lengths
 from fpplab.artefacts.parts import load_part
 from fpplab.artefacts.slicing import sliced
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.geometry import RigidTransform
+from fpplab.core import config
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface

@@ -7,9 +7,9 @@ from itertools import count
 
 import numpy as np
 
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.world import PoseRules, World
 
 TRIES = 20000

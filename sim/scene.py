@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 
 
 @dataclass(frozen=True, eq=False)

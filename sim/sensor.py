@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Image, full_scale, raw_dtype
+from fpplab.core.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
 from sim.world import Sensor, World

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import trimesh
 
-from fpplab import config
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
+from fpplab.core import config
 from fpplab.dataset.scenes import Scene
-from fpplab.dataset.studio import Truth
+from fpplab.simulation.arrangeable import Truth
 from sim.items import item_poses, item_shape
 from sim.world import World
 
@@ -22,7 +22,7 @@ ITEM = "item"
 
 
 class SimStudio:
-    """A `fpplab.dataset.studio.Studio` of the world that the bench stands in when it is made."""
+    """A `fpplab.simulation.arrangeable.Studio` of the world that the bench stands in when it is made."""
 
     def __init__(self, bench: VirtualBench) -> None:
         self._bench, self._nominal = bench, bench.world

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ive
 
-from fpplab.conventions import Floats, Lattice, mirror_centres
+from fpplab.core.conventions import Floats, Lattice, mirror_centres
 
 
 def least_blur(fill_factor: float) -> float:

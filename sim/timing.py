@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 
 WHOLE = 1e-9
 """What rounding may leave of an exposure beside whole periods, relative to it: weights of B bits are then

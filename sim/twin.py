@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from fpplab import config
-from fpplab.calibration import Calibration, CalibrationFile, PoseFile
-from fpplab.conventions import Image, Pixels
+from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
+from fpplab.core import config
+from fpplab.core.conventions import Image, Pixels
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import write_text
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
-from fpplab.errors import ConfigError
-from fpplab.files import write_text
-from fpplab.gamma import Curve
-from fpplab.geometry import RigidTransform
-from fpplab.matching.twin import Levels, Parameters
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
+from fpplab.patterns.response import Curve
+from fpplab.simulation.matchable import Levels, Parameters
 from fpplab.targets import Target
 from sim.build import Setup
 from sim.items import board_target, item_mesh, item_poses
@@ -36,7 +36,7 @@ from sim.world import ArtefactItem, BoardItem, MeshItem, World
 
 
 class SimTwin:
-    """A `fpplab.matching.twin.Twin` of the world `nominal`, whose item `board` is looked at.
+    """A `fpplab.simulation.matchable.Twin` of the world `nominal`, whose item `board` is looked at.
 
     blender: the process that renders what is not flat. Raises `ConfigError` when the item is no board.
     """

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpplab.conventions import Floats
-from fpplab.geometry import RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
 from sim.build import Setup
 from sim.light import Light, Picture, Show
 

@@ -21,8 +21,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.errors import ConfigError, DeviceError, DisconnectedError, TimeoutError
-from fpplab.system import BLENDER
+from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.system import BLENDER
 from sim.scene import Effort, Scene, View
 
 START_S = 120.0

@@ -19,9 +19,8 @@ from drivers.basler.features import US_PER_S, Features
 from drivers.basler.frames import SPARE, BufferPool
 from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions
 from drivers.basler.transport import Pylon
-from fpplab import config
-from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, State, Trigger
-from fpplab.errors import (
+from fpplab.core import config
+from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
@@ -31,7 +30,8 @@ from fpplab.errors import (
     StateError,
     TimeoutError,
 )
-from fpplab.files import write_text
+from fpplab.core.files import write_text
+from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, State, Trigger
 
 NS_PER_S = 1e9
 READY_S = 5.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json
 from fpplab.cli.camera import camera
 
@@ -33,7 +33,7 @@ def save(file: SettingsFile, serial: Serial = None, force: Force = False, json: 
 
     Example: `fpplab camera save camera.pfs`
     """
-    from fpplab.files import need_suffix, refuse_existing
+    from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(file, ".pfs")
     refuse_existing(file, force)
@@ -61,7 +61,7 @@ def _connected(serial: str | None) -> CameraAsLeft:
     """The camera of that serial number, or the only one, not open yet. Raises `DeviceError`."""
     from drivers.basler.camera import CameraAsLeft
     from drivers.basler.transport import Pylon
-    from fpplab.errors import DeviceError, DisconnectedError
+    from fpplab.core.errors import DeviceError, DisconnectedError
 
     if serial is None:
         serials = sorted(Pylon().cameras())

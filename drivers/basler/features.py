@@ -10,7 +10,7 @@ from typing import Any
 
 from pypylon import pylon
 
-from fpplab.errors import CapabilityError, SettingError
+from fpplab.core.errors import CapabilityError, SettingError
 
 Feature = tuple[str, ...]
 US_PER_S = 1e6

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pypylon import pylon
 
-from fpplab.conventions import Image
+from fpplab.core.conventions import Image
 
 POOL_BYTES = 1 << 30
 """Memory that buffers may take, unless so few would fit that nothing could flow."""

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from fpplab.config import Document
+from fpplab.core.config import Document
 
 EDGES = {"rising": "RisingEdge", "falling": "FallingEdge"}
 SHUTTERS = {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drivers.dlp4500.commands import NAME, Serial, connected
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Json
 from fpplab.cli.projector import dlp4500
 
@@ -115,7 +115,7 @@ def show_test_pattern(
     Example: `fpplab dlp4500 test-pattern grid`
     """
     from drivers.dlp4500.protocol import TEST_PATTERNS
-    from fpplab.errors import ConfigError
+    from fpplab.core.errors import ConfigError
 
     if name != "off" and name not in TEST_PATTERNS:
         raise ConfigError(f"there is no test pattern '{name}'; there are {', '.join(TEST_PATTERNS)} and off")

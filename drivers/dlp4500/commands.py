@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.projector import dlp4500
-from fpplab.errors import Cancelled
+from fpplab.core.errors import Cancelled
 
 if TYPE_CHECKING:
     from drivers.dlp4500.transport import Link
@@ -55,12 +55,12 @@ def build(
     from drivers.dlp4500.flash.firmware import Firmware, arranged
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
-    from fpplab import config
-    from fpplab.conventions import Lattice
-    from fpplab.files import need_suffix, refuse_existing, write_atomic, write_text
-    from fpplab.marker import marker
-    from fpplab.patterns import make_patterns, uniform_patterns
-    from fpplab.plan import Plan
+    from fpplab.acquisition.sync_check import marker
+    from fpplab.core import config
+    from fpplab.core.conventions import Lattice
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
+    from fpplab.patterns.fringes import make_patterns, uniform_patterns
+    from fpplab.patterns.plan import Plan
 
     need_suffix(out, ".bin")
     index = out.with_suffix(".yaml")

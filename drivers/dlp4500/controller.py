@@ -17,7 +17,7 @@ from drivers.dlp4500.protocol import COLOURS, Mailbox, Mode, Run, Source
 from drivers.dlp4500.sequence import Program
 from drivers.dlp4500.status import Status, objections
 from drivers.dlp4500.transport import Link
-from fpplab.errors import DeviceError, ProtocolError, SettingError, TimeoutError
+from fpplab.core.errors import DeviceError, ProtocolError, SettingError, TimeoutError
 
 LED_FULL = 255
 TEST_PATTERN_FULL = 1023

@@ -28,11 +28,11 @@ from drivers.dlp4500.on_video import OnVideo
 from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, SIZE
 from drivers.dlp4500.transport import Hid, Link, connect, hidapi
-from fpplab import config
-from fpplab.config import Document
-from fpplab.conventions import Lattice
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Lattice
 from fpplab.devices import DeviceInfo, Projector, ProjectorCaps
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 
 Level = Annotated[int, Field(ge=0, le=255)]
 Delay = Annotated[float, Field(ge=-20.0, le=2.7)]

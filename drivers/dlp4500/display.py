@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.dlp4500 import screen
 from drivers.dlp4500.sequence import SIZE
-from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
 """How long the process may take to open the display, to put a frame up, and to end."""

@@ -16,9 +16,9 @@ from drivers.dlp4500.sequence import (
     flash_program,
     still,
 )
-from fpplab import config
-from fpplab.errors import CapabilityError, ConfigError, SettingError, SyncError
-from fpplab.patterns import Pattern
+from fpplab.core import config
+from fpplab.core.errors import CapabilityError, ConfigError, SettingError, SyncError
+from fpplab.patterns.fringes import Pattern
 
 
 class InFlash:

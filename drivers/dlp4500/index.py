@@ -19,8 +19,8 @@ from pydantic import Field
 
 from drivers.dlp4500.protocol import MOST_VARIABLE_IMAGES
 from drivers.dlp4500.sequence import Slot
-from fpplab.config import Document
-from fpplab.patterns import Pattern, quantise
+from fpplab.core.config import Document
+from fpplab.patterns.fringes import Pattern, quantise
 
 
 def shown_image(pattern: Pattern) -> NDArray[np.uint8]:

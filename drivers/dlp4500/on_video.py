@@ -17,8 +17,8 @@ from drivers.dlp4500.display import Display
 from drivers.dlp4500.packing import Planes, in_frames, packed
 from drivers.dlp4500.protocol import Mode
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, numbers, video_program
-from fpplab.errors import CapabilityError, SettingError
-from fpplab.patterns import Pattern
+from fpplab.core.errors import CapabilityError, SettingError
+from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
 """Of a pixel's colours, where planes have green, red, blue."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.sequence import SIZE, Slot, numbers, planes
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 
 Planes = NDArray[np.uint8]
 """(1140, 912, 3): the planes of green, of red and of blue, in the order of their numbers."""

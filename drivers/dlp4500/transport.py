@@ -14,7 +14,7 @@ from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, Message
 from drivers.dlp4500.protocol import Command, Raw, Record, Values
-from fpplab.errors import DeviceError, DisconnectedError, ProtocolError, SettingError, TimeoutError
+from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, SettingError, TimeoutError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
 INTERFACE = 0

@@ -39,13 +39,13 @@ from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.emulators.optics import Greys, Optics
 from drivers.emulators.terminal import Terminal
-from fpplab import config
-from fpplab.config import Document
-from fpplab.conventions import Image
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Image
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
-from fpplab.errors import ConfigError
-from fpplab.geometry import RigidTransform
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
 
 STAGE_TIMES_FASTER = 100.0
 STAGE_DIGITS = 4

@@ -13,7 +13,7 @@ from drivers.basler.features import TRIGGER_DELAY_US, TRIGGER_EDGE, TRIGGER_MODE
 from drivers.basler.options import EDGES
 from drivers.emulators.exposure import Collected, Shutter
 from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon
-from fpplab.conventions import Image, raw_dtype
+from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
 LEAST_SENSOR = (1024, 1040)

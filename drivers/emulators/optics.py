@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Image
+from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings, Projector
-from fpplab.patterns import Pattern
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern
 
 Greys = NDArray[np.uint8]
 TOGETHER = 128

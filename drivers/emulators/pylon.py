@@ -32,7 +32,7 @@ from drivers.basler.features import (
     Features,
 )
 from drivers.basler.transport import Pylon
-from fpplab.conventions import Image, raw_dtype
+from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
 SWITCH = "PYLON_CAMEMU"

@@ -8,7 +8,7 @@ import threading
 from types import TracebackType
 from typing import Protocol, Self
 
-from fpplab.errors import DeviceError
+from fpplab.core.errors import DeviceError
 
 POLL_S = 0.002
 

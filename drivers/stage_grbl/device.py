@@ -25,10 +25,10 @@ from serial.tools import list_ports
 
 from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, Report
 from drivers.stage_grbl.wire import ANSWER_S, START_S, GrblWire, RestartedError
-from fpplab import config
-from fpplab.config import Document
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, ProtocolError, TimeoutError
 from fpplab.devices import DeviceInfo, Stage, StageCaps
-from fpplab.errors import ConfigError, DeviceError, DisconnectedError, ProtocolError, TimeoutError
 
 POLL_S = 0.05
 HOME, AFTER_MOTION = "$H", "G4P0"

@@ -25,7 +25,7 @@ from drivers.stage_grbl.lines import (
     error_in_words,
     parse,
 )
-from fpplab.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
+from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
 
 BAUD = 115200
 START_S = 5.0

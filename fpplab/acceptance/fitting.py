@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from fpplab.conventions import Floats, Mask
-from fpplab.errors import DataError
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import DataError
 
 DISCARDED_SHARE = 0.003
 """Of the points, the farthest from the fit: VDI/VDE 2634 part 2 allows 3 per mille."""

@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 from fpplab.acceptance.fitting import Plane, fit_plane
 from fpplab.acceptance.standard import Evaluation
 from fpplab.clouds import Cloud
-from fpplab.conventions import TWO_PI, Floats, Mask
-from fpplab.errors import DataError
+from fpplab.core.conventions import TWO_PI, Floats, Mask
+from fpplab.core.errors import DataError
 
 VOTERS = 20_000
 """Points, drawn at random, that look for a sphere's centre."""

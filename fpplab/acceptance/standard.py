@@ -8,9 +8,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from fpplab import config
-from fpplab.config import Document
-from fpplab.errors import ConfigError
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.errors import ConfigError
 
 Length = Annotated[float, Field(gt=0, le=10_000)]
 Micrometres = Annotated[float, Field(ge=0, le=10_000)]

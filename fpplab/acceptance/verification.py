@@ -25,8 +25,8 @@ from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_
 from fpplab.acceptance.segmentation import find_plane, find_spheres, normals_of, plane_face, sphere_cap
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.clouds import Cloud
-from fpplab.conventions import Floats, Mask
-from fpplab.errors import ConfigError, DataError
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import ConfigError, DataError
 
 POSITIONS = 3
 """Fewer positions of a standard say little about the measuring volume."""

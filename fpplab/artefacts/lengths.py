@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fpplab.errors import ConfigError
+from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -20,9 +20,9 @@ import trimesh
 
 from fpplab.artefacts.lengths import check_below, check_positive
 from fpplab.artefacts.standards import BallBar
-from fpplab.conventions import TWO_PI, Floats
-from fpplab.errors import ConfigError
-from fpplab.files import write_atomic
+from fpplab.core.conventions import TWO_PI, Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import write_atomic
 
 ROUND = 64
 """Corners of a pillar's outline: a multiple of four; the 64-gon's sagitta is 0.12 % of its radius."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from fpplab.errors import ConfigError, DataError
+from fpplab.core.errors import ConfigError, DataError
 
 SMALLEST_MM = 1.0
 """A part whose largest extent is less than this was drawn in metres: nothing as small is measured."""

@@ -18,8 +18,8 @@ from manifold3d import CrossSection, Error, JoinType, Manifold, OpType
 
 from fpplab.artefacts.parts import check_solid
 from fpplab.artefacts.solids import to_manifold, to_trimesh
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
 
 MAX_LAYERS = 2000
 LEVELS = 3

@@ -14,8 +14,8 @@ from manifold3d import Manifold
 
 from fpplab.artefacts.lengths import check_below, check_positive
 from fpplab.artefacts.solids import to_manifold, to_trimesh
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
 
 SUBDIVISIONS = 6
 """Of an icosahedron: the facets' sagitta is 0.005 % of the radius, 0.5 µm on a sphere of 20 mm."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.optimize import least_squares
 
-from fpplab.calibration import INTRINSICS, POSE, Uncertainty
+from fpplab.calibration.model import INTRINSICS, POSE, Uncertainty
 from fpplab.characterisation.observation import Observation
-from fpplab.conventions import Floats
-from fpplab.errors import CalibrationError
-from fpplab.geometry import RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import RigidTransform
 
 SOFT = 3.0
 """Residuals beyond this many robust standard deviations count linearly, not squared (Huber)."""

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation.observation import Observation
-from fpplab.conventions import Floats
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import Pinhole, RigidTransform
 
 SMALL_TILT_DEG = 15.0
 """Where no board is tilted by more, focal length and distance are hard to tell apart."""

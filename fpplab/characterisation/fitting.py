@@ -13,16 +13,16 @@ from typing import Literal
 
 import numpy as np
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
+from fpplab.characterisation.board_diagnosis import misdescribed
 from fpplab.characterisation.bundle import Level, Model, Solution, fit, fit_pose, uncertainty
-from fpplab.characterisation.mistakes import misdescribed
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.result import Characterisation, Rejected, Trial
 from fpplab.characterisation.zhang import Size, apart, matrix_of, refuse_mirrors, rms, stereo, transform
-from fpplab.conventions import Floats, Lattice
-from fpplab.errors import CalibrationError
-from fpplab.geometry import Pinhole
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import Pinhole
 from fpplab.targets import Target
 
 LEAST_POSES = 3

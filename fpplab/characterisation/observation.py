@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.characterisation.descriptions import why_not_found
-from fpplab.conventions import Floats, Map
-from fpplab.errors import CalibrationError
-from fpplab.plan import Plan
+from fpplab.core.conventions import Floats, Map
+from fpplab.core.errors import CalibrationError
+from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
 from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
 from fpplab.targets.partial import detect_part

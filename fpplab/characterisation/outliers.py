@@ -12,7 +12,7 @@ from fpplab.characterisation.bundle import Solution
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.result import Rejected
 from fpplab.characterisation.zhang import rms_of_poses
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 
 ODD_POSE = 4.0
 """A pose this many times worse than the median of all is not of the same board, rig and focus."""

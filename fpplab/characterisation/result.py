@@ -6,12 +6,12 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation.bundle import Level
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.zhang import rms
-from fpplab.conventions import Floats
-from fpplab.geometry import RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fpplab.calibration import INTRINSICS
+from fpplab.calibration.model import INTRINSICS
 from fpplab.characterisation.bundle import Solution, vectors_of
 from fpplab.characterisation.observation import Observation
-from fpplab.conventions import Floats
-from fpplab.errors import CalibrationError
-from fpplab.geometry import RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import RigidTransform
 
 Size = tuple[int, int]
 Pixels = list[Floats]

@@ -6,7 +6,7 @@ Heavy modules are imported where they are used, so that `--help` is at once.
 import sys
 from importlib import import_module
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import app
 
 # In the order of --help.

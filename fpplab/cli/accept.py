@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, PlanName, app
-from fpplab.errors import ConfigError, DataError
+from fpplab.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from fpplab.acceptance import Acceptance, Standard
-    from fpplab.calibration import Calibration
+    from fpplab.calibration.model import Calibration
     from fpplab.clouds import Cloud
-    from fpplab.plan import Plan
+    from fpplab.patterns.plan import Plan
 
 LISTS = ("--spheres", "--planes", "--reference", "--scan")
 
@@ -81,9 +81,9 @@ def verify(
     `fpplab verify --standard standard_demo --rig rig_demo --calibration calibration.yaml --out verify.html`
     """
     from fpplab.acceptance import Standard
-    from fpplab.calibration import Calibration
-    from fpplab.files import need_suffix, refuse_existing
-    from fpplab.plan import Plan
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.patterns.plan import Plan
 
     need_suffix(out, ".html")
     refuse_existing(out, force)
@@ -128,8 +128,8 @@ def _clouds(sources: Mapping[str, Path], calibration: Calibration | None) -> Ite
 def _cloud(path: Path, calibration: Calibration | None) -> Cloud:
     """A cloud from its file; or from a session: reconstructed anew if a calibration is given."""
     from fpplab.clouds import load_cloud
-    from fpplab.measurement import CLOUD, reconstruct
-    from fpplab.session import Session
+    from fpplab.pipeline import CLOUD, reconstruct
+    from fpplab.sessions.session import Session
 
     if not path.is_dir():
         return load_cloud(path)
@@ -151,9 +151,9 @@ def _measured(
         raise ConfigError(
             f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
         )
-    from fpplab.measurement import finish_scan, take
+    from fpplab.devices.rig import Rig
     from fpplab.phase import check_unwrapping
-    from fpplab.rig import Rig
+    from fpplab.pipeline import finish_scan, take
 
     check_unwrapping(plan, "--plan")
     folder = out.with_name(out.stem + "_scans")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from fpplab.errors import Cancelled
+from fpplab.core.errors import Cancelled
 
 
 class Commands(TyperGroup):

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, app
-from fpplab.conventions import Lattice
-from fpplab.errors import ConfigError
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import ConfigError
 
 
 @app.command()
@@ -30,7 +30,7 @@ def target(
 
     Example: `fpplab target target_paper --make board.pdf`
     """
-    from fpplab.files import refuse_existing
+    from fpplab.core.files import refuse_existing
     from fpplab.targets import Target
     from fpplab.targets.printing import print_target
 
@@ -71,9 +71,9 @@ def convert(
     --lattice diamond`; `fpplab convert camera.yml projector.yml extrinsics.yml --out calibration.yaml
     --lattice square`
     """
-    from fpplab.calibration import Calibration
-    from fpplab.files import need_suffix, refuse_existing, write_text
-    from fpplab.interchange import from_opencv, is_opencv, to_opencv
+    from fpplab.calibration.interchange import from_opencv, is_opencv, to_opencv
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import need_suffix, refuse_existing, write_text
 
     foreign = [is_opencv(file) for file in files]
     if all(foreign):

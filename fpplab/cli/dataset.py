@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Json, Out, PlanName, RigName, app
 
 
@@ -33,9 +33,9 @@ def dataset(
     Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
     """
     from fpplab.dataset.scenes import Scenes
-    from fpplab.dataset.studio import need_simulation
-    from fpplab.plan import Plan
-    from fpplab.rig import Rig
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.simulation.arrangeable import need_simulation
 
     wanted_plan, ranges, devices = Plan.load(plan), Scenes.load(scenes), Rig.load(rig)
     need_simulation(devices, rig)

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Json, app
-from fpplab.errors import ConfigError
+from fpplab.core.errors import ConfigError
 
 EMULATORS = {
     "dlp4500": "drivers.emulators.dlpc350.training:served",
@@ -42,7 +42,7 @@ def emulate(
 
     Example: `fpplab emulate stage`
     """
-    from fpplab.rig import load_backend
+    from fpplab.devices.rig import load_backend
 
     if name not in EMULATORS:
         raise ConfigError(f"there is no emulator '{name}'; there are {', '.join(EMULATORS)}")

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, app
-from fpplab.errors import ConfigError
+from fpplab.core.errors import ConfigError
 
 
 @app.command()
@@ -35,10 +35,10 @@ def compare(
     sampled alike would score. The surface figures have no floor.
     """
     from fpplab import comparison
-    from fpplab.calibration import Calibration
+    from fpplab.calibration.model import Calibration
     from fpplab.clouds import load_cloud, load_mesh
-    from fpplab.files import need_suffix, refuse_existing, write_atomic
-    from fpplab.measurement import CALIBRATION
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.pipeline import CALIBRATION
     from fpplab.report import figures
 
     if out:
@@ -80,7 +80,7 @@ def artefact(
     `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`
     """
     from fpplab import artefacts
-    from fpplab.files import need_suffix, refuse_existing
+    from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(out, ".stl")
     refuse_existing(out, force)
@@ -111,11 +111,11 @@ def view(
 
     Without a display it is served to a browser on this computer, at the address that is printed.
     """
-    from fpplab import live
-    from fpplab.calibration import Calibration
-    from fpplab.files import need_suffix, refuse_existing
-    from fpplab.measurement import CALIBRATION
-    from fpplab.session import Session
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.pipeline import CALIBRATION
+    from fpplab.report import viewer
+    from fpplab.sessions.session import Session
 
     if out:
         need_suffix(out, ".rrd")
@@ -123,7 +123,7 @@ def view(
     beside = session / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
     known = Calibration.load(source) if source else None
-    shown = live.view_session(
+    shown = viewer.view_session(
         Session.open(session), known, out, lambda where: console.say(f"Shown at {where}")
     )
     console.answer({"session": str(session), "shown": shown}, json)

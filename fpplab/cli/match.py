@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.accept import TakesLists
 from fpplab.cli.app import Force, Json, Out, app
-from fpplab.errors import ConfigError
+from fpplab.core.errors import ConfigError
 
 
 @app.command(cls=TakesLists)
@@ -50,11 +50,11 @@ def match(
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`
     """
+    from fpplab.devices.rig import Rig
     from fpplab.matching.record import EPOCHS
     from fpplab.matching.run import Wanted, match_sessions, twin_of
-    from fpplab.measurement import REPORT
-    from fpplab.rig import Rig
-    from fpplab.session import recorded_sessions
+    from fpplab.pipeline import REPORT
+    from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
     _make_way(out, force, EPOCHS, REPORT)
@@ -71,9 +71,9 @@ def match(
         known = twin_of(rig, item)
         board = Target.load(target) if target else known.target
 
-        from fpplab.live import Viewer
         from fpplab.matching.record import Epoch
         from fpplab.report.matching import write_matching_report
+        from fpplab.report.viewer import Viewer
 
         viewer = stack.enter_context(Viewer.open()) if view else None
         if viewer and viewer.fault is None:
@@ -113,13 +113,13 @@ def _make_way(out: Path, force: bool, record: str, page: str) -> None:
 
 
 def _response(gamma: Path | None) -> Any:
-    from fpplab.gamma import Response
+    from fpplab.patterns.response import Response
 
     return None if gamma is None else Response.load(gamma)
 
 
 def _scans(words: list[str]) -> dict[str, Any]:
-    from fpplab.session import Session
+    from fpplab.sessions.session import Session
 
     found = {}
     for word in words:

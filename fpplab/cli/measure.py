@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import CalibrationFile, Force, Json, Out, PlanName, RigName, app
-from fpplab.errors import ConfigError, DataError
+from fpplab.core.errors import ConfigError, DataError
 
 
 @app.command("import")
@@ -31,8 +31,8 @@ def import_(
 
     Example: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out pose1`
     """
-    from fpplab.importing import import_images
-    from fpplab.plan import Plan
+    from fpplab.patterns.plan import Plan
+    from fpplab.sessions.importing import import_images
 
     if bits not in (8, 10, 12, 16):
         raise ConfigError(f"--bits is {bits}: one of 8, 10, 12, 16")
@@ -62,11 +62,11 @@ def scan(
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
-    from fpplab.calibration import Calibration
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
     from fpplab.phase import check_unwrapping
-    from fpplab.plan import Plan
-    from fpplab.rig import Rig
-    from fpplab.session import refuse_foreign
+    from fpplab.sessions.session import refuse_foreign
 
     wanted, known = Plan.load(plan), Calibration.load(calibration)
     check_unwrapping(wanted, plan)
@@ -81,11 +81,11 @@ def scan(
             bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once.
-        from fpplab.acquisition import unseen
-        from fpplab.filtering import removal
-        from fpplab.live import Viewer
-        from fpplab.measurement import CLOUD, REPORT, finish_scan, take
+        from fpplab.acquisition.acquire import unseen
+        from fpplab.pipeline import CLOUD, REPORT, finish_scan, take
+        from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
+        from fpplab.report.viewer import Viewer
 
         # The report is written last: without it, all that is left may be to finish.
         finished = (out / REPORT).is_file()
@@ -135,9 +135,9 @@ def decode(
     Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector
     pixels), float32, NaN where not measured.
     """
-    from fpplab.files import need_suffix, refuse_existing
-    from fpplab.measurement import decode_session
-    from fpplab.session import Session
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.pipeline import decode_session
+    from fpplab.sessions.session import Session
 
     need_suffix(out, ".npz")
     refuse_existing(out, force)
@@ -169,13 +169,13 @@ def reconstruct(
     A report with its pictures is left beside it. `removed` says how many points the plan's filter took out,
     by rule.
     """
-    from fpplab import measurement
-    from fpplab.calibration import Calibration
+    from fpplab import pipeline
+    from fpplab.calibration.model import Calibration
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
-    from fpplab.files import need_suffix, refuse_existing
-    from fpplab.filtering import removal
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.reconstruction.filtering import removal
     from fpplab.report import write_scan_report
-    from fpplab.session import Session
+    from fpplab.sessions.session import Session
 
     page = out.with_suffix(".html")
     need_suffix(out, *CLOUD_SUFFIXES)
@@ -184,7 +184,7 @@ def reconstruct(
     known = Calibration.load(calibration)
     recorded = Session.open(session)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        decoded, cloud = measurement.reconstruct(recorded, known, report, filtering=filtering)
+        decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering)
         save_cloud(cloud, out)
         write_scan_report(page, recorded, decoded, cloud)
     result = {"points": len(cloud.points), "removed": removal(decoded), "seconds": seconds()}

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, RigName, app
-from fpplab.errors import ConfigError
-from fpplab.optimisation.what import What
+from fpplab.core.errors import ConfigError
+from fpplab.optimisation.goal import What
 
 if TYPE_CHECKING:
-    from fpplab.optimisation.lab import Epoch
+    from fpplab.optimisation.candidate_runner import Epoch
     from fpplab.optimisation.study import Study
 
 
@@ -73,9 +73,9 @@ def optimise(
         )
     _make_way(what, out, force)
 
-    from fpplab.live import Viewer
     from fpplab.optimisation import run
     from fpplab.report.optimisation import look, write_optimisation_report
+    from fpplab.report.viewer import Viewer
 
     if confirm:
         run.check_confirmable(confirm, wanted, name)
@@ -120,7 +120,7 @@ def optimise(
 
 def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:
     """The study with what the command says instead. Raises `ConfigError`, `CalibrationError`."""
-    from fpplab.calibration import Calibration
+    from fpplab.calibration.model import Calibration
     from fpplab.optimisation.study import CalibrationAt
 
     changed: dict[str, Any] = {}
@@ -135,7 +135,7 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
 
 def _make_way(what: What, out: Path, force: bool) -> None:
     """A search that ended is not overwritten; one that did not goes on."""
-    from fpplab.files import need_suffix
+    from fpplab.core.files import need_suffix
     from fpplab.optimisation.run import journal_of, plans_of
 
     if what is not What.PARETO:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, PlanName, RigName, app
-from fpplab.errors import ConfigError, DeviceError
+from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.marker import Checked
+    from fpplab.acquisition.sync_check import Checked
 
 
 class ModelName(StrEnum):
@@ -31,7 +31,7 @@ class ModelName(StrEnum):
 @app.command()
 def devices(json: Json = False) -> None:
     """List the cameras, projectors and stages that this computer sees, and what keeps others from showing."""
-    from fpplab.rig import load_backend
+    from fpplab.devices.rig import load_backend
 
     found = load_backend("drivers.discovery:find", "fpplab", "devices")()
     rows = [asdict(d) for d in found.devices]
@@ -64,18 +64,18 @@ def check(
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --out check.png`
     """
-    from fpplab import marker
-    from fpplab.files import need_suffix, refuse_existing, write_atomic
-    from fpplab.plan import Plan
+    from fpplab.acquisition import sync_check
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
     from fpplab.report import figures
-    from fpplab.rig import Rig
 
     if out:
         need_suffix(out, ".png")
         refuse_existing(out, force)
     wanted, bench = Plan.load(plan), Rig.load(rig)
     with console.progress("Checking") as report:
-        found = marker.check(bench, wanted, item, report)
+        found = sync_check.check(bench, wanted, item, report)
     if out and found.runs:
         drawn = figures.marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))
@@ -121,11 +121,11 @@ def gamma(
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """
-    from fpplab.files import refuse_existing, write_atomic
-    from fpplab.measurement import measure_response
-    from fpplab.phase_error import judge
-    from fpplab.plan import GreyLevels, Plan
-    from fpplab.rig import Rig
+    from fpplab.core.files import refuse_existing, write_atomic
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.phase_error import judge
+    from fpplab.patterns.plan import GreyLevels, Plan
+    from fpplab.pipeline import measure_response
 
     picture = out.with_suffix(".png")
     if picture == out:
@@ -209,13 +209,13 @@ def characterise(
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`
     """
     from fpplab.characterisation import Level
-    from fpplab.files import refuse_existing
-    from fpplab.measurement import characterise_sessions, take_poses
+    from fpplab.core.files import refuse_existing
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
     from fpplab.phase import check_unwrapping
-    from fpplab.plan import Plan
+    from fpplab.pipeline import characterise_sessions, take_poses
     from fpplab.report import write_report
-    from fpplab.rig import Rig
-    from fpplab.session import recorded_sessions
+    from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
     if bool(sessions) == bool(rig):

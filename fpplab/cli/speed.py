@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Json, app
 
 
@@ -17,7 +17,7 @@ def bench(
     json: Json = False,
 ) -> None:
     """Benchmarks, each figure beside its baseline in the same run; the ratio is what counts."""
-    from fpplab.benchmarks import REGISTRY, benchmark
+    from benchmarks import REGISTRY, benchmark
 
     results = []
     for one in [name] if name else list(REGISTRY):

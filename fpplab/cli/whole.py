@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fpplab import console
+from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out, app
 
 
@@ -25,7 +25,7 @@ def demo(
 
     Example: `fpplab demo --quick --out first-look`
     """
-    from fpplab.demo import run_demo
+    from fpplab.cli.demo import run_demo
 
     result = run_demo(out, quick, force)
     console.answer(result, json, lambda: _show_demo(result))

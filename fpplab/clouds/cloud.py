@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid
-from fpplab.conventions import Mask
-from fpplab.errors import ConfigError, DataError
-from fpplab.files import write_atomic
+from fpplab.core.conventions import Mask
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import write_atomic
 
 if TYPE_CHECKING:
     import trimesh
@@ -40,7 +40,7 @@ class Cloud:
     Standard uncertainties, float32 (N,): sigma_noise_mm, from the fringes' noise, along the ray,
     independent from point to point. sigma_calibration_mm, from the calibration's covariance, common
     to all points; sigma_form_mm, what the best rigid motion of the whole cloud leaves of that. These
-    two are root mean square distances (`fpplab.uncertainty`).
+    two are root mean square distances (`fpplab.reconstruction.uncertainty`).
 
     Raises `DataError` when the parts do not fit together.
     """

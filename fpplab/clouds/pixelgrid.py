@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats, Map
+from fpplab.core.conventions import Floats, Map
 
 STEEPEST_DEG = 80.0
 NOISE_SIGMAS = 4.0

@@ -16,9 +16,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
-from fpplab.errors import DataError
-from fpplab.geometry import RigidTransform
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
+from fpplab.core.geometry import RigidTransform
 
 COARSE_POINTS = 2_000
 FINE_POINTS = 20_000

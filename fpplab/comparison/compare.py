@@ -20,15 +20,15 @@ import igl
 import numpy as np
 import trimesh
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, align_mesh
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import Shape
-from fpplab.conventions import Floats, Map, Mask
-from fpplab.errors import ConfigError, DataError
+from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.errors import ConfigError, DataError
 
 DENSITY_PER_MM2 = 200.0
 OUTLIER_MM = 1.0

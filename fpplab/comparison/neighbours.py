@@ -14,8 +14,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fpplab.conventions import Floats
-from fpplab.errors import DataError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
 
 POINTS_PER_CELL = 2.0
 RINGS = 12

@@ -13,7 +13,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.comparison.neighbours import nearest
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 
 Ints = NDArray[np.int64]
 _STEPS = 32

@@ -8,7 +8,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats, Mask
+from fpplab.core.conventions import Floats, Mask
 
 OCCLUDED_MM = 0.02
 """A surface this much nearer hides a point; less is the rounding of single-precision rays."""

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpplab.conventions import Image, axis_length, phase_of_coordinate
+from fpplab.core.conventions import Image, axis_length, phase_of_coordinate
 from fpplab.dataset.fields import FRAMES, Arrays
 from fpplab.dataset.labels import Labels
-from fpplab.dataset.studio import Truth
+from fpplab.patterns.plan import Plan
 from fpplab.phase import decode, wrapped_phase
-from fpplab.plan import Plan
+from fpplab.simulation.arrangeable import Truth
 
 
 def arrays_of(

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from fpplab import config
+from fpplab.core import config
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import write_text
 from fpplab.dataset.fields import FIELDS, FRAMES, Field
 from fpplab.dataset.shard import CHECKSUMS, SCENES, file_of, shard_name
-from fpplab.errors import ConfigError, DataError
-from fpplab.files import write_text
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.plan import Plan
+from fpplab.patterns.plan import Plan
 
 Arrays = dict[str, NDArray[np.generic]]
 """One sample by field."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.comparison.visibility import Shape
-from fpplab.conventions import Floats, Map, Mask
-from fpplab.dataset.studio import Truth
-from fpplab.reconstruction import camera_rays
+from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.reconstruction.triangulation import camera_rays
+from fpplab.simulation.arrangeable import Truth
 
 GRAZING = 0.01
 """Cosine of incidence below which a surface counts as unseen: rays are traced in single precision, and the

@@ -11,12 +11,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from fpplab import config
+from fpplab.core import config
+from fpplab.core.errors import ConfigError, DataError
 from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
 from fpplab.dataset.fields import Arrays
 from fpplab.dataset.shard import SCENES, check_shard, file_of, shard_name
-from fpplab.errors import ConfigError, DataError
-from fpplab.plan import Plan
+from fpplab.patterns.plan import Plan
 
 
 class Dataset:

@@ -8,22 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fpplab import config
-from fpplab.acquisition import expose
-from fpplab.conventions import Image
+from fpplab.acquisition.acquire import expose
+from fpplab.core import config
+from fpplab.core.conventions import Image
+from fpplab.core.errors import ConfigError
 from fpplab.dataset.arrays import arrays_of
 from fpplab.dataset.card import begin, fields_of, make_card, split_of
 from fpplab.dataset.fields import Arrays, letters_of
 from fpplab.dataset.labels import labels_of
 from fpplab.dataset.scenes import Scene, Scenes, draw, draw_stage
 from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
-from fpplab.dataset.studio import Studio
-from fpplab.errors import ConfigError
-from fpplab.measurement import Progress, nothing
-from fpplab.patterns import make_patterns
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
-from fpplab.plan import Plan
-from fpplab.rig import Rig
+from fpplab.pipeline import Progress, nothing
+from fpplab.simulation.arrangeable import Studio
 
 
 @dataclass(frozen=True)

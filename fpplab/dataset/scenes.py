@@ -12,13 +12,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from fpplab import artefacts, config
+from fpplab import artefacts
 from fpplab.artefacts.models import Lengths
-from fpplab.calibration import Calibration, PoseFile
-from fpplab.config import Document
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.geometry import RigidTransform
+from fpplab.calibration.model import Calibration, PoseFile
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
 from fpplab.targets import Target
 
 TRIES = 2000

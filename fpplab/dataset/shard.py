@@ -20,9 +20,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from fpplab.core.errors import DataError
+from fpplab.core.files import flush_folder, writing
 from fpplab.dataset.fields import Arrays, Field
-from fpplab.errors import DataError
-from fpplab.files import flush_folder, writing
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 """Beside the arrays: checksums of all other files, and one line for each sample with all that was drawn."""

@@ -6,9 +6,9 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Literal, final
 
-from fpplab.conventions import Image, raw_dtype
+from fpplab.core.conventions import Image, raw_dtype
+from fpplab.core.errors import CapabilityError, FrameLossError, SettingError, StateError
 from fpplab.devices.device import Device, State
-from fpplab.errors import CapabilityError, FrameLossError, SettingError, StateError
 
 Trigger = Literal["software", "hardware"]
 

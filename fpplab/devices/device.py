@@ -10,7 +10,7 @@ from enum import StrEnum
 from types import TracebackType
 from typing import Any, Self, final
 
-from fpplab.errors import (
+from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,

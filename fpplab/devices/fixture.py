@@ -6,9 +6,9 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import final
 
+from fpplab.core.errors import SettingError
+from fpplab.core.geometry import RigidTransform
 from fpplab.devices.device import Device, State
-from fpplab.errors import SettingError
-from fpplab.geometry import RigidTransform
 
 
 @dataclass(frozen=True)

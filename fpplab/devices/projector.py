@@ -9,10 +9,10 @@ from typing import final
 
 import numpy as np
 
-from fpplab.conventions import Lattice
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import CapabilityError, SettingError, StateError
 from fpplab.devices.device import Device, State
-from fpplab.errors import CapabilityError, SettingError, StateError
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 
 
 @dataclass(frozen=True)

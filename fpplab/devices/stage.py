@@ -7,8 +7,8 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import final
 
+from fpplab.core.errors import LimitError, StateError
 from fpplab.devices.device import Device, State
-from fpplab.errors import LimitError, StateError
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
-from fpplab.conventions import Image
-from fpplab.errors import CalibrationError
-from fpplab.matching.bench import Bench
+from fpplab.core.conventions import Image
+from fpplab.core.errors import CalibrationError
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from fpplab.matching.twin import Twin
-from fpplab.measurement import Progress, mean_of, nothing
+from fpplab.matching.reference import Bench
 from fpplab.phase import decode
+from fpplab.pipeline import Progress, mean_of, nothing
+from fpplab.simulation.matchable import Twin
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from fpplab.conventions import Floats, full_scale
+from fpplab.core.conventions import Floats, full_scale
+from fpplab.core.errors import CalibrationError
 from fpplab.devices import CameraSettings
-from fpplab.errors import CalibrationError
-from fpplab.gamma import Curve, Response
-from fpplab.greys import GRID, MEAN, pixels_of_regions, statistics
 from fpplab.matching.light import response_of
-from fpplab.matching.twin import Parameters, Twin
-from fpplab.patterns import Pattern, uniform_patterns
+from fpplab.patterns.fringes import Pattern, uniform_patterns
+from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
+from fpplab.simulation.matchable import Parameters, Twin
 
 MOST_EPOCHS = 10
 MATCHED = 0.002

@@ -16,15 +16,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.calibration import INTRINSICS, Calibration
+from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.bundle import Level, Model, Solution, fit, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
-from fpplab.conventions import Floats, Pixels
-from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.matching.bench import Bench
+from fpplab.core.conventions import Floats, Pixels
+from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
-from fpplab.matching.twin import Levels, Parameters, Twin
+from fpplab.matching.reference import Bench
+from fpplab.simulation.matchable import Levels, Parameters, Twin
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
 """By how much board and projector's picture are moved to see what changes: less than any detail of either."""

@@ -11,15 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
-from fpplab.matching.twin import Twin
-from fpplab.measurement import Progress, mean_of, nothing, points_of, reconstruct
-from fpplab.patterns import make_patterns
+from fpplab.patterns.fringes import make_patterns
 from fpplab.phase import decode
-from fpplab.session import Session
+from fpplab.pipeline import Progress, mean_of, nothing, points_of, reconstruct
+from fpplab.sessions.session import Session
+from fpplab.simulation.matchable import Twin
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.conventions import Floats, Pixels
-from fpplab.gamma import Curve
-from fpplab.matching.bench import Bench
+from fpplab.core.conventions import Floats, Pixels
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
-from fpplab.matching.twin import Parameters, Twin
+from fpplab.matching.reference import Bench
+from fpplab.patterns.response import Curve
+from fpplab.simulation.matchable import Parameters, Twin
 
 PIXELS = 20_000
 """Of a pose that are looked at."""

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.config import Document
-from fpplab.conventions import Floats, Mask, Pixels
-from fpplab.geometry import Pinhole, RigidTransform
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats, Mask, Pixels
+from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
 EDGE_POINTS = 50

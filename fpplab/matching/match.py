@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpplab.config import Document
-from fpplab.errors import CalibrationError
+from fpplab.core.config import Document
+from fpplab.core.errors import CalibrationError
 from fpplab.matching import geometry, light, noise
-from fpplab.matching.bench import Bench
 from fpplab.matching.evaluation import Evaluation, evaluate
 from fpplab.matching.light import Sample
 from fpplab.matching.loss import Weights
 from fpplab.matching.record import Epoch, ParametersFile, Record
-from fpplab.matching.twin import Parameters, Twin
-from fpplab.measurement import Progress, nothing
+from fpplab.matching.reference import Bench
+from fpplab.pipeline import Progress, nothing
+from fpplab.simulation.matchable import Parameters, Twin
 
 SAMPLED_POSES = 6
 TIE = 2e-4

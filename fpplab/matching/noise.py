@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpplab.conventions import Floats, Image, Pixels
-from fpplab.matching.bench import Bench
+from fpplab.core.conventions import Floats, Image, Pixels
 from fpplab.matching.loss import board_mask, thinned
-from fpplab.matching.twin import Parameters, Twin
+from fpplab.matching.reference import Bench
+from fpplab.simulation.matchable import Parameters, Twin
 
 STEP_MM = 0.02
 PIXELS = 30_000

@@ -12,13 +12,13 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from fpplab import config
-from fpplab.calibration import CalibrationFile, PoseFile
-from fpplab.config import Document
-from fpplab.errors import DataError
-from fpplab.files import append_line, cut_torn_line, whole_lines
-from fpplab.gamma import Curve
-from fpplab.matching.twin import Parameters
+from fpplab.calibration.model import CalibrationFile, PoseFile
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.errors import DataError
+from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.patterns.response import Curve
+from fpplab.simulation.matchable import Parameters
 
 EPOCHS = "match.jsonl"
 

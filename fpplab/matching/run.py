@@ -7,22 +7,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
-from fpplab.errors import ConfigError
-from fpplab.gamma import Response
-from fpplab.matching import wrong
-from fpplab.matching.bench import Bench
+from fpplab.core.errors import ConfigError
+from fpplab.devices.rig import Rig
+from fpplab.matching import plausibility
 from fpplab.matching.evaluation import Evaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.judgement import Judgement, judge
 from fpplab.matching.loss import Weights
 from fpplab.matching.match import Limits, Matched, Observer, match, unseen
 from fpplab.matching.record import PLAIN, Record
-from fpplab.matching.twin import Parameters, Twin
-from fpplab.measurement import Progress, characterise_sessions, nothing
-from fpplab.rig import Rig
-from fpplab.session import Session
+from fpplab.matching.reference import Bench
+from fpplab.patterns.response import Response
+from fpplab.pipeline import Progress, characterise_sessions, nothing
+from fpplab.sessions.session import Session
+from fpplab.simulation.matchable import Parameters, Twin
 from fpplab.targets import Target
 
 
@@ -130,11 +130,11 @@ def match_sessions(
     Goes on where a record in `folder` ends. Raises `ConfigError` and `CalibrationError` that say what does
     not fit when the twin is not the bench's.
     """
-    wrong.check_devices(twin, sessions[0])
-    wrong.check_board(twin, target, "--target")
+    plausibility.check_devices(twin, sessions[0])
+    plausibility.check_board(twin, target, "--target")
     nominal = twin.parameters
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
-    wrong.check_near(found.calibration, nominal.calibration)
+    plausibility.check_near(found.calibration, nominal.calibration)
     bench = Bench.of(sessions, target, found, wanted.response)
     nominal = wanted.start(in_place(nominal, found))
     twin.become(nominal)
@@ -152,9 +152,9 @@ def match_sessions(
         progress=lambda share: progress(0.1 + 0.7 * share),
         observe=observe,
     )
-    wrong.check_alike(matched.final.loss, matched.unexplained)
+    plausibility.check_alike(matched.final.loss, matched.unexplained)
     if matched.focused:
-        wrong.check_sharpness(bench, twin)
+        plausibility.check_sharpness(bench, twin)
     twin.become(nominal)
     before = evaluate(bench, twin, wanted.weights)
     rows = _table(bench, twin, wanted.weights, nominal, before, matched, gamma is not None)

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fpplab.calibration import INTRINSICS, PARAMETERS, POSE, Calibration
-from fpplab.conventions import Floats
-from fpplab.errors import CalibrationError, ConfigError
-from fpplab.geometry import Pinhole, RigidTransform, turned_towards
-from fpplab.measurement import CALIBRATION, Progress, characterise_sessions, nothing, take_poses
+from fpplab.calibration.model import INTRINSICS, PARAMETERS, POSE, Calibration
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
+from fpplab.devices.rig import Rig
 from fpplab.optimisation.sets import View
-from fpplab.plan import Plan
-from fpplab.rig import Rig
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline import CALIBRATION, Progress, characterise_sessions, nothing, take_poses
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0

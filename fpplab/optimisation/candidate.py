@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
-from fpplab.conventions import Axis
-from fpplab.plan import FringeSet, Plan
+from fpplab.core.conventions import Axis
+from fpplab.patterns.plan import FringeSet, Plan
 
 
 @dataclass(frozen=True)

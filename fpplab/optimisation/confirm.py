@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.measurement import Progress, nothing
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
 from fpplab.optimisation.arrangement import Calibrations
 from fpplab.optimisation.measuring import RigEvaluator, candidate_of
 from fpplab.optimisation.scoring import Figures
 from fpplab.optimisation.study import Study
-from fpplab.plan import Plan
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline import Progress, nothing
 
 REPEATS = 5
 SAMPLES = 100_000

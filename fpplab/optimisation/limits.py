@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from fpplab.conventions import Axis, axis_length
-from fpplab.errors import ConfigError
+from fpplab.core.conventions import Axis, axis_length
+from fpplab.core.errors import ConfigError
+from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.sets import Draws
-from fpplab.patterns import Pattern
-from fpplab.rig import Rig
+from fpplab.patterns.fringes import Pattern
 
 BITS = Pattern.bit_depth
 """Depth in which fringes are shown."""

@@ -12,22 +12,22 @@ import numpy as np
 import trimesh
 
 from fpplab import artefacts
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
-from fpplab.errors import CalibrationError
-from fpplab.geometry import RigidTransform
-from fpplab.measurement import points_of
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import Arrangement, Calibrations
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scoring import SAMPLES, Figures, Truth
 from fpplab.optimisation.sets import FringeSets, View
 from fpplab.optimisation.study import Study
+from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, decode
-from fpplab.plan import Plan
-from fpplab.rig import Rig
+from fpplab.pipeline import points_of
 
 TRUTHS = 6
 """True shapes that are kept ready."""

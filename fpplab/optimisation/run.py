@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import psutil
 
-from fpplab import config
-from fpplab.errors import ConfigError, DataError
-from fpplab.files import write_text
-from fpplab.measurement import CALIBRATION, REPORT, Progress, nothing
+from fpplab.core import config
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import write_text
+from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import characterise_positions
 from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate_runner import Epoch, Lab, Observer, Spent, unseen
 from fpplab.optimisation.confirm import Confirmation, confirm
-from fpplab.optimisation.lab import Epoch, Lab, Observer, Spent, unseen
+from fpplab.optimisation.goal import What
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.methods.bayesian import bayes
@@ -31,9 +32,8 @@ from fpplab.optimisation.scheduling import Opener, OpenRig, workers_of
 from fpplab.optimisation.space import Space
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Bayesian, CalibrationAt, Coordinate, Gradient, Study
-from fpplab.optimisation.what import What
-from fpplab.plan import Plan
-from fpplab.rig import Rig
+from fpplab.patterns.plan import Plan
+from fpplab.pipeline import CALIBRATION, REPORT, Progress, nothing
 from fpplab.targets import Target
 
 WORKER_BYTES = 4 << 30

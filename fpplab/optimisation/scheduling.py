@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from dataclasses import astuple, dataclass
 from typing import Any, Protocol
 
-from fpplab.errors import CalibrationError, DataError, DeviceError
+from fpplab.core.errors import CalibrationError, DataError, DeviceError
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import Outcome
 from fpplab.optimisation.study import Study

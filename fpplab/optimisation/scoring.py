@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison.alignment import FINE_ROUNDS, Target, refine
 from fpplab.comparison.compare import DENSITY_PER_MM2, NEAR_MM, visible_samples
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import Shape
-from fpplab.conventions import Axis, Floats, Map, Mask, axis_length
-from fpplab.errors import DataError
-from fpplab.filtering import removal
-from fpplab.geometry import RigidTransform
-from fpplab.measurement import points_of
+from fpplab.core.conventions import Axis, Floats, Map, Mask, axis_length
+from fpplab.core.errors import DataError
+from fpplab.core.geometry import RigidTransform
 from fpplab.optimisation.candidate import Accuracy
+from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.plan import Plan
-from fpplab.reconstruction import camera_rays, camera_slopes
+from fpplab.pipeline import points_of
+from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
 SAMPLES = 12_000
 """About as many pixels, and points of the true surface, are compared."""

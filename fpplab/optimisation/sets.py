@@ -18,11 +18,11 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
-from fpplab.acquisition import capture
-from fpplab.conventions import Axis, Image
+from fpplab.acquisition.acquire import capture
+from fpplab.core.conventions import Axis, Image
+from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Fringes
-from fpplab.plan import FringeSet, Plan
-from fpplab.rig import Rig
+from fpplab.patterns.plan import FringeSet, Plan
 
 KEEP_BYTES = 3 << 28
 

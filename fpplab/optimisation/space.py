@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from fpplab.errors import ConfigError
+from fpplab.core.errors import ConfigError
 from fpplab.optimisation.candidate import Candidate, Fringes
+from fpplab.optimisation.goal import Group
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.study import Study
-from fpplab.optimisation.what import Group
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from fpplab import config
-from fpplab.config import Document
-from fpplab.conventions import Axis
-from fpplab.errors import ConfigError
-from fpplab.plan import Plan
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Axis
+from fpplab.core.errors import ConfigError
+from fpplab.patterns.plan import Plan
 
 ANY_RIG = "any"
 

@@ -1,4 +1,4 @@
-"""Frames -> projector coordinates with mask and uncertainty. Conventions: `fpplab.conventions`."""
+"""Frames -> projector coordinates with mask and uncertainty. Conventions: `fpplab.core.conventions`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import (
+from fpplab.core.conventions import (
     TWO_PI,
     Axis,
     Floats,
@@ -26,12 +26,12 @@ from fpplab.conventions import (
     phase_steps,
     raw_per_grey,
 )
-from fpplab.errors import DataError
-from fpplab.files import write_atomic
+from fpplab.core.errors import DataError
+from fpplab.core.files import write_atomic
+from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.phase.kernels import GROUP, Maps, Recipe, decode_pixels
 from fpplab.phase.quality import NoiseModel, coordinate_uncertainty, fit_noise, phase_uncertainty
 from fpplab.phase.unwrapping import DOUBTFUL, Ladder, build_ladder, climb, vote_orders
-from fpplab.plan import FringeSet, Plan
 
 SEAM_PX = 0.05
 """How near the projector's edge, in px and besides its noise, a coordinate may come before
@@ -66,8 +66,8 @@ class Decoded:
     greater v's sigma is than u's where both are coded, from the plan: their modulations are alike.
     disagreement: how much the fringe sets contradict one another, in units of what noise explains: the root
     of χ² per degree of freedom; 0 where nothing can contradict, None where it is not known.
-    removed: uint8, by which rule of the filter (`fpplab.filtering.Rule`) the pixel gives no point, 0 by none;
-    None without a filter. The other maps keep what was decoded there.
+    removed: uint8, by which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no
+    point, 0 by none; None without a filter. The other maps keep what was decoded there.
     """
 
     u: Map

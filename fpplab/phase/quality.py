@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from fpplab.conventions import TWO_PI, Floats, Mask
-from fpplab.plan import MaskRules
+from fpplab.core.conventions import TWO_PI, Floats, Mask
+from fpplab.patterns.plan import MaskRules
 
 QUANTISATION = 1 / 12
 """Variance of rounding to integers, in units of the last place squared."""

@@ -21,10 +21,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fpplab.conventions import TWO_PI, Axis, Floats, Map
-from fpplab.errors import ConfigError
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Map
+from fpplab.core.errors import ConfigError
+from fpplab.patterns.plan import Plan
 from fpplab.phase.kernels import APART, APART_LEAST, SEAM_SIGMAS
-from fpplab.plan import Plan
 
 _NEGLIGIBLE = 1e-9
 

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fpplab.calibration import Calibration
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, Observation
-from fpplab.conventions import Floats
-from fpplab.errors import DataError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
 from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, blank, colour_bar, map_height, pair, picture
 
 BINS = 41

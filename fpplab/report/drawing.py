@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image as Pixels
 
-from fpplab.conventions import Map
-from fpplab.errors import DataError
+from fpplab.core.conventions import Map
+from fpplab.core.errors import DataError
 from fpplab.report.raster import Extent
 
 HALF, FULL = 4.8, 9.6

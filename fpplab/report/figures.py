@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from numpy.typing import NDArray
 
-from fpplab.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
-from fpplab.errors import DataError
-from fpplab.gamma import Response
+from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
+from fpplab.core.errors import DataError
+from fpplab.patterns.response import Response
 from fpplab.report.drawing import (
     ACCENT,
     ALARM,

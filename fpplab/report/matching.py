@@ -10,16 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
-from fpplab.matching.bench import Bench
 from fpplab.matching.gamma import GammaMatch
 from fpplab.matching.judgement import Judgement
 from fpplab.matching.match import EXPLAINS
 from fpplab.matching.record import Epoch
+from fpplab.matching.reference import Bench
 from fpplab.matching.run import Outcome
-from fpplab.matching.twin import Parameters, Twin
 from fpplab.report.drawing import ACCENT, FULL, SECOND, blank, colour_bar, map_height, pair, picture, show
 from fpplab.report.figures import error_map
 from fpplab.report.page import Figure, Section, Table, write_page
+from fpplab.simulation.matchable import Parameters, Twin
 
 Picture = NDArray[np.float32]
 

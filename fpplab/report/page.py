@@ -21,11 +21,11 @@ from fpplab import __version__
 from fpplab.characterisation import Characterisation
 from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
-from fpplab.conventions import Axis, Floats, Image, Map
-from fpplab.files import write_text
-from fpplab.filtering import removal
-from fpplab.gamma import Response
+from fpplab.core.conventions import Axis, Floats, Image, Map
+from fpplab.core.files import write_text
+from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
+from fpplab.reconstruction.filtering import removal
 from fpplab.report import characterisation as devices
 from fpplab.report import figures, uncertainty
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Map, Mask
-from fpplab.errors import DataError
+from fpplab.core.conventions import Map, Mask
+from fpplab.core.errors import DataError
 
 STRAYS = 0.5
 """Per cent of the points on each side that do not widen a picture."""

@@ -8,7 +8,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.phase import Decoded, wrapped_phase
 from fpplab.report.page import ScanSection, write_report
-from fpplab.session import Session
+from fpplab.sessions.session import Session
 
 
 def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:

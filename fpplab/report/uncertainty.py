@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpplab.clouds import Cloud
-from fpplab.errors import DataError
+from fpplab.core.errors import DataError
 from fpplab.report.drawing import FULL, HALF, blank, colour_bar, map_height, picture, show, value_range
 from fpplab.report.raster import lay, raster
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import erf
 
-from fpplab.conventions import Floats
-from fpplab.errors import CalibrationError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
 
 if TYPE_CHECKING:
     from fpplab.targets.target import Target

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from fpplab.conventions import Floats
-from fpplab.errors import CalibrationError
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
 from fpplab.targets.detection import (
     CHECKERBOARD_FLAGS,
     LEAST_POINTS,

@@ -18,9 +18,9 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.transforms import Affine2D
 
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.files import need_suffix, write_atomic
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import need_suffix, write_atomic
 from fpplab.targets.target import Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from fpplab import config
-from fpplab.config import Document
-from fpplab.conventions import Floats
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
 from fpplab.targets.detection import Detection, detect
 from fpplab.targets.partial import detect_part
 

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 from sim.blender.images import float_image
 from sim.blender.nodes import Nodes
 from sim.scene import POSITION, REFLECTANCE, Grain, Paint, Relief

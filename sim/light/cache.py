@@ -22,7 +22,7 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.system import cache_directory
+from fpplab.core.system import cache_directory
 from sim.light.table import Table
 from sim.scene import Scene, View
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 from sim.world.render import shifts
 
 TRIES = 500

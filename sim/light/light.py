@@ -20,13 +20,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from fpplab.conventions import Floats, Pixels, full_scale
-from fpplab.geometry import Pinhole
-from fpplab.patterns import Pattern
+from fpplab.core.conventions import Floats, Pixels, full_scale
+from fpplab.core.geometry import Pinhole
+from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_scene
 from sim.light.basis import Basis, Picture, span
+from sim.light.byte_limited_cache import Kept
 from sim.light.cache import TableCache, digest
-from sim.light.kept import Kept
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import Table

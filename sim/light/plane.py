@@ -26,8 +26,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats, Pixels
-from fpplab.geometry import Pinhole, RigidTransform, distort
+from fpplab.core.conventions import Floats, Pixels
+from fpplab.core.geometry import Pinhole, RigidTransform, distort
 from sim.light.table import Picture, Table, circle_level
 from sim.scene import Paint, Scene, Surface, View
 

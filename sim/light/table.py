@@ -12,8 +12,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
-from fpplab.geometry import RigidTransform, distort
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform, distort
 from sim.scene import ALBEDO, DIRECT, Scene, X, Y, Z
 from sim.texture import Part
 
@@ -125,7 +125,7 @@ def _locate(
     squares: Floats,
     out: Picture,
 ) -> None:
-    """The lens as in `fpplab.geometry`, in float64: a texel is a thousandth of the projector."""
+    """The lens as in `fpplab.core.geometry`, in float64: a texel is a thousandth of the projector."""
     R, t = T_projector_camera[:, :3], T_projector_camera[:, 3]
     for i in numba.prange(len(rendered)):
         out[i] = 0

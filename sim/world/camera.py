@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from fpplab.calibration import Distortion
-from fpplab.config import Document
-from fpplab.geometry import Pinhole
+from fpplab.calibration.model import Distortion
+from fpplab.core.config import Document
+from fpplab.core.geometry import Pinhole
 from sim.world.numbers import NotNegative, Positive, Share, Size
 
 Binning = Literal[1, 2, 4, 8]

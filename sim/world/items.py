@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from fpplab import config
-from fpplab.calibration import PoseFile
-from fpplab.config import Document
+from fpplab.calibration.model import PoseFile
+from fpplab.core import config
+from fpplab.core.config import Document
 from sim.world.numbers import NotNegative, Positive, Share
 
 FileName = Annotated[str, Field(min_length=1)]

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from fpplab.config import Document
+from fpplab.core.config import Document
 from sim import scene
 from sim.scene import Paint
 from sim.world.numbers import Positive, Share

@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from fpplab.calibration import Distortion, PoseFile
-from fpplab.config import Document
-from fpplab.conventions import Lattice
-from fpplab.geometry import Pinhole
+from fpplab.calibration.model import Distortion, PoseFile
+from fpplab.core.config import Document
+from fpplab.core.conventions import Lattice
+from fpplab.core.geometry import Pinhole
 from sim.texture import MirrorTexture, least_blur
 from sim.world.numbers import NotNegative, Positive, Share, Size
 

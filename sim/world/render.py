@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from fpplab.config import Document
+from fpplab.core.config import Document
 
 LightPath = Literal["transport", "linear", "reference"]
 Subpixels = Annotated[int, Field(ge=1, le=8)]

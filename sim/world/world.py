@@ -8,13 +8,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from fpplab import config
-from fpplab.calibration import CalibrationFile
-from fpplab.config import Document
-from fpplab.conventions import Floats
-from fpplab.errors import ConfigError
-from fpplab.files import write_text
-from fpplab.geometry import Pinhole, RigidTransform, turned_towards
+from fpplab.calibration.model import CalibrationFile
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import write_text
+from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, beside
 from sim.world.materials import Diffuse, Material, Translucent

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import FrameLossError
 from fpplab.devices import Device
-from fpplab.errors import FrameLossError
-from fpplab.patterns import Pattern, make_patterns
-from fpplab.plan import FringeSet, Plan
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import FringeSet, Plan
 
 EXPOSURE_S = 0.02
 FLAT = FringeSet(axis="x", stripes=0.01, steps=4)

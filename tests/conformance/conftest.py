@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from fpplab import config
-from fpplab.acquisition import acquire
+from fpplab.acquisition.acquire import acquire
+from fpplab.core import config
 from fpplab.devices import Camera, Device, Fixture, Projector, Stage, State
-from fpplab.rig import Rig, RigFile
-from fpplab.session import Session
+from fpplab.devices.rig import Rig, RigFile
+from fpplab.sessions.session import Session
 from tests.conformance.bench import devices_of, dim_plan
 from tests.conformance.dlp4500 import FLASH, flash
 

@@ -12,11 +12,11 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500.index import FlashIndex, checksum
 from drivers.dlp4500.sequence import SIZE, Slot
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, Light, Pulse
-from fpplab.conventions import Lattice
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import TimeoutError
 from fpplab.devices import Trigger
-from fpplab.errors import TimeoutError
-from fpplab.patterns import Pattern, make_patterns
-from fpplab.plan import Plan
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
 from tests.conformance.bench import COLUMNS, FLAT, ROWS
 from tests.conformance.reference import PROJECTOR_SIZE, ReferenceBench, ReferenceCamera
 from tests.drivers.projector_bench import packed

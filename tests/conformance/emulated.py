@@ -7,7 +7,7 @@ import threading
 import numpy as np
 
 from drivers.emulators.pylon import EmulatedPylon
-from fpplab.conventions import Image, full_scale, raw_dtype
+from fpplab.core.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from tests.conformance.reference import REFERENCE_EXPOSURE_S, ReferenceBench, ReferenceProjector
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.conventions import Floats, Image, Lattice
+from fpplab.core.conventions import Floats, Image, Lattice
+from fpplab.core.errors import TimeoutError
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -30,8 +31,7 @@ from fpplab.devices import (
     StageCaps,
     Trigger,
 )
-from fpplab.errors import TimeoutError
-from fpplab.patterns import Pattern, quantise
+from fpplab.patterns.fringes import Pattern, quantise
 
 CAMERA_SIZE, PROJECTOR_SIZE = (48, 32), (24, 16)
 READOUT_S = 0.004

@@ -10,9 +10,9 @@ from collections import deque
 from dataclasses import replace
 
 from drivers.clock import SteppedClock
+from fpplab.acquisition.synchronisation import Cause, Fault
 from fpplab.devices import Frame
-from fpplab.patterns import Pattern
-from fpplab.synchronisation import Cause, Fault
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import ReferenceBench, ReferenceCamera, ReferenceProjector
 
 CLOCK = SteppedClock()

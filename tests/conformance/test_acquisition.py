@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.acquisition import acquire, expose
+from fpplab.acquisition.acquire import acquire, expose
+from fpplab.core.errors import CapabilityError, DataError, DeviceError, SyncError
 from fpplab.devices import Frame, State
-from fpplab.errors import CapabilityError, DataError, DeviceError, SyncError
-from fpplab.plan import Plan
-from fpplab.rig import Rig
-from fpplab.session import Session
+from fpplab.devices.rig import Rig
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.session import Session
 from tests.conformance.bench import BLACK, WHITE, brightness, dark_now, dim_plan, patterns_for, picture
 
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fpplab.core.errors import CapabilityError, SettingError, StateError, TimeoutError
 from fpplab.devices import Camera, CameraSettings, State
-from fpplab.errors import CapabilityError, SettingError, StateError, TimeoutError
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
 from tests.conformance.bench import BLACK, DISTINCT, WHITE, brightness, dim_plan, patterns_for
 
 PROBE = 1.0 / math.pi

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from fpplab.core.errors import ConfigError, SettingError
 from fpplab.devices import Fixture, State
-from fpplab.errors import ConfigError, SettingError
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
 
 
 def test_every_item_can_be_mounted_and_taken_away(fixture: Fixture) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from fpplab.core.errors import DeviceError, NotOpenError, StateError
 from fpplab.devices import CameraSettings, Device, State
-from fpplab.errors import DeviceError, NotOpenError, StateError
 
 Use = Callable[[Any], object]
 

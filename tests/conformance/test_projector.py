@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fpplab.core.errors import CapabilityError, SettingError, StateError
 from fpplab.devices import Camera, Projector, State
-from fpplab.errors import CapabilityError, SettingError, StateError
-from fpplab.patterns import Pattern
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.bench import (
     BLACK,
     DISTINCT,

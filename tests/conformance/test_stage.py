@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from fpplab.core.errors import LimitError, StateError, TimeoutError
 from fpplab.devices import Stage, State
-from fpplab.errors import LimitError, StateError, TimeoutError
 
 TOLERANCE_MM = 0.05
 

@@ -11,20 +11,21 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from fpplab import acquisition, config
-from fpplab.acquisition import acquire, capture
-from fpplab.calibration import Calibration
+from fpplab.acquisition import acquire as acquisition
+from fpplab.acquisition.acquire import acquire, capture
+from fpplab.acquisition.sync_check import SETTLE_S
+from fpplab.acquisition.synchronisation import Cause, Fault
+from fpplab.calibration.model import Calibration
 from fpplab.cli import app
-from fpplab.console import Answered
-from fpplab.conventions import Lattice
-from fpplab.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
-from fpplab.geometry import Pinhole, RigidTransform
-from fpplab.marker import SETTLE_S
-from fpplab.measurement import CLOUD, DECODED, REPORT, characterise_sessions
-from fpplab.plan import FringeSet, Plan
-from fpplab.rig import Rig, RigFile
-from fpplab.session import Session
-from fpplab.synchronisation import Cause, Fault
+from fpplab.cli.console import Answered
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.devices.rig import Rig, RigFile
+from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
+from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.conformance.slipping import CLOCK

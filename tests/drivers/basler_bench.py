@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
-from fpplab.conventions import Image, raw_dtype
+from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings, Frame, State
 
 SERIAL = "0815-0000"

@@ -13,13 +13,13 @@ from drivers.dlp4500.flash.firmware import Firmware, arranged
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.bench import EmulatedBench, EmulatedFixture
-from fpplab import config
-from fpplab.acquisition import expose
-from fpplab.conventions import Image, Lattice
+from fpplab.acquisition.acquire import expose
+from fpplab.core import config
+from fpplab.core.conventions import Image, Lattice
 from fpplab.devices import CameraSettings
-from fpplab.patterns import Pattern, make_patterns
-from fpplab.plan import FringeSet, Plan
-from fpplab.rig import Rig, RigFile
+from fpplab.devices.rig import Rig, RigFile
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import FringeSet, Plan
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.drivers.flash_files import maker_firmware
 

@@ -14,8 +14,8 @@ from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.index import FlashIndex, FlashPattern, shown_image
 from drivers.dlp4500.sequence import SIZE, planes
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, FlashImage, Policy, Pulse
-from fpplab import config
-from fpplab.patterns import Pattern
+from fpplab.core import config
+from fpplab.patterns.fringes import Pattern
 
 WIDTH, HEIGHT = SIZE
 

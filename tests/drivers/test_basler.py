@@ -15,9 +15,8 @@ from pypylon import genicam, pylon
 
 from drivers.basler import BaslerCamera, frames
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon, Policy
-from fpplab.conventions import raw_dtype
-from fpplab.devices import CameraSettings, Frame, State
-from fpplab.errors import (
+from fpplab.core.conventions import raw_dtype
+from fpplab.core.errors import (
     ConfigError,
     DeviceError,
     DisconnectedError,
@@ -25,6 +24,7 @@ from fpplab.errors import (
     StateError,
     TimeoutError,
 )
+from fpplab.devices import CameraSettings, Frame, State
 from tests.drivers.basler_bench import (
     SERIAL,
     SETTINGS,

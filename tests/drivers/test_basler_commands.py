@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from drivers.basler.transport import Pylon
 from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon
 from fpplab.cli import app
-from fpplab.errors import ConfigError, DataError, DeviceError, DisconnectedError, FppError, StateError
+from fpplab.core.errors import ConfigError, DataError, DeviceError, DisconnectedError, FppError, StateError
 from tests.drivers.basler_bench import SERIAL, SETTINGS, driver
 
 LEFT: dict[str, Any] = {"Width": 640, "OffsetX": 32, "Gamma": 2.0, "ExposureTime": 12300.0}

@@ -12,13 +12,13 @@ import pytest
 
 from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedPylon
-from fpplab.devices import State
-from fpplab.errors import (
+from fpplab.core.errors import (
     DeviceError,
     DisconnectedError,
     FrameLossError,
     TimeoutError,
 )
+from fpplab.devices import State
 from tests.drivers.basler_bench import (
     LONG_S,
     SETTINGS,

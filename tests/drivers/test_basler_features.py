@@ -15,8 +15,8 @@ from pypylon import pylon
 
 from drivers.basler import BaslerCamera
 from drivers.basler.frames import unpack12
+from fpplab.core.errors import CapabilityError, ConfigError, FrameLossError, SettingError
 from fpplab.devices import CameraSettings, State
-from fpplab.errors import CapabilityError, ConfigError, FrameLossError, SettingError
 from tests.drivers.node_camera import ACE, SERIAL, NodeCamera, Result, choice, integer, number
 
 Make = Callable[..., BaslerCamera]

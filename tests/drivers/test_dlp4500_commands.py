@@ -13,7 +13,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid
 from fpplab.cli import app
-from fpplab.errors import ConfigError, DisconnectedError
+from fpplab.core.errors import ConfigError, DisconnectedError
 from tests.drivers.dlpc350_host import FLASH
 
 

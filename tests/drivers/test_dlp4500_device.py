@@ -14,8 +14,7 @@ from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.protocol import Mode, Run
 from drivers.dlp4500.sequence import Slot, flash_program, video_program
 from drivers.emulators.dlpc350 import Fault, Policy, Video
-from fpplab.devices import State
-from fpplab.errors import (
+from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
@@ -25,7 +24,8 @@ from fpplab.errors import (
     SyncError,
     TimeoutError,
 )
-from fpplab.patterns import Pattern
+from fpplab.devices import State
+from fpplab.patterns.fringes import Pattern
 from tests.drivers.projector_bench import HEIGHT, WIDTH, Bench, flat, greys
 
 EXPOSURE_S = 0.02

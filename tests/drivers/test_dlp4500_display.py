@@ -20,7 +20,7 @@ from drivers.dlp4500 import display as display_module
 from drivers.dlp4500 import screen
 from drivers.dlp4500.display import Frame, SdlDisplay
 from drivers.dlp4500.sequence import SIZE
-from fpplab.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
 
 DUMMY = (1024, 768)
 """The one size of SDL's dummy display."""

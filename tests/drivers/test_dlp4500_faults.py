@@ -11,8 +11,8 @@ import pytest
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault
+from fpplab.core.errors import DisconnectedError, ProtocolError, TimeoutError
 from fpplab.devices import State
-from fpplab.errors import DisconnectedError, ProtocolError, TimeoutError
 from tests.drivers.projector_bench import Bench, greys
 
 EXPOSURE_S = 0.02

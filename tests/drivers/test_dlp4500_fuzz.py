@@ -13,8 +13,8 @@ from drivers.dlp4500.framing import MOST_PAYLOAD, further_reports
 from drivers.dlp4500.protocol import COMMANDS, Command, Raw, Record
 from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, Policy
+from fpplab.core.errors import DeviceError
 from fpplab.devices import State
-from fpplab.errors import DeviceError
 from tests.drivers.dlpc350_host import FLASH
 from tests.drivers.projector_bench import Bench, greys
 from tests.drivers.test_dlp4500_faults import LONGEST_S, Trial

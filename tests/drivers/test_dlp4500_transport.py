@@ -11,7 +11,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.framing import READ, Message
 from drivers.dlp4500.transport import MOST_STALE, Link, connect
-from fpplab.errors import (
+from fpplab.core.errors import (
     DeviceError,
     DisconnectedError,
     ProtocolError,

@@ -19,8 +19,7 @@ from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
 from drivers.emulators.dlpc350 import EmulatedDisplay, Fault
 from drivers.emulators.dlpc350.light import grey
-from fpplab.devices import State
-from fpplab.errors import (
+from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
@@ -29,7 +28,8 @@ from fpplab.errors import (
     SettingError,
     TimeoutError,
 )
-from fpplab.patterns import Pattern
+from fpplab.devices import State
+from fpplab.patterns.fringes import Pattern
 from tests.drivers.projector_bench import HEIGHT, WIDTH, Bench, greys
 
 FRAME_S = 1 / 60

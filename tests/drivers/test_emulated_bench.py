@@ -12,11 +12,11 @@ import pytest
 
 from drivers.emulators.bench import EmulatedFixture, Faults
 from drivers.emulators.dlpc350 import Fault
-from fpplab.conventions import Image
+from fpplab.core.conventions import Image
+from fpplab.core.errors import ConfigError, DisconnectedError, SettingError, TimeoutError
 from fpplab.devices import CameraSettings, Frame, State
-from fpplab.errors import ConfigError, DisconnectedError, SettingError, TimeoutError
-from fpplab.patterns import Pattern
-from fpplab.rig import Rig
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE
 from tests.drivers.emulated_rig import (
     PLAN,

@@ -18,13 +18,13 @@ from drivers.dlp4500.flash.firmware import TABLE, Firmware, arranged
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.sequence import SIZE, Slot
 from drivers.emulators.dlpc350.flash import pixels_of, stored_images
-from fpplab import config
-from fpplab.conventions import Lattice
-from fpplab.errors import ConfigError, DataError
-from fpplab.patterns import Pattern, make_patterns, uniform_patterns
-from fpplab.plan import FringeSet, Plan
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
+from fpplab.patterns.plan import FringeSet, Plan
+from tests.cli.conftest import run
 from tests.drivers.flash_files import BEHIND_PROGRAM, END, IMAGES, PROGRAM, maker_firmware
-from tests.system.conftest import run
 
 WIDTH, HEIGHT = SIZE
 GREY = uniform_patterns([7], SIZE)[0]

@@ -22,7 +22,7 @@ from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350 import Fault, Policy
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
 from fpplab.cli import app
-from fpplab.errors import (
+from fpplab.core.errors import (
     Cancelled,
     DataError,
     DeviceError,
@@ -31,7 +31,7 @@ from fpplab.errors import (
     StateError,
     TimeoutError,
 )
-from fpplab.patterns import uniform_patterns
+from fpplab.patterns.fringes import uniform_patterns
 from tests.drivers.flash_board import DATA, ENTER, ERASE, LEAVE, SECTOR, Bench, firmware
 from tests.drivers.flash_files import maker_firmware
 

@@ -13,8 +13,7 @@ from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.stage_grbl import GrblStage, device, wire
 from drivers.stage_grbl.device import Mechanics
 from drivers.stage_grbl.wire import GrblWire
-from fpplab.devices import State
-from fpplab.errors import (
+from fpplab.core.errors import (
     ConfigError,
     DeviceError,
     DisconnectedError,
@@ -22,6 +21,7 @@ from fpplab.errors import (
     ProtocolError,
     TimeoutError,
 )
+from fpplab.devices import State
 from tests.drivers.grbl_stage import PULL_OFF_MM, STEP_MM, Bench
 
 HALF_STEP = STEP_MM / 2 + 1e-9

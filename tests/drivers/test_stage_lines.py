@@ -27,7 +27,7 @@ from drivers.stage_grbl.lines import (
     error_in_words,
     parse,
 )
-from fpplab.errors import DeviceError
+from fpplab.core.errors import DeviceError
 from tests.drivers.grbl_stage import DirectLine, VirtualTime
 
 LINES: dict[str, Message] = {

@@ -21,12 +21,12 @@ from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, training, usbip
 from drivers.emulators.dlpc350.descriptors import REPORTS
 from drivers.emulators.dlpc350.training import described
 from drivers.emulators.dlpc350.usbip import Conversation, PluggedIn
-from fpplab.conventions import Lattice
-from fpplab.errors import DeviceError
-from fpplab.patterns import make_patterns
-from fpplab.plan import Plan
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import DeviceError
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from tests.cli.conftest import run
 from tests.drivers.projector_bench import Bench, greys
-from tests.system.conftest import run
 
 OUT, IN = 0, 1
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4

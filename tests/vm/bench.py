@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from fpplab.core.errors import TimeoutError
 from fpplab.devices import Trigger
-from fpplab.errors import TimeoutError
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import ReferenceBench, ReferenceCamera
 from tests.vm.projector import Projector, connected
 

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.transport import PRODUCT, VENDOR
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.dlp4500 import planned
 from tests.vm.projector import Projector, connected
 

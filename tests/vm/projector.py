@@ -12,8 +12,8 @@ from multiprocessing.managers import BaseManager
 from drivers.clock import RealClock
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, Light, Pulse
 from drivers.emulators.dlpc350.usbip import PluggedIn
-from fpplab import config
-from fpplab.patterns import Pattern
+from fpplab.core import config
+from fpplab.patterns.fringes import Pattern
 from tests.conformance.dlp4500 import flash, shown
 
 ADDRESS = "/run/projector"

@@ -21,10 +21,10 @@ from drivers.dlp4500.flash.loader import programming
 from drivers.dlp4500.flash.upload import perform, prepare, verify
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.transport import Link, connect
-from fpplab import config
+from fpplab.core import config
+from tests.cli.conftest import ROOT
 from tests.drivers.flash_files import maker_firmware
 from tests.drivers.projector_bench import greys
-from tests.system.conftest import ROOT
 from tests.vm.conftest import is_gone, is_on_usb, wait_until
 from tests.vm.projector import Projector
 

@@ -15,9 +15,9 @@ from drivers.dlp4500.framing import READ, REPLY_WANTED, request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import TIMEOUT_S, Wire, connect
 from drivers.emulators.dlpc350 import Fault
+from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
 from fpplab.devices import State
-from fpplab.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
-from fpplab.patterns import Pattern
+from fpplab.patterns.fringes import Pattern
 from tests.vm.conftest import is_gone, is_on_usb, wait_until
 from tests.vm.projector import Projector
 

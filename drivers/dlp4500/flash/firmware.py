@@ -21,8 +21,8 @@ from drivers.dlp4500.flash import memory
 from drivers.dlp4500.flash.compression import Compressed, compress, repeats_by_lines
 from drivers.dlp4500.packing import packed
 from drivers.dlp4500.sequence import SIZE, Slot
-from fpplab.errors import ConfigError, DataError
-from fpplab.patterns import Pattern
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.patterns.fringes import Pattern
 
 TABLE = 0x20000
 """Where the table of blocks is."""

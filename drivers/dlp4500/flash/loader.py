@@ -15,7 +15,7 @@ from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.protocol import VERSION, Command, Field, Raw, Record
 from drivers.dlp4500.transport import Link
-from fpplab.errors import (
+from fpplab.core.errors import (
     DeviceError,
     DisconnectedError,
     ProtocolError,

@@ -18,8 +18,8 @@ from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECT
 from drivers.dlp4500.flash.loader import Loader
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
-from fpplab.console import Report
-from fpplab.errors import DataError, DeviceError
+from fpplab.cli.console import Report
+from fpplab.core.errors import DataError, DeviceError
 
 _SLOT = 16
 """Bytes of the digest and of each mark on the page of progress."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.dlp4500.sequence import planes
-from fpplab.conventions import Floats
+from fpplab.core.conventions import Floats
 
 FlashImage = NDArray[np.uint8]
 """(height, width, 3): the planes of green, red and blue."""

@@ -23,10 +23,11 @@ from drivers.emulators.dlpc350.loader import FlashedDlpc350
 from drivers.emulators.dlpc350.sequencer import Sequencer
 from drivers.emulators.dlpc350.usb import EmulatedHid
 from drivers.emulators.dlpc350.usbip import PluggedIn
-from fpplab import config, console
-from fpplab.conventions import Lattice
-from fpplab.patterns import make_patterns
-from fpplab.plan import Plan
+from fpplab.cli import console
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
 
 DEFAULT_PLAN = "plan_paper.yaml"
 LOOK_S = 0.1

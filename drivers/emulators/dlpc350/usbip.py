@@ -24,7 +24,7 @@ from typing import Self
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.descriptors import FULL_SPEED, INWARDS, Introduction, endpoint_in, endpoint_out
 from drivers.emulators.dlpc350.usb import EmulatedHid
-from fpplab.errors import DeviceError
+from fpplab.core.errors import DeviceError
 
 HUB = Path("/sys/devices/platform/vhci_hcd.0")
 NAME = "emulator"

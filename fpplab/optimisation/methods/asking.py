@@ -11,7 +11,7 @@ import optuna
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import TrialState
 
-from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.candidate_runner import Lab
 from fpplab.optimisation.objectives import Trial
 from fpplab.optimisation.space import Parameter, Point
 

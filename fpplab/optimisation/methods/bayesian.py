@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import optuna
 
-from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.candidate_runner import Lab
 from fpplab.optimisation.methods.asking import enqueue, quiet, round_of, study_of
 from fpplab.optimisation.study import Bayesian
 

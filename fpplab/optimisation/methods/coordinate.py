@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
 
-from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.candidate_runner import Lab
 from fpplab.optimisation.objectives import Rank, Trial
 from fpplab.optimisation.space import Parameter, Point
 from fpplab.optimisation.study import Coordinate

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.candidate_runner import Lab
 from fpplab.optimisation.objectives import Trial
 from fpplab.optimisation.space import Parameter, Point
 from fpplab.optimisation.study import Gradient

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import optuna
 
-from fpplab.optimisation.lab import Lab
+from fpplab.optimisation.candidate_runner import Lab
 from fpplab.optimisation.methods.asking import enqueue, quiet, round_of, study_of
 from fpplab.optimisation.methods.coordinate import coordinates
 from fpplab.optimisation.objectives import Trial

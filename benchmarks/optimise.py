@@ -1,0 +1,397 @@
+"""Searches on a matched twin and what they are worth on its bench, a hidden one, beside their targets.
+
+Phase counts, stripe counts, the baseline of a bench as wide as the paper's, and the front of all together:
+each is searched with one worker for every core, on the matched twin at rest. What is found is judged on the
+twin as it is and on the hidden bench, which no search has seen; the baseline on its own bench, with seeds
+that the search has not seen and by moving the stage. Rigs are characterised once, for all searches.
+
+Speed is that of the paper's gradient descent through all of its epochs, with nothing on disk from an earlier
+run but the characterisation, which is not counted. What rendering its images would take is extrapolated:
+seconds of an image of each artefact that is rendered by itself, the mean of a sample, times the images of all
+candidates; another seed is other noise on the same render, so it counts once. For two workers against one a
+worker has one core, whether alone or not.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import fmean
+
+import numba
+import numpy as np
+import psutil
+
+from benchmarks import Result, above, below
+from fpplab.cli import console
+from fpplab.core.errors import DataError
+from fpplab.devices.rig import Rig
+from fpplab.optimisation import objectives
+from fpplab.optimisation.candidate import Candidate, Evaluator, Score
+from fpplab.optimisation.confirm import Confirmation, Measured
+from fpplab.optimisation.goal import What
+from fpplab.optimisation.measuring import candidate_of
+from fpplab.optimisation.run import Confirmed, Found, calibrated, confirm_found, optimise
+from fpplab.optimisation.scheduling import Cluster, Opener, OpenRig, Task
+from fpplab.optimisation.storage import Outcome
+from fpplab.optimisation.study import Gradient, Study
+from fpplab.patterns.fringes import make_patterns
+
+MOST_IMAGES, FEWEST_IMAGES, IMAGES_OF_FRONT = 18, 9, (9, 21)
+LEAST_PLANS, MOST_DEVIATION = 12, 2.0
+LEAST_STRIPES_PERCENT, LEAST_STRIPES_HIDDEN_PERCENT, MOST_WRONG_PERCENT = 67.0, 70.0, 0.1
+LEAST_BASELINE_PERCENT, INSIDE = 37.0, 0.01
+"""INSIDE: of the searched range, by which a minimum lies within it."""
+MOST_SECONDS, LEAST_FASTER, LEAST_BY_TWO = 600.0, 100.0, 1.7
+COVERAGE = 2.0
+"""Standard uncertainties by which a plan may seem worse than the start and be no worse."""
+WARM = 6
+"""Measurements until both workers have rendered what they need."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is searched: rig and study files, and how much is timed.
+
+    search: the twin on which searches measure. wide: the rig of the baseline. epochs: of the gradient
+    descent. rendered: images of each artefact. measured: candidates, by one worker and by two. workers: who
+    search.
+    """
+
+    search: str = "rig_matched_still.yaml"
+    twin: str = "rig_matched.yaml"
+    hidden: str = "rig_hidden.yaml"
+    wide: str = "rig_paper.yaml"
+    phases: str = "study_phases.yaml"
+    stripes: str = "study_stripes.yaml"
+    gradient: str = "study_stripes_gradient.yaml"
+    baseline: str = "study_baseline_paper.yaml"
+    pareto: str = "study_pareto.yaml"
+    epochs: int = 64
+    rendered: int = 3
+    measured: int = 40
+    workers: int = os.cpu_count() or 1
+
+
+FULL = Trial()
+
+
+def run() -> list[Result]:
+    """All figures; the baselines are the targets. It takes an hour or two on two cores."""
+    with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
+        return figures(Path(folder))
+
+
+def figures(folder: Path, trial: Trial = FULL) -> list[Result]:
+    """All figures. Searches go on where their journals in `folder` end; what is timed is done anew.
+
+    Raises `DataError` when a search finds nothing that can be measured, and what measuring raises.
+    """
+    return [
+        *_phases(folder, trial),
+        *_stripes(folder, trial),
+        *_baseline(folder, trial),
+        *_pareto(folder, trial),
+        *_speed(folder, trial),
+        *_scale(folder, trial),
+    ]
+
+
+def _characterised(rig: str, name: str, folder: Path) -> Study:
+    """The study of a file with calibrations of the rig, which are kept for the next."""
+    with Rig.load(rig) as opened, console.progress(f"Characterising {rig} for {name}") as report:
+        return calibrated(opened, Study.load(name), _of_rig(rig, folder), report)
+
+
+def _of_rig(rig: str, folder: Path) -> Path:
+    return folder / Path(rig).stem
+
+
+def searched(what: What, rig: str, name: str, folder: Path, workers: int) -> Found:
+    """What `fpplab optimise` finds; its plans and its journal stay in `folder`."""
+    study = _characterised(rig, name, folder)
+    out = folder / (str(what) if what is What.PARETO else f"{what}.yaml")
+    with console.progress(f"Searching {what} on {rig}"):
+        found = optimise(what, rig, study, out, name, workers=workers)
+    console.say(f"{what}: {len(found.trials)} candidates, {found.ended}")
+    return found
+
+
+def on_both(trial: Trial, found: Found, folder: Path) -> list[tuple[Confirmed, Confirmed]]:
+    """Every plan that is confirmed, on the twin and on the hidden bench: side by side by several workers."""
+    rigs = (trial.twin, trial.hidden)
+    if trial.workers == 1:
+        return list(zip(*(_confirmed(rig, found, folder) for rig in rigs), strict=True))
+    with ProcessPoolExecutor(len(rigs), get_context("spawn")) as pool:
+        both = [pool.submit(_confirmed, rig, found, folder) for rig in rigs]
+        return list(zip(*(one.result() for one in both), strict=True))
+
+
+def _confirmed(rig: str, found: Found, folder: Path) -> tuple[Confirmed, ...]:
+    with console.progress(f"Confirming on {rig}") as report:
+        return confirm_found(rig, found, _of_rig(rig, folder), report)
+
+
+def _phases(folder: Path, trial: Trial) -> list[Result]:
+    found = searched(What.PHASES, trial.search, trial.phases, folder, trial.workers)
+    ((twin, hidden),) = on_both(trial, found, folder)
+    return [
+        below("optimise_phases_images", found.optimum.candidate.images, "images", MOST_IMAGES),
+        no_worse("optimise_phases_smcd", twin.confirmation),
+        no_worse("optimise_phases_smcd_hidden", hidden.confirmation),
+    ]
+
+
+def no_worse(name: str, found: Confirmation) -> Result:
+    """The distance as a multiple of the start's, less what is uncertain of it, beside 1."""
+    console.say(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
+    least = 1.0 - found.gain - COVERAGE * found.uncertainty
+    return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
+
+
+def _stripes(folder: Path, trial: Trial) -> list[Result]:
+    found = searched(What.STRIPES, trial.search, trial.stripes, folder, trial.workers)
+    ((twin, hidden),) = on_both(trial, found, folder)
+    here, there = twin.confirmation, hidden.confirmation
+    return [
+        above("optimise_stripes_down", 100 * here.gain, "%", LEAST_STRIPES_PERCENT),
+        above("optimise_stripes_down_hidden", 100 * there.gain, "%", LEAST_STRIPES_HIDDEN_PERCENT),
+        below("optimise_stripes_wrong_orders", wrong_percent(here.after), "%", MOST_WRONG_PERCENT),
+        below("optimise_stripes_wrong_orders_hidden", wrong_percent(there.after), "%", MOST_WRONG_PERCENT),
+    ]
+
+
+def wrong_percent(found: Measured) -> float:
+    """Of all points those that are a fringe or more off."""
+    measured = [one for repeats in found.values() for one in repeats]
+    points = sum(one.points for one in measured)
+    return 100 * sum(one.wrong_orders * one.points for one in measured) / points
+
+
+def _baseline(folder: Path, trial: Trial) -> list[Result]:
+    found = searched(What.BASELINE, trial.wide, trial.baseline, folder, trial.workers)
+    (moved,) = _confirmed(trial.wide, found, folder)
+    least, most = (found.space.parameters[0].least, found.space.parameters[0].most)
+    at = found.optimum.point[0]
+    console.say(f"the baseline's minimum is at {at:g} mm of {least:g} to {most:g}")
+    return [
+        above("optimise_baseline_down", 100 * gain_of(found), "%", LEAST_BASELINE_PERCENT),
+        above("optimise_baseline_down_moved", 100 * moved.confirmation.gain, "%", LEAST_BASELINE_PERCENT),
+        above("optimise_baseline_inside", min(at - least, most - at), "mm", INSIDE * (most - least)),
+    ]
+
+
+def gain_of(found: Found) -> float:
+    """Of the optimum, as a share, with the seeds that chose nothing."""
+    if found.gain is None:
+        raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
+    return found.gain.down_percent / 100.0
+
+
+def _pareto(folder: Path, trial: Trial) -> list[Result]:
+    found = searched(What.PARETO, trial.search, trial.pareto, folder, trial.workers)
+    counts = [one.candidate.images for one in found.front]
+    within = [n for n in counts if IMAGES_OF_FRONT[0] <= n <= IMAGES_OF_FRONT[1]]
+    apart = [deviation(twin, hidden) for twin, hidden in on_both(trial, found, folder)]
+    return [
+        above("optimise_pareto_plans", len(within), "plans", LEAST_PLANS),
+        below("optimise_pareto_fewest", min(counts), "images", FEWEST_IMAGES),
+        below("optimise_pareto_vs_single", beside_singles(found), "of the single optimum's", 1.0),
+        below("optimise_pareto_hidden", max(apart), "u", MOST_DEVIATION),
+    ]
+
+
+def beside_singles(found: Found) -> float:
+    """The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
+
+    Of those with as many images, among all that were measured and keep the limits: the search of a front
+    begins with searches of each kind of parameter by itself.
+    """
+    wanted = [trial for trial in found.trials if found.judge.wanted(trial)]
+    single = [trial for trial in wanted if len(groups_changed(found, trial)) <= 1]
+    return max(
+        one.figures.surface_smcd_um / other.figures.surface_smcd_um
+        for one in found.front
+        for other in single
+        if one.candidate.images == other.candidate.images
+    )
+
+
+def groups_changed(found: Found, trial: objectives.Trial) -> set[str]:
+    """In which groups of parameters a trial differs from the start."""
+    values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
+    return {parameter.group for parameter, value, begin in values if value != begin}
+
+
+def deviation(twin: Confirmed, hidden: Confirmed) -> float:
+    """Between the gains on the two, in standard uncertainties of their difference."""
+    one, other = twin.confirmation, hidden.confirmation
+    for name, found in (("twin", one), ("hidden", other)):
+        console.say(f"{twin.images} images, {name}: gain {found.gain:.4f} ± {found.uncertainty:.4f}")
+    return abs(one.gain - other.gain) / float(np.hypot(one.uncertainty, other.uncertainty))
+
+
+def _speed(folder: Path, trial: Trial) -> list[Result]:
+    study = _characterised(trial.search, trial.gradient, folder)
+    assert isinstance(study.method, Gradient)
+    # Never down by so much, it ends after just so many epochs.
+    whole = study.method.model_copy(update={"gain": math.inf, "patience": trial.epochs})
+    out = folder / "speed"
+    shutil.rmtree(out, ignore_errors=True)
+    begin = time.perf_counter()
+    with own_cache(out), console.progress(f"Gradient descent through {trial.epochs} epochs"):
+        descent = study.model_copy(update={"method": whole})
+        found = optimise(
+            What.STRIPES, trial.search, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
+        )
+    seconds = time.perf_counter() - begin
+    images = len(study.artefacts) * sum(one.candidate.images for one in found.trials if one.measured)
+    each = _seconds_rendered(trial.search, study, trial.rendered)
+    console.say(
+        f"{seconds:.0f} s; extrapolated from {each:.2f} s a render: {images} images in {images * each:.0f} s"
+    )
+    return [
+        above("optimise_gradient_epochs", len(found.epochs) - 1, "epochs", trial.epochs),
+        below("optimise_gradient_seconds", seconds, "s", MOST_SECONDS),
+        above("optimise_vs_rendering_extrapolated", images * each / seconds, "times", LEAST_FASTER),
+    ]
+
+
+@contextmanager
+def own_cache(folder: Path) -> Iterator[None]:
+    """Processes that begin meanwhile find nothing on disk that an earlier one left."""
+    name = "XDG_CACHE_HOME"
+    before = os.environ.get(name)
+    os.environ[name] = str(folder)
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
+
+
+def _seconds_rendered(rig: str, study: Study, count: int) -> float:
+    """Of one image, the mean over so many of each artefact; each is a render of its own."""
+    with Rig.load(rig) as opened, console.progress(f"Rendering {count} images of each artefact"):
+        world = opened.bench.world
+        render = world.render.model_copy(update={"path": "reference", "cache": False})
+        opened.bench.become(world.model_copy(update={"render": render}))
+        caps, plan = opened.projector.caps, study.start
+        opened.projector.load(make_patterns(plan, caps.size, caps.lattice))
+        opened.camera.configure(opened.camera_settings(plan.exposure_s))
+        spent = []
+        for name in study.artefacts:
+            opened.need_fixture("the benchmark").mount(name)
+            _seconds_of_image(opened, 0)  # Blender starts, and takes in the scene
+            spent += [_seconds_of_image(opened, i) for i in range(1, count + 1)]
+    return fmean(spent)
+
+
+def _seconds_of_image(rig: Rig, pattern: int) -> float:
+    begin = time.perf_counter()
+    rig.projector.show(pattern)
+    rig.camera.snap()
+    return time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class OnOneCore:
+    """Opens a rig in a process that measures on one core, which no other has claimed in the folder."""
+
+    opener: Opener
+    claims: Path
+
+    def __call__(self) -> Evaluator:
+        numba.set_num_threads(1)
+        if hasattr(os, "sched_setaffinity"):  # elsewhere a process cannot be held to a core
+            cores = sorted(os.sched_getaffinity(0))
+            own = next(core for core in cores if _claimed(self.claims / f"{core}"))
+            os.sched_setaffinity(0, {own})  # of this thread, and of all that it will start
+        return self.opener()
+
+
+def _claimed(path: Path) -> bool:
+    """Whether this is the first to ask for it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class KilledOnce:
+    """Opens a rig of which one process is killed while it measures; `died` remembers it."""
+
+    opener: Opener
+    died: Path
+
+    def __call__(self) -> Evaluator:
+        return _Mortal(self.opener(), self.died)
+
+
+@dataclass(frozen=True)
+class _Mortal:
+    evaluator: Evaluator
+    died: Path
+
+    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+        scores = self.evaluator.measure(candidate, seed)
+        if _claimed(self.died):
+            psutil.Process().kill()
+        return scores
+
+    def close(self) -> None:
+        self.evaluator.close()
+
+
+def _scale(folder: Path, trial: Trial) -> list[Result]:
+    """Two workers against one, where there are two cores; and two of which one is killed."""
+    study = _characterised(trial.search, trial.stripes, folder)
+    opener = OpenRig(trial.search, study)
+    tasks = [(one, study.seeds[0]) for one in _others(candidate_of(study.start), WARM + trial.measured)]
+    with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as claims:
+        place = Path(claims)
+        wanted, alone = _measured(OnOneCore(opener, place / "one"), 1, tasks)
+        results = []
+        if (os.cpu_count() or 1) > 1:
+            _, together = _measured(OnOneCore(opener, place / "two"), 2, tasks)
+            results.append(above("optimise_two_workers", alone / together, "of one's rate", LEAST_BY_TWO))
+        found, _ = _measured(KilledOnce(opener, place / "died"), 2, tasks)
+    kept = sum(found.get(at) == outcome for at, outcome in wanted.items())
+    return [*results, above("optimise_kept_of_killed", kept, "measurements", len(tasks))]
+
+
+def _others(like: Candidate, count: int) -> Iterable[Candidate]:
+    """Candidates with a finest set of their own."""
+    *coarser, finest = like.fringes
+    return (
+        replace(like, fringes=(*coarser, replace(finest, stripes=finest.stripes + k))) for k in range(count)
+    )
+
+
+def _measured(opener: Opener, workers: int, tasks: Sequence[Task]) -> tuple[dict[int, Outcome], float]:
+    """Outcomes by place, and seconds for all but the first `WARM`."""
+    found: dict[int, Outcome] = {}
+    cluster = Cluster(opener, workers)
+    try:
+        with console.progress(f"Measuring with {workers}") as report:
+            cluster.measure(tasks[:WARM], found.__setitem__)
+            begin = time.perf_counter()
+            cluster.measure(tasks[WARM:], lambda at, outcome: found.__setitem__(WARM + at, outcome))
+            seconds = time.perf_counter() - begin
+            report(1.0)
+    finally:
+        cluster.close()
+    return found, seconds

@@ -1,0 +1,164 @@
+"""Patterns -> frames: the one place that keeps projector and camera in step.
+
+Stepped: show, settle, snap, one pattern at a time. Triggered: the projector is the clock,
+and each of its pulses exposes one frame. In the end the frames themselves must prove that each shows its
+pattern; where a triggered plan's cannot, two more patterns are played that do: black and white.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
+
+from fpplab.acquisition.synchronisation import judge, provable, remedy
+from fpplab.core.conventions import Image
+from fpplab.core.errors import CapabilityError, SyncError
+from fpplab.devices import Camera, CameraSettings, Frame, Projector
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.frame_writer import recording
+from fpplab.sessions.session import Session
+
+PATIENCE_S = 10.0
+"""How long beyond its exposure a frame may take."""
+
+UNENDED = "after the last pattern came no black and then white"
+
+Observer = Callable[[Frame], None]
+"""Sees each frame once it is on disk: a progress bar, a viewer."""
+
+
+def unseen(frame: Frame) -> None:
+    """An observer that does not look."""
+
+
+def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = unseen) -> None:
+    """Take every image of the plan that the session lacks.
+
+    The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`; `SyncError` once
+    all frames are in the session, when they do not show their patterns.
+    """
+    settings = rig.camera_settings(plan.exposure_s)
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    wanted = session.missing()
+    ends = uniform_patterns([0, 255], caps.size) if wanted and _needs_ends(plan) else []
+    brightness = []
+    with (
+        recording(session, observe) as record,
+        closing(expose(rig, [*(patterns[i] for i in wanted), *ends], settings, plan)) as shots,
+    ):
+        for index, shot in zip(wanted, shots, strict=False):
+            record(shot.showing(patterns[index].id, index))
+            if ends:
+                brightness.append(float(shot.image.mean()))
+        brightness += [float(shot.image.mean()) for shot in shots]
+    if ends and not _ended(brightness):
+        raise _out_of_step(rig, session, UNENDED)
+    if wanted:
+        _prove(rig, session)
+
+
+def capture(rig: Rig, plan: Plan) -> list[Image]:
+    """Every image of the plan in its order, in memory; with the same proof as `acquire`'s.
+
+    Raises `DeviceError`; `SyncError` when the frames do not show their patterns.
+    """
+    caps = rig.projector.caps
+    ends = uniform_patterns([0, 255], caps.size) if _needs_ends(plan) else []
+    patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
+    settings = rig.camera_settings(plan.exposure_s)
+    with closing(expose(rig, patterns, settings, plan)) as shots:
+        frames = [shot.image for shot in shots]
+    if ends and not _ended([float(frame.mean()) for frame in frames]):
+        raise SyncError(rig.camera.name, "capture", UNENDED, remedy(plan))
+    verdict = judge(frames[: plan.images], plan, settings.bits)
+    if not verdict.in_step:
+        raise SyncError(rig.camera.name, "capture", verdict.words(), remedy(plan))
+    return frames[: plan.images]
+
+
+def _needs_ends(plan: Plan) -> bool:
+    """Whether more than its frames is needed to see a trigger slip."""
+    return plan.trigger == "triggered" and not provable(plan)
+
+
+def _ended(brightness: Sequence[float]) -> bool:
+    """Whether the last two frames are darker and brighter than every other."""
+    *fringes, black, white = brightness
+    return black < min(fringes) and white > max(fringes)
+
+
+def _prove(rig: Rig, session: Session) -> None:
+    verdict = judge(session.stack(verify=False), session.plan, session.format[2])
+    if not verdict.in_step:
+        raise _out_of_step(rig, session, verdict.words())
+
+
+def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
+    again = f"then take it again, with --force; the frames stay in {session.path} until then"
+    return SyncError(rig.camera.name, "acquire", found, f"{remedy(session.plan)}; {again}")
+
+
+def expose(
+    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, plan: Plan | None = None
+) -> Generator[Frame, None, None]:
+    """One frame per pattern, in order, synchronised as the plan says (stepped without one).
+
+    The bench is dark again once the generator ends or is closed; who may leave it early closes it.
+    """
+    if not patterns:
+        return
+    camera, projector = rig.camera, rig.projector
+    try:
+        settings = camera.configure(settings)
+        projector.load(patterns)
+        if plan is not None and plan.trigger == "triggered":
+            yield from _triggered(camera, projector, patterns, settings)
+        else:
+            yield from _stepped(camera, projector, patterns, settings, plan.settle_s if plan else 0.0)
+    finally:
+        rig.make_dark()
+
+
+def _stepped(
+    camera: Camera,
+    projector: Projector,
+    patterns: Sequence[Pattern],
+    settings: CameraSettings,
+    settle_s: float,
+) -> Iterator[Frame]:
+    if camera.caps.dark_s:
+        raise CapabilityError(
+            camera.name,
+            "snap",
+            "its rows end one after another (global reset), and a stepped pattern stays lit meanwhile",
+            "set its shutter to rolling, or use a triggered plan",
+        )
+    for i, pattern in enumerate(patterns):
+        projector.show(i)
+        time.sleep(settle_s)  # the display's own latency, which the plan states
+        yield _in_step(camera, camera.snap(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
+
+
+def _triggered(
+    camera: Camera, projector: Projector, patterns: Sequence[Pattern], settings: CameraSettings
+) -> Iterator[Frame]:
+    camera.arm(len(patterns), "hardware")
+    projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)
+    for pattern in patterns:
+        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
+
+
+def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
+    """Where the camera's backend knows what was on show, it must be what was asked for."""
+    if frame.pattern_id not in (None, pattern.id):
+        raise SyncError(
+            camera.name,
+            "read",
+            f"the frame shows '{frame.pattern_id}' instead of '{pattern.id}'",
+            "see that nothing else drives the projector, and scan again",
+        )
+    return frame

@@ -1,0 +1,281 @@
+"""Frames -> does frame k show pattern k? Proven from what the patterns are, never assumed.
+
+The frames of a set, summed, are the same picture for all sets, and a pixel sees a sinusoid in each: all
+frames of a plan lie in a space of few dimensions, whatever the scene. Each way to fall out of step is
+a hypothesis that says which pattern each frame shows, and so another space. The frames say which they lie in.
+
+Only their second moments over a sample of pixels are needed, the (K, K) matrix `Moments.all`, so that a
+hundred hypotheses cost milliseconds. How well one fits is its marginal likelihood: the sinusoids'
+offset, amplitudes and phases are free, so that hypotheses with more of them do not win for that alone.
+
+Lamps flicker and rooms change, so the brightness of a frame as a whole is left aside; a response that is not
+straight bends the sinusoid, so that a second harmonic is tried too; noise is told from misfit by what
+neighbouring pixels have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Map, Mask, full_scale, phase_steps, raw_per_grey
+from fpplab.patterns.plan import Plan
+
+ROWS, PIXELS = 24, 1_500
+"""How many rows and pixels of a frame are looked at, at least where it has as many."""
+LEAST_PIXELS = 40
+"""Fewer pixels that see the fringes prove nothing."""
+HONEST = 0.04
+"""RMS misfit, as a share of the modulation, that frames in step may leave besides noise: a response of gamma
+0.5 leaves 0.03 beyond its second harmonic."""
+FOREIGN = 0.12
+"""RMS misfit, noise aside, beyond which the frames are not the plan's."""
+CERTAIN = 3.0
+"""By how much the logarithm of a hypothesis' likelihood must exceed that of frames in step, per pixel."""
+EQUALLY = 0.05
+"""Hypotheses whose logarithms differ by less say the same of these frames."""
+PRIOR = 0.5
+"""Variance, in squares of modulation, of a sinusoid's coefficients and of a frame of something else."""
+STRAIGHT, BENT = 1, 2
+"""Harmonics of a fringe that a pixel may see: of a straight response, and of any other."""
+
+
+class Cause(StrEnum):
+    """What can have happened, at a frame where there is one."""
+
+    LATE = "late"
+    EARLY = "early"
+    MISSED = "missed"
+    DOUBLED = "doubled"
+    FOREIGN = "foreign"
+    SWAPPED = "swapped"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One way to be out of step. frame: where it begins, from 0."""
+
+    cause: Cause
+    frame: int = 0
+
+    def shown(self, frames: int) -> list[int | None]:
+        """The pattern that each of `frames` frames shows; None where it is none of them."""
+        k, at = list(range(frames)), self.frame
+        match self.cause:
+            case Cause.LATE:
+                return [None, *k[:-1]]
+            case Cause.EARLY:
+                return [*k[1:], None]
+            case Cause.MISSED:
+                return [*k[:at], *k[at + 1 :], None]
+            case Cause.DOUBLED:
+                return [*k[:at], *k[at - 1 : -1]]
+            case Cause.FOREIGN:
+                return [*k[:at], None, *k[at + 1 :]]
+            case Cause.SWAPPED:
+                return [*k[:at], at + 1, at, *k[at + 2 :]]
+
+    def words(self) -> str:
+        """What was seen, and what probably happened."""
+        at = self.frame
+        return {
+            Cause.LATE: "every frame shows the pattern before its own (one too late): an extra trigger came "
+            "before the first, or the display is slower than the plan's settle_s",
+            Cause.EARLY: "every frame shows the pattern after its own (one too early): the first trigger "
+            "was missed",
+            Cause.MISSED: f"from frame {at} on every frame shows the pattern after its own: the trigger of "
+            f"pattern {at} was missed",
+            Cause.DOUBLED: f"frame {at} shows pattern {at - 1} again, and so on: there was a trigger too "
+            f"many before frame {at}",
+            Cause.FOREIGN: f"frame {at} shows none of the plan's patterns: it is dark, or torn between two",
+            Cause.SWAPPED: f"frames {at} and {at + 1} show each other's pattern",
+        }[self.cause]
+
+
+def faults(frames: int) -> Iterator[Fault]:
+    """Every fault that is looked for in so many frames."""
+    yield Fault(Cause.LATE)
+    yield Fault(Cause.EARLY)
+    # A trigger missed at the last frame is a foreign last frame; one doubled at the first is a late row.
+    yield from (Fault(Cause.MISSED, k) for k in range(1, frames - 1))
+    yield from (Fault(Cause.DOUBLED, k) for k in range(1, frames))
+    yield from (Fault(Cause.FOREIGN, k) for k in range(frames))
+    yield from (Fault(Cause.SWAPPED, k) for k in range(frames - 1))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the frames say.
+
+    causes: the faults that explain them, equally well where there are several; none when they are in
+    step. fits: whether anything explains them. provable: whether they could have shown a fault.
+    misfit: RMS of what frames in step would leave besides noise, as a share of the modulation.
+    """
+
+    causes: tuple[Fault, ...] = ()
+    fits: bool = True
+    provable: bool = True
+    misfit: float = 0.0
+
+    @property
+    def in_step(self) -> bool:
+        """Whether nothing speaks against it."""
+        return self.fits and not self.causes
+
+    def words(self) -> str:
+        """What is wrong, in one sentence."""
+        if not self.fits:
+            return (
+                "the frames do not fit the plan: they are out of step with it, or the scene or its light "
+                "changed while they were taken"
+            )
+        return "; or ".join(fault.words() for fault in self.causes)
+
+
+def remedy(plan: Plan) -> str:
+    """What to see to before a session that is out of step is taken again."""
+    if plan.trigger == "stepped":
+        return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
+    return "see to the trigger's cable, edge and delay; `fpplab check --rig` shows what arrives"
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Second moments of K frames over pixels, in squares of the modulation: (K, K).
+
+    all: of each pixel with itself. alike: with its neighbour, to which noise does not contribute.
+    """
+
+    all: Floats
+    alike: Floats
+
+
+def judge(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int = 8) -> Verdict:
+    """Whether frame k shows pattern k.
+
+    frames: all of the plan, in order, (height, width) each, memory-mapped or not; bits: their depth.
+    """
+    moments = _moments(frames, plan, bits)
+    return Verdict(provable=False) if moments is None else _decide(moments, plan)
+
+
+def provable(plan: Plan) -> bool:
+    """Whether a late, early, missed or doubled trigger shows in the frames, however bent the response.
+
+    Not where sinusoids and their second harmonics pass through any frames: a single set of up to five steps.
+    """
+    return plan.images > 1 + sum(min(2 * BENT, fringe.steps - 1) for fringe in plan.fringes)
+
+
+def _moments(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int) -> Moments | None:
+    """Of a sample of pixels that see the fringes and are not saturated; None where there are too few."""
+    height, width = frames[0].shape
+    down = max(1, height // ROWS)
+    right = max(2, len(range(0, height, down)) * width // PIXELS)
+    rows, used = slice(down // 2, None, down), width // right * right
+    cells = [frame[rows, :used].reshape(-1, used // right, right) for frame in frames]  # views
+    pair = [np.stack([cell[..., i].ravel() for cell in cells]) for i in (0, 1)]
+    unsaturated = np.maximum(*(levels.max(axis=0) for levels in pair)) < full_scale(bits)
+    here, beside = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
+    if here.shape[1] < LEAST_PIXELS:
+        return None
+    modulation = np.sqrt(2.0 * np.mean(here * here, axis=0))
+    least = max(0.5 * float(np.quantile(modulation, 0.95)), plan.masks.modulation_min * raw_per_grey(bits))
+    seen = modulation >= least
+    if seen.sum() < LEAST_PIXELS:
+        return None
+    here, beside = here[:, seen] / modulation[seen], beside[:, seen] / modulation[seen]
+    cross = here @ beside.T
+    pixels = int(seen.sum())
+    return Moments(_floats(here @ here.T / pixels), _floats((cross + cross.T) / (2 * pixels)))
+
+
+def _floats(moment: Map) -> Floats:
+    return np.asarray(moment, np.float64)
+
+
+def _ripple(levels: Map) -> Map:
+    """What changes from frame to frame, (K, P), but for the brightness of the whole."""
+    offset = levels.mean(axis=0)
+    ripple = levels - offset
+    ripple -= np.outer(ripple @ (offset / max(offset @ offset, np.float32(1e-12))), offset)
+    return np.asarray(ripple, np.float32)
+
+
+def _waves(plan: Plan, harmonics: int) -> Floats:
+    """What a pixel may see of every pattern: one offset for all, harmonics of its own for each set."""
+    columns = 2 * harmonics
+    waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
+    waves[:, 0] = 1.0
+    for k, (index, step, _) in enumerate(plan.steps()):
+        shift = phase_steps(plan.fringes[index].steps)[step] * np.arange(1, harmonics + 1)
+        start = 1 + columns * index
+        waves[k, start : start + columns] = np.column_stack([np.cos(shift), np.sin(shift)]).ravel()
+    return waves
+
+
+@dataclass(frozen=True, eq=False)
+class _Spaces:
+    """What frames may look like under H hypotheses, orthogonal axes in the space of the K frames.
+
+    axes: (H, K, R), zero rows where a frame shows something else. square: (H, R), the axes' squared
+    lengths, of which those that count are `free`. known: (H, K), frames that show a pattern. rest: (H,),
+    how many dimensions are left to misfit.
+    """
+
+    axes: Floats
+    square: Floats
+    free: Mask
+    known: Floats
+    rest: NDArray[np.int64]
+
+    def left(self, moment: Floats) -> Floats:
+        """Sum of squares that each hypothesis leaves over, (H,)."""
+        spread = np.einsum("hkr,hkr->hr", self.axes, np.matmul(moment, self.axes)) / self.square
+        whole = self.known @ np.diag(moment)
+        return np.asarray(np.maximum(whole - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
+
+    def likelihood(self, moments: Moments) -> Floats:
+        """Logarithm of each hypothesis' marginal likelihood per pixel, but for a constant, (H,)."""
+        left, foreign = self.left(moments.all), self.known.shape[1] - self.known.sum(axis=1)
+        variance = np.maximum(left / np.maximum(self.rest, 1), HONEST**2)
+        volume = np.where(self.free, np.log(self.square * PRIOR), 0.0).sum(axis=1)
+        deviance = self.rest * np.log(variance) + left / variance + volume
+        return np.asarray(-0.5 * (deviance + foreign * (np.log(PRIOR) + 1.0)))
+
+    def misfit(self, moments: Moments) -> float:
+        """RMS of what the first hypothesis leaves besides noise."""
+        return float(np.sqrt(self.left(moments.alike)[0] / max(self.rest[0], 1)))
+
+
+@lru_cache(maxsize=8)
+def _spaces(plan: Plan, harmonics: int, named: tuple[Fault, ...] = ()) -> _Spaces:
+    """Of frames in step, and then of the faults named."""
+    count = plan.images
+    shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]
+    known = np.array([[k is not None for k in row] for row in shown], np.float64)
+    waves = _waves(plan, harmonics)[[[k or 0 for k in row] for row in shown]] * known[..., None]
+    square, directions = np.linalg.eigh(waves.transpose(0, 2, 1) @ waves)
+    free = square > 1e-9 * count
+    rest = known.sum(axis=1).astype(int) - free.sum(axis=1)
+    return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, rest)
+
+
+def _decide(moments: Moments, plan: Plan) -> Verdict:
+    # No fault can be likelier by more than the misfit that it takes away.
+    if _spaces(plan, STRAIGHT).left(moments.all)[0] <= 2 * CERTAIN * HONEST**2:
+        return Verdict(provable=provable(plan), misfit=_spaces(plan, BENT).misfit(moments))
+    named = tuple(faults(plan.images))
+    spaces = [_spaces(plan, harmonics, named) for harmonics in (STRAIGHT, BENT)]
+    likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))
+    misfit = spaces[-1].misfit(moments)
+    best = likelihood.max()
+    if best > likelihood[0] + CERTAIN:
+        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUALLY))
+        return Verdict(causes, misfit=misfit)
+    return Verdict(fits=misfit <= FOREIGN, provable=provable(plan), misfit=misfit)

@@ -1,0 +1,332 @@
+"""Calibrations from and for other programs: OpenCV's FileStorage, as YAML or XML.
+
+Written are the names of OpenCV's own stereo sample: `M1 D1` (camera), `M2 D2` (projector), and `R T`
+with `X_2 = R X_1 + T`, which is `T_projector_camera` here; beside them the sizes and the lattice.
+Read are these and the names of other calibration programs (`NAMES`), from one file or spread over
+several.
+
+Nothing needs to be converted. Pixels: both put (0, 0) at the centre of the first pixel. Distortion:
+both use (k1, k2, p1, p2, k3), and with k4, k5, k6 the rational model. Lengths: taken as they are, so the
+foreign board must have been given in mm.
+
+Lattice: FileStorage files do not say how the projector's mirrors lie, so it must be told. The numbers
+are left as they are. On a `diamond` lattice fpplab counts u in columns, with odd rows at half ones
+(`fpplab.core.conventions`); a program that knew nothing of the half column has measured, on average, a
+quarter of a column too little, and its principal point carries that. Characterise anew where a
+quarter of a column counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fpplab.calibration.model import Calibration, CalibrationFile
+from fpplab.core import config
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import DISTORTION, Pinhole, RigidTransform
+
+Format = Literal["yaml", "xml"]
+
+NAMES: dict[str, tuple[str, ...]] = {
+    "M1": ("M1", "cam_K", "Kc", "cameraMatrix1", "camera_matrix_1", "K1"),
+    "D1": ("D1", "cam_kc", "kc", "distCoeffs1", "distortion_coefficients_1"),
+    "M2": ("M2", "proj_K", "Kp", "cameraMatrix2", "camera_matrix_2", "K2"),
+    "D2": ("D2", "proj_kc", "kp", "distCoeffs2", "distortion_coefficients_2"),
+    "R": ("R", "Rp"),
+    "T": ("T", "Tp"),
+    "size1": ("image_size1", "camera_size", "cam_size"),
+    "size2": ("image_size2", "projector_size", "proj_size"),
+    "width1": ("frameWidth",),
+    "height1": ("frameHeight",),
+    "width2": ("screenResX",),
+    "height2": ("screenResY",),
+    "lattice2": ("lattice2",),
+    "rms_camera": ("rms_camera", "cam_error"),
+    "rms_projector": ("rms_projector", "proj_error"),
+    "rms_joint": ("rms_joint", "stereo_error"),
+}
+"""What an entry is, and what programs call it: OpenCV's stereo sample, procamcalib, SLStudio."""
+
+ALONE = {
+    "camera_matrix": "M",
+    "cameraMatrix": "M",
+    "distortion_coefficients": "D",
+    "distCoeffs": "D",
+    "image_width": "width",
+    "image_height": "height",
+}
+"""Names in the file of one device: that of the first such file is the camera, of the second the projector."""
+
+RMS = ("camera", "projector", "joint")
+
+COEFFICIENTS = (4, 5, 8, 12, 14)
+"""How many OpenCV's models have; those beyond the eighth are not modelled here."""
+ORTHONORMAL = 1e-4
+"""How far R Rᵀ may be from one: files are written with five digits and more."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An entry of a file, and where it stands, for a sentence about it."""
+
+    where: str
+    value: Any
+
+
+_Entries = dict[str, _Entry]
+
+
+def is_opencv(path: Path) -> bool:
+    """Whether a file is OpenCV's FileStorage rather than a calibration of ours, by how it begins.
+
+    Raises `ConfigError` when it cannot be read.
+    """
+    return _begins_as_opencv(config.read_text(path))
+
+
+def _begins_as_opencv(text: str) -> bool:
+    return text.lstrip("\ufeff \r\n\t").startswith(("%YAML", "<?xml"))
+
+
+def to_opencv(calibration: Calibration, kind: Format) -> str:
+    """A calibration as FileStorage text that `from_opencv` reads back digit by digit."""
+    flags = {"yaml": cv2.FILE_STORAGE_FORMAT_YAML, "xml": cv2.FILE_STORAGE_FORMAT_XML}[kind]
+    storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | flags)
+    for number, device in enumerate((calibration.camera, calibration.projector), start=1):
+        storage.write(f"M{number}", device.matrix)
+        storage.write(f"D{number}", device.coefficients.reshape(1, -1))
+        storage.write(f"image_size{number}", np.array([device.size], np.int32))
+    storage.write("lattice2", str(calibration.projector.lattice))
+    storage.write("R", calibration.T_projector_camera.rotation)
+    storage.write("T", calibration.T_projector_camera.translation.reshape(3, 1))
+    for name in RMS:
+        if name in calibration.rms_px:
+            storage.write(f"rms_{name}", calibration.rms_px[name])
+    return str(storage.releaseAndGetString())
+
+
+def from_opencv(
+    paths: Sequence[Path],
+    camera_size: tuple[int, int] | None = None,
+    projector_size: tuple[int, int] | None = None,
+    lattice: Lattice | None = None,
+) -> Calibration:
+    """A calibration from FileStorage files that have, together, both devices and R, T between them.
+
+    camera_size, projector_size (width, height) in px and lattice: what the files do not say.
+    Raises `ConfigError` that names file, entry and what is expected when something is missing, said
+    twice or otherwise than in the file, of the wrong shape, or beyond the model: skew, or distortion
+    that needs more than eight coefficients.
+    """
+    entries = _gathered(paths)
+    source = " + ".join(str(path) for path in paths)
+    camera = Pinhole(
+        _size(entries, "1", camera_size, "--camera-size", source),
+        _matrix(_needed(entries, "M1", source)),
+        _distortion(_needed(entries, "D1", source)),
+    )
+    projector = Pinhole(
+        _size(entries, "2", projector_size, "--projector-size", source),
+        _matrix(_needed(entries, "M2", source)),
+        _distortion(_needed(entries, "D2", source)),
+        _lattice(entries, lattice, source),
+    )
+    pose = RigidTransform(
+        _rotation(_needed(entries, "R", source)), _translation(_needed(entries, "T", source))
+    )
+    rms = {name: _number(entries[f"rms_{name}"]) for name in RMS if f"rms_{name}" in entries}
+    calibration = Calibration(camera, projector, pose, rms)
+    _check_ranges(calibration, source)
+    return calibration
+
+
+def _gathered(paths: Sequence[Path]) -> _Entries:
+    """All entries that are known, under the names of this module."""
+    known = {name: what for what, names in NAMES.items() for name in names}
+    entries: _Entries = {}
+    alone = 0
+    for path in paths:
+        found = _read(path)
+        alone += bool(ALONE.keys() & found.keys())
+        for name, value in found.items():
+            what = known.get(name) or (f"{ALONE[name]}{alone}" if name in ALONE else None)
+            if what is None:
+                continue
+            if what in entries:
+                raise ConfigError(f"{path}: '{name}' says again what {entries[what].where} says; keep one")
+            entries[what] = _Entry(f"{path}: '{name}'", value)
+    if alone > 2:
+        raise ConfigError(
+            f"{paths[-1]}: is the third file of one device; give the camera's and the projector's"
+        )
+    return entries
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The entries at the top of a FileStorage file: matrices, numbers, words and lists of numbers."""
+    text = config.read_text(path)
+    if not _begins_as_opencv(text):
+        raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0 or <?xml")
+    level = cv2.setLogLevel(0)  # OpenCV would print what the sentence below says
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = storage.root()  # which lives as long as `storage`
+        return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
+    except (cv2.error, SystemError) as error:
+        raise ConfigError(f"{path}: is not readable as a file of OpenCV; write it again") from error
+    finally:
+        cv2.setLogLevel(level)
+
+
+def _value(node: Any) -> Any:
+    if node.isInt() or node.isReal():
+        return node.real()
+    if node.isString():
+        return node.string()
+    if node.isSeq():
+        return np.array([node.at(i).real() for i in range(node.size())])
+    return node.mat() if node.isMap() else None
+
+
+def _needed(entries: _Entries, what: str, source: str) -> _Entry:
+    if what not in entries:
+        alone = [name for name, kind in ALONE.items() if what == f"{kind}1"]
+        names = ", ".join([*NAMES[what], *alone])
+        raise ConfigError(f"{source}: has no entry '{what}' (or, as other programs call it, {names})")
+    return entries[what]
+
+
+def _numbers(entry: _Entry, expected: str) -> Floats:
+    value = entry.value
+    if not isinstance(value, np.ndarray) or value.size == 0 or not np.all(np.isfinite(value)):
+        raise ConfigError(f"{entry.where} is not a matrix of finite numbers; expected {expected}")
+    return np.asarray(value, np.float64)
+
+
+def _matrix(entry: _Entry) -> Floats:
+    expected = "a 3 x 3 matrix [fx 0 cx; 0 fy cy; 0 0 1] in px"
+    matrix = _numbers(entry, expected)
+    if matrix.shape != (3, 3):
+        raise ConfigError(f"{entry.where} has the shape {_shape(matrix)}; expected {expected}")
+    if matrix[0, 1] != 0:
+        raise ConfigError(
+            f"{entry.where} has the skew {matrix[0, 1]:g}, which the model has not; expected {expected}"
+        )
+    if matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
+        raise ConfigError(f"{entry.where} is no camera's matrix; expected {expected}")
+    return matrix
+
+
+def _distortion(entry: _Entry) -> Floats:
+    modelled = len(DISTORTION)
+    expected = f"4, 5 or 8 coefficients ({', '.join(DISTORTION)})"
+    found = _numbers(entry, expected)
+    if found.ndim > 2 or found.size != max(found.shape) or found.size not in COEFFICIENTS:
+        raise ConfigError(f"{entry.where} has the shape {_shape(found)}; expected {expected}")
+    flat = found.ravel()
+    if np.any(flat[modelled:]):
+        raise ConfigError(
+            f"{entry.where} has {flat.size} coefficients and those beyond the eighth are not zero; expected "
+            f"{expected}: calibrate there without the thin prism and tilted models"
+        )
+    return flat[:modelled]
+
+
+def _rotation(entry: _Entry) -> Floats:
+    expected = "a 3 x 3 rotation from the camera's frame to the projector's"
+    rotation = _numbers(entry, expected)
+    if rotation.shape != (3, 3):
+        raise ConfigError(f"{entry.where} has the shape {_shape(rotation)}; expected {expected}")
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if off > ORTHONORMAL or np.linalg.det(rotation) < 0:
+        raise ConfigError(f"{entry.where} is no rotation; expected {expected}")
+    return np.asarray(Rotation.from_matrix(rotation).as_matrix(), np.float64)
+
+
+def _translation(entry: _Entry) -> Floats:
+    expected = "3 lengths in mm"
+    translation = _numbers(entry, expected)
+    if translation.size != 3:
+        raise ConfigError(f"{entry.where} has the shape {_shape(translation)}; expected {expected}")
+    return translation.ravel()
+
+
+def _shape(array: Floats) -> str:
+    return " x ".join(str(side) for side in array.shape)
+
+
+def _number(entry: _Entry) -> float:
+    if not isinstance(entry.value, float):
+        raise ConfigError(f"{entry.where} is not a number")
+    return entry.value
+
+
+def _size(
+    entries: _Entries, device: str, told: tuple[int, int] | None, option: str, source: str
+) -> tuple[int, int]:
+    """The size in px that the files say, or that was told where they do not."""
+    size, width, height = (entries.get(f"{what}{device}") for what in ("size", "width", "height"))
+    if size is not None:
+        expected = "width and height in px"
+        pair, where = _numbers(size, expected).ravel(), size.where
+        if pair.size != 2:
+            raise ConfigError(f"{where} has {pair.size} numbers; expected {expected}")
+    elif width is not None and height is not None:
+        pair, where = np.array([_number(width), _number(height)]), width.where
+    elif told is not None:
+        return told
+    else:
+        raise ConfigError(f"{source}: does not say the size in px; add {option} WIDTH HEIGHT")
+    if not np.array_equal(pair, np.rint(pair)):
+        raise ConfigError(f"{where} is {pair[0]:g} x {pair[1]:g}; expected whole px")
+    found = int(pair[0]), int(pair[1])
+    if told is not None and told != found:
+        raise ConfigError(
+            f"{where} says {found[0]} x {found[1]} px but {option} {told[0]} {told[1]}; leave one out"
+        )
+    return found
+
+
+def _lattice(entries: _Entries, told: Lattice | None, source: str) -> Lattice:
+    entry = entries.get("lattice2")
+    if entry is None:
+        if told is None:
+            raise ConfigError(
+                f"{source}: does not say how the projector's mirrors lie; add --lattice "
+                f"{' or --lattice '.join(Lattice)}"
+            )
+        return told
+    if entry.value not in tuple(Lattice):
+        raise ConfigError(f"{entry.where} is {entry.value!r}; expected {' or '.join(Lattice)}")
+    found = Lattice(entry.value)
+    if told is not None and told is not found:
+        raise ConfigError(f"{entry.where} says {found} but --lattice {told}; leave the option out")
+    return found
+
+
+def _check_ranges(calibration: Calibration, source: str) -> None:
+    """Refuse what a calibration file of ours may not hold: `ConfigError`."""
+    devices = {"camera": calibration.camera, "projector": calibration.projector}
+    fields: dict[str, Any] = {
+        name: {
+            "size": list(device.size),
+            "focal_px": device.matrix[[0, 1], [0, 1]].tolist(),
+            "centre_px": device.matrix[:2, 2].tolist(),
+            "distortion": device.coefficients.tolist(),
+        }
+        for name, device in devices.items()
+    }
+    pose = calibration.T_projector_camera
+    fields["T_projector_camera"] = {
+        "rotation_deg": np.degrees(pose.rotation_vector).tolist(),
+        "translation_mm": pose.translation.tolist(),
+    }
+    config.validate({**fields, "rms_px": calibration.rms_px}, CalibrationFile, source)

@@ -1,0 +1,250 @@
+"""The result of a characterisation: both devices' models and the pose between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.errors import CalibrationError
+from fpplab.core.files import write_text
+from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
+
+INTRINSICS = ("fx", "fy", "cx", "cy", *DISTORTION)
+"""The parameters of a device, in the order of every vector that holds them."""
+
+POSE = ("rx", "ry", "rz", "x", "y", "z")
+"""The parameters of a rigid transform: rotation vector and translation."""
+
+PARAMETERS = (
+    *(f"{device}.{term}" for device in ("camera", "projector") for term in INTRINSICS),
+    *(f"T_projector_camera.{term}" for term in POSE),
+)
+"""Every parameter of a calibration by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well a calibration's parameters are known, together.
+
+    names: n of `PARAMETERS`; those that are absent were held and count as exact.
+    covariance: (n, n) in the order of `names`, in px for fx, fy, cx, cy, rad for rx, ry, rz
+    (which add to the rotation vector), mm for x, y, z.
+    Raises `CalibrationError` when it is no covariance of such parameters.
+    """
+
+    names: tuple[str, ...]
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        if complaint := _no_covariance(self.names, self.covariance):
+            raise CalibrationError(complaint)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard uncertainty of each parameter by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
+    """Why this cannot be the covariance of these parameters, or None."""
+    for name in names:
+        if name not in PARAMETERS:
+            return f"'names' has {name!r}, which is no parameter of a calibration, such as 'camera.fx'"
+    if len(set(names)) < len(names):
+        return "'names' has a parameter twice"
+    n = len(names)
+    if covariance.shape != (n, n):
+        return f"'covariance' must be square, {n} x {n} as there are names, not {covariance.shape}"
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not np.all(np.isfinite(covariance)) or np.any(scale == 0):
+        return "'covariance' must be finite, and above zero on its diagonal"
+    correlation = covariance / np.outer(scale, scale)
+    if not np.allclose(correlation, correlation.T, rtol=0, atol=1e-9):
+        return "'covariance' must be symmetric"
+    if n and np.linalg.eigvalsh(correlation)[0] < -1e-9 * n:
+        return "'covariance' must be positive semidefinite: some correlations contradict one another"
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Camera, projector, and `T_projector_camera`. The world frame is the camera's.
+
+    rms_px: reprojection errors by name (`camera`, `projector`, `joint`), for the record.
+    uncertainty: of the parameters, where it is known.
+    """
+
+    camera: Pinhole
+    projector: Pinhole
+    T_projector_camera: RigidTransform
+    rms_px: dict[str, float]
+    uncertainty: Uncertainty | None = None
+
+    @property
+    def baseline_mm(self) -> float:
+        """Distance between the two centres of projection."""
+        return float(np.linalg.norm(self.T_projector_camera.translation))
+
+    @property
+    def projector_centre(self) -> Floats:
+        """Centre of the projector's lens in the camera's frame, (3,) in mm."""
+        return self.T_projector_camera.inverse().translation
+
+    def check_camera(self, size: tuple[int, int], source: Path | str) -> None:
+        """Refuse data of another sensor size: `CalibrationError`."""
+        _check("camera frames", size, self.camera.size, source)
+
+    def check_projector(self, size: tuple[int, int], lattice: Lattice, source: Path | str) -> None:
+        """Refuse fringes of another projector size or lattice: `CalibrationError`."""
+        _check("projector patterns", size, self.projector.size, source)
+        if lattice is not self.projector.lattice:
+            raise CalibrationError(
+                f"{source}: projector patterns are for a {lattice} lattice but the calibration is for a "
+                f"{self.projector.lattice} one; characterise this rig, or name the calibration that fits"
+            )
+
+    def save(self, path: Path) -> None:
+        """Write as YAML, whole or not at all."""
+        write_text(path, config.dump(CalibrationFile.of(self)))
+
+    @classmethod
+    def load(cls, path: Path) -> Calibration:
+        """Read a calibration file. Raises `ConfigError`."""
+        return config.load(path, CalibrationFile).calibration()
+
+
+def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
+    if tuple(found) != tuple(expected):
+        raise CalibrationError(
+            f"{source}: {what} are {found[0]} x {found[1]} but the calibration is for "
+            f"{expected[0]} x {expected[1]}; characterise this rig, or name the calibration that fits"
+        )
+
+
+Pixels = Annotated[int, Field(ge=2, le=100_000)]
+Focal = Annotated[float, Field(gt=0, le=1e6)]
+Centre = Annotated[float, Field(ge=-1e5, le=1e5)]
+Coefficient = Annotated[float, Field(ge=-100, le=100)]
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
+def _five_or_eight(distortion: tuple[float, ...]) -> tuple[float, ...]:
+    if len(distortion) not in (POLYNOMIAL, len(DISTORTION)):
+        raise ValueError(
+            f"must be {POLYNOMIAL} coefficients ({', '.join(DISTORTION[:POLYNOMIAL])}), or {len(DISTORTION)} "
+            f"with {', '.join(DISTORTION[POLYNOMIAL:])}"
+        )
+    return distortion
+
+
+Distortion = Annotated[tuple[Coefficient, ...], AfterValidator(_five_or_eight)]
+"""A lens in a file: as many coefficients as OpenCV has without or with k4, k5, k6."""
+
+
+class PinholeFile(Document):
+    """One device in a calibration file."""
+
+    size: tuple[Pixels, Pixels]
+    focal_px: tuple[Focal, Focal]
+    centre_px: tuple[Centre, Centre]
+    distortion: Distortion
+    lattice: Lattice = Lattice.SQUARE
+
+    @classmethod
+    def of(cls, device: Pinhole) -> PinholeFile:
+        k = device.matrix
+        return cls(
+            size=device.size,
+            focal_px=(float(k[0, 0]), float(k[1, 1])),
+            centre_px=(float(k[0, 2]), float(k[1, 2])),
+            distortion=tuple(device.coefficients.tolist()),
+            lattice=device.lattice,
+        )
+
+    def model(self) -> Pinhole:
+        return Pinhole.from_focal(self.size, self.focal_px, self.centre_px, self.distortion, self.lattice)
+
+
+class PoseFile(Document):
+    """A rigid transform in a file: rotation vector in degrees, translation in mm."""
+
+    rotation_deg: tuple[float, float, float]
+    translation_mm: tuple[Millimetres, Millimetres, Millimetres]
+
+    def transform(self) -> RigidTransform:
+        return RigidTransform.from_vectors(np.radians(self.rotation_deg), np.array(self.translation_mm))
+
+    @classmethod
+    def of(cls, transform: RigidTransform) -> PoseFile:
+        rotation, translation = np.degrees(transform.rotation_vector).tolist(), transform.translation.tolist()
+        return cls(rotation_deg=tuple(rotation), translation_mm=tuple(translation))
+
+
+class UncertaintyFile(Document):
+    """Covariance in a calibration file, as `Uncertainty`, but in degrees for rx, ry, rz."""
+
+    names: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> UncertaintyFile:
+        if any(len(row) != len(self.covariance) for row in self.covariance):
+            raise ValueError("'covariance' must be square: every row as long as there are rows")
+        if complaint := _no_covariance(self.names, np.array(self.covariance, ndmin=2)):
+            raise ValueError(complaint)
+        return self
+
+    def uncertainty(self) -> Uncertainty:
+        return Uncertainty(self.names, np.array(self.covariance) / self._units(self.names))
+
+    @classmethod
+    def of(cls, uncertainty: Uncertainty) -> UncertaintyFile:
+        rows = (uncertainty.covariance * cls._units(uncertainty.names)).tolist()
+        return cls(names=uncertainty.names, covariance=tuple(tuple(row) for row in rows))
+
+    @staticmethod
+    def _units(names: tuple[str, ...]) -> Floats:
+        """What turns a covariance in rad into one in degrees, (n, n)."""
+        unit = np.array([np.degrees(1.0) if name.rpartition(".")[2] in POSE[:3] else 1.0 for name in names])
+        return np.outer(unit, unit)
+
+
+class CalibrationFile(Document):
+    """Schema of a calibration file."""
+
+    camera: PinholeFile
+    projector: PinholeFile
+    T_projector_camera: PoseFile
+    rms_px: dict[str, float] = Field(default_factory=dict)
+    uncertainty: UncertaintyFile | None = None
+
+    @model_validator(mode="after")
+    def _has_a_baseline(self) -> CalibrationFile:
+        if not any(self.T_projector_camera.translation_mm):
+            raise ValueError(
+                "'T_projector_camera.translation_mm' is zero: camera and projector must stand apart"
+            )
+        return self
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> CalibrationFile:
+        known = calibration.uncertainty
+        return cls(
+            camera=PinholeFile.of(calibration.camera),
+            projector=PinholeFile.of(calibration.projector),
+            T_projector_camera=PoseFile.of(calibration.T_projector_camera),
+            rms_px=calibration.rms_px,
+            uncertainty=UncertaintyFile.of(known) if known else None,
+        )
+
+    def calibration(self) -> Calibration:
+        known = self.uncertainty.uncertainty() if self.uncertainty else None
+        pose = self.T_projector_camera.transform()
+        return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known)

@@ -1,0 +1,64 @@
+"""Mistakes that people make with boards, named: what would have fitted is the cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fpplab.characterisation.descriptions import described_otherwise
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.zhang import Size, rms, zhang
+from fpplab.core.errors import CalibrationError
+from fpplab.targets import Target
+from fpplab.targets.detection import Detection, apply_homography, homography
+
+BETTER = 4.0
+"""How many times better another description must fit to be the right one."""
+
+LIKELY_PX = 3.0
+"""A description under which the camera fits worse than this is wrong as well."""
+
+
+def misdescribed(
+    observations: Sequence[Observation], target: Target, size: Size, rms_px: float = np.inf
+) -> str | None:
+    """What is wrong with a board's description, when another makes the camera fit far better.
+
+    size: the camera's. rms_px: how well the camera fits the board as it is described, where it does at all.
+    """
+    flat = {words: (_off_plane(observations, other), other) for words, other in described_otherwise(target)}
+    flattest = min(off for off, _ in flat.values()) if flat else np.inf
+    # A plane does not tell one pitch from another; a camera in several poses does.
+    fits = {
+        words: _camera_rms(observations, other, size)
+        for words, (off, other) in flat.items()
+        if off <= 1.5 * flattest
+    }
+    words = min(fits, key=lambda one: fits[one], default="")
+    mended = flattest < _off_plane(observations, target) / BETTER
+    if fits and fits[words] < LIKELY_PX and (mended or fits[words] < rms_px / BETTER < np.inf):
+        return f"the points found do not form the board described but fit one {words}"
+    return None
+
+
+def _off_plane(observations: Sequence[Observation], target: Target) -> float:
+    """RMS distance in px of the camera's points from the best perspective views of a flat board."""
+    errors = []
+    for observation in observations:
+        found = Detection(observation.ids, observation.camera_px)
+        seen = apply_homography(homography(target, found), target.points()[observation.ids, :2])
+        errors.append(seen - observation.camera_px)
+    return rms(errors)
+
+
+def _camera_rms(observations: Sequence[Observation], target: Target, size: Size) -> float:
+    """RMS in px of the camera by itself; infinite when the poses do not determine it."""
+    points = target.points()
+    try:
+        found, _, _ = zhang(
+            "camera", [points[o.ids] for o in observations], [o.camera_px for o in observations], size
+        )
+    except CalibrationError:
+        return np.inf
+    return found

@@ -1,0 +1,138 @@
+"""What every command does alike: progress on stderr, results on stdout, faults in one sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from fpplab.core.errors import Cancelled, DataError, FppError
+
+Report = Callable[[float], None]
+"""Told how much of a piece of work is done, 0 … 1."""
+
+stderr = Console(stderr=True, highlight=False)
+stdout = Console(highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Report]:
+    """A progress bar on stderr while the work lasts; one line where stderr is no terminal."""
+    if not stderr.is_terminal:
+        say(f"{what} …")
+        yield lambda share: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=stderr, transient=True) as bars:
+        task = bars.add_task(what, total=1.0)
+        yield lambda share: bars.update(task, completed=share)
+
+
+def say(sentence: str) -> None:
+    """One line to the operator, on stderr, so that stdout stays a result."""
+    stderr.print(sentence, soft_wrap=True, markup=False)
+
+
+def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
+    """The command's result: exactly one JSON object, or words for a person."""
+    if as_json:
+        sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
+    elif words:
+        words()
+    else:
+        for key, value in result.items():
+            stdout.print(f"{key}: {_readable(value)}", markup=False)
+
+
+def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
+    """A table on stdout."""
+    grid = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        grid.add_column(column, justify="left" if i == 0 else "right")
+    for row in rows:
+        grid.add_row(*(_readable(cell) for cell in row))
+    stdout.print(grid)
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_readable(v)}" for k, v in value.items())
+    if isinstance(value, list):
+        return ", ".join(_readable(v) for v in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "item"):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} does not go into JSON")
+
+
+@contextmanager
+def stopwatch() -> Iterator[Callable[[], float]]:
+    """Gives a function that tells the seconds since the beginning."""
+    start = time.perf_counter()
+    yield lambda: round(time.perf_counter() - start, 3)
+
+
+class Answered(SystemExit):
+    """Ends a command that has given its whole answer, with an exit code that is part of it."""
+
+
+def run(command: Callable[[], object], as_json: bool) -> NoReturn:
+    """Run a program's whole command and leave with the exit code of its fault, or 0.
+
+    A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json);
+    SIGTERM is treated like Ctrl-C, so that the bench is left safe.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        command()
+    except FppError as error:
+        _fail(str(error), error.exit_code, as_json)
+    except SystemExit as end:  # wrong usage has been explained on stderr
+        if as_json and end.code and not isinstance(end, Answered):
+            _answer_fault("wrong usage; see stderr", int(end.code))
+        raise
+    except MemoryError as error:
+        _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)
+    except Exception as error:  # noqa: BLE001 - a fault of ours is still one sentence, and one JSON object
+        if os.environ.get(TRACEBACK):
+            traceback.print_exc()
+        sentence = f"a fault of fpplab itself: {type(error).__name__}: {error}"
+        _fail(f"{sentence}; set {TRACEBACK}=1 to see where, and report it", 1, as_json)
+    sys.exit(0)
+
+
+TRACEBACK = "FPPLAB_TRACEBACK"
+"""The environment variable that has unforeseen faults shown with their traceback."""
+
+
+def _fail(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
+    say(f"fpplab: {sentence}")
+    if as_json:
+        _answer_fault(sentence, exit_code)
+    if exit_code == Cancelled.exit_code:
+        # Everything is closed by now. What an interruption has torn out of native code is not
+        # taken down piece by piece as well: that has crashed.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(exit_code)
+    sys.exit(exit_code)
+
+
+def _answer_fault(sentence: str, exit_code: int) -> None:
+    sys.stdout.write(json.dumps({"error": sentence, "exit_code": exit_code}) + "\n")

@@ -1,0 +1,204 @@
+"""YAML documents with a schema: read strictly, refuse in one sentence, write back.
+
+A document is a frozen pydantic model. Nothing is coerced, nothing unknown is
+ignored: an operator's typing error must never become a default.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from fpplab.core.errors import ConfigError
+
+
+class Document(BaseModel):
+    """Base of everything that is read from YAML: strict, frozen, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+D = TypeVar("D", bound=Document)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loading that refuses a key given twice, and reads 1e-3 as a number."""
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise yaml.constructor.ConstructorError(None, None, "a key is not a word", key_node.start_mark)
+        key = loader.construct_object(key_node)
+        if key in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key {key!r} is given twice", key_node.start_mark
+            )
+        seen.add(key)
+    return loader.construct_mapping(node, deep=True)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes what would be read back as something else: a serial number 21e7, an odd line break."""
+
+
+def _word(dumper: _Dumper, word: str) -> yaml.ScalarNode:
+    odd = any(mark in word for mark in "\x85\u2028\u2029\ufeff")
+    return dumper.represent_scalar("tag:yaml.org,2002:str", word, style='"' if odd else None)
+
+
+_Dumper.add_representer(str, _word)
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+for _class in (_Loader, _Dumper):
+    _class.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$"),
+        list("-+0123456789"),
+    )
+
+
+def parse(text: str, source: Path | str) -> Any:
+    """Plain data from YAML text.
+
+    Raises `ConfigError` naming `source` and the line when the text is not YAML.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = f" line {mark.line + 1}" if mark else ""
+        raise ConfigError(f"{source}{line}: {error.problem or 'not readable as YAML'}") from error
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{source}: not readable as YAML ({reason})") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a configuration file, or a `ConfigError` that says why not."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: there is no such file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is not a text file in UTF-8") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def load(path: Path | str, model: type[D]) -> D:
+    """Read one YAML file as `model`.
+
+    Raises `ConfigError` with file, field, value and allowed range.
+    """
+    path = Path(path)
+    return validate(parse(read_text(path), path), model, path)
+
+
+def validate(data: Any, model: type[D], source: Path | str) -> D:
+    """Plain data as `model`, or a `ConfigError` that names the first wrong field."""
+    if not isinstance(data, dict):
+        raise ConfigError(f"{source}: expected a mapping of fields, found {_shown(data)}")
+    try:
+        # As JSON, because strict JSON still takes a list for a tuple and a word for a choice.
+        return model.model_validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {describe(error, data)}") from error
+
+
+def describe(error: ValidationError, data: Any = None) -> str:
+    """The faults of a validation of `data` in one sentence: field, value, what is allowed."""
+    # A misspelt key is both unknown and missing: what the operator wrote comes first.
+    details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    if data is not None:
+        details = [_written(detail, data) for detail in details]
+    faults = [_fault(detail) for detail in details]
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return faults[0] + more
+
+
+def _fault(detail: Any) -> str:
+    field = _field(detail["loc"])
+    if detail["type"] == "extra_forbidden":
+        return f"unknown key '{field}'"
+    if detail["type"] == "missing":
+        return f"'{field}' is missing"
+    message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    if detail["type"] == "value_error" and not field:
+        return str(message)
+    if detail["type"] == "value_error" and isinstance(detail["input"], dict):
+        return f"in '{field}' {message}"  # which names the field inside
+    return f"'{field}' is {_shown(detail['input'])}: {message}"
+
+
+def _written(detail: Any, data: Any) -> dict[str, Any]:
+    """A fault whose place is the document's: without the names of which of several models was tried."""
+    place: list[int | str] = []
+    for part in detail["loc"]:
+        inside = data if isinstance(data, dict) else dict(enumerate(data)) if isinstance(data, list) else {}
+        if part in inside:
+            data = inside[part]
+            place.append(part)
+    if detail["type"] == "missing":
+        place.append(detail["loc"][-1])
+    return {**detail, "loc": tuple(place)}
+
+
+def _field(loc: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in loc:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def dump(document: Document) -> str:
+    """The document as YAML text that `load` reads back."""
+    return to_yaml(plain(document))
+
+
+def plain(document: Document) -> dict[str, Any]:
+    """The document as plain data, such as JSON and YAML hold, without what is None."""
+    data: dict[str, Any] = document.model_dump(mode="json", exclude_none=True)
+    return data
+
+
+def to_yaml(data: Any) -> str:
+    """Plain data as YAML text, keys in their own order."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+
+
+def beside(name: str, folder: Path) -> str:
+    """What a file in `folder` calls `name`: absolute if something of that name is there, else as it is."""
+    near = folder / name
+    return str(near.resolve()) if name and near.exists() else name
+
+
+def find(name: str | Path) -> Path:
+    """A configuration by path, or by name among the ones that come with fpplab.
+
+    Looks at the path itself, then in the installed package, then beside the
+    checkout. Raises `ConfigError` listing what there is.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    package = Path(__file__).parents[1] / "configs"
+    checkout = Path(__file__).parents[2] / "configs"
+    if path.parent in (Path(), Path("configs")):
+        for folder in (package, checkout):
+            for candidate in (folder / path.name, folder / f"{path.name}.yaml"):
+                if candidate.is_file():
+                    return candidate
+    known = sorted({p.name for folder in (package, checkout) for p in folder.glob("*.yaml")})
+    alike = [other for other in known if other.split("_")[0] == path.name.split("_")[0]]
+    raise ConfigError(f"{name}: there is no such file; fpplab brings {', '.join(alike or known)}")

@@ -1,0 +1,223 @@
+"""Rigid transforms and the pinhole model with OpenCV's rational distortion.
+
+The words and frames are those of `fpplab.core.conventions`. The distortion is that of calib3d's "Detailed
+Description": Brown and Conrady's, with a polynomial below the radial one (D. Claus, A. Fitzgibbon, "A
+rational function lens distortion model for general cameras", 2005), which wide lenses need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fpplab.core.conventions import Floats, Lattice, Mask
+
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""The coefficients of a lens, in OpenCV's order."""
+POLYNOMIAL = 5
+"""Where the last three, of the rational model, are zero, the first so many say all."""
+PIXEL_TOLERANCE = 1e-10
+"""The distortion is inverted until the pixel is met this well, in px."""
+INVERSION_STEPS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """`T_b_a`: takes coordinates in frame a to frame b, `X_b = rotation X_a + translation`.
+
+    rotation: (3, 3), translation: (3,) in mm.
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    @classmethod
+    def identity(cls) -> RigidTransform:
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_vectors(cls, rotation_rad: Floats, translation: Floats) -> RigidTransform:
+        """From OpenCV's rotation vector in rad and a translation in mm."""
+        matrix, _ = cv2.Rodrigues(np.asarray(rotation_rad, np.float64).reshape(3))
+        return cls(np.asarray(matrix, np.float64), np.asarray(translation, np.float64).reshape(3))
+
+    @property
+    def rotation_vector(self) -> Floats:
+        """OpenCV's rotation vector in rad, (3,)."""
+        # Not OpenCV's own inverse: that takes every angle under 1e-5 rad for none.
+        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
+
+    @property
+    def matrix(self) -> Floats:
+        """Homogeneous (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
+        return matrix
+
+    def inverse(self) -> RigidTransform:
+        """`T_a_b`."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def moved(self, by: Floats) -> RigidTransform:
+        """The same turn, once a has moved by so much, (3,) in mm in frame b."""
+        return RigidTransform(self.rotation, self.translation + by)
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """`T_c_b @ T_b_a = T_c_a`."""
+        return RigidTransform(
+            self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
+        )
+
+    def apply(self, points: Floats) -> Floats:
+        """Points (..., 3) in frame a, as coordinates in frame b."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+
+def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
+    """`T_b_a` once b has turned about its own origin, its z axis by so much nearer to a's origin.
+
+    The axis of the turn is normal to z and to the line between the two origins: for a projector and a camera
+    this is their convergence. Raises `ValueError` when a's origin lies on b's z axis.
+    """
+    axis = np.cross((0.0, 0.0, 1.0), T_b_a.translation)
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        raise ValueError("the other origin lies on the z axis: no direction to turn in")
+    turn = RigidTransform.from_vectors(angle_rad * axis / length, np.zeros(3))
+    return turn.inverse() @ T_b_a
+
+
+# Other modules compile it into their kernels, whose caches numba renews by those modules' dates alone.
+def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, Any, Any, Any]:
+    """Distorted slopes, and their derivatives ∂xd/∂x, ∂xd/∂y = ∂yd/∂x, ∂yd/∂y.
+
+    x, y: slopes of rays, numbers or arrays alike. lens: coefficients as in `DISTORTION`.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = lens
+    square = x * x + y * y
+    below = 1.0 / (1.0 + square * (k4 + square * (k5 + square * k6)))
+    radial = (1.0 + square * (k1 + square * (k2 + square * k3))) * below
+    growth = 2.0 * below * (
+        (k1 + square * (2.0 * k2 + square * 3.0 * k3))
+        - radial * (k4 + square * (2.0 * k5 + square * 3.0 * k6))
+    )  # fmt: skip
+    xd = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    yd = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    xx = radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return xd, yd, xx, xy, yy
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """A camera or projector: pinhole with OpenCV's distortion.
+
+    size: (width, height) in px. matrix: (3, 3) in px. distortion: (8,) as in `DISTORTION`; the first five
+    may be given alone, the rest is zero then. lattice: how the pixels lie; it matters to patterns, not to
+    projection.
+    """
+
+    size: tuple[int, int]
+    matrix: Floats
+    distortion: Floats = field(default_factory=lambda: np.zeros(len(DISTORTION)))
+    lattice: Lattice = Lattice.SQUARE
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.distortion, np.float64)
+        object.__setattr__(self, "distortion", np.pad(given, (0, len(DISTORTION) - len(given))))
+
+    @classmethod
+    def from_focal(
+        cls,
+        size: tuple[int, int],
+        focal_px: tuple[float, float],
+        centre_px: tuple[float, float],
+        distortion: tuple[float, ...] = (),
+        lattice: Lattice = Lattice.SQUARE,
+    ) -> Pinhole:
+        """From focal lengths (fx, fy) and principal point (cx, cy) in px."""
+        matrix = np.array([[focal_px[0], 0, centre_px[0]], [0, focal_px[1], centre_px[1]], [0, 0, 1.0]])
+        return cls(size, matrix, np.asarray(distortion, np.float64), lattice)
+
+    @property
+    def coefficients(self) -> Floats:
+        """The distortion as files have it: (5,) where the rational terms are zero, otherwise (8,)."""
+        return self.distortion if self.distortion[POLYNOMIAL:].any() else self.distortion[:POLYNOMIAL]
+
+    @cached_property
+    def reach(self) -> float:
+        """Slope √(x² + y²) up to which the radial distortion can be undone: where it folds back, or has a
+        pole; infinite where neither happens.
+        """
+        k1, k2, _, _, k3, k4, k5, k6 = self.distortion
+        above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+        square = np.poly1d([1.0, 0.0])
+        grown = (above + 2 * square * above.deriv()) * below - 2 * square * above * below.deriv()
+        # As polynomials of 1/r², whose first coefficient is 1 however small the others are.
+        ends = np.concatenate([np.roots(each.coeffs[::-1]) for each in (grown, below)])
+        ends = ends[(np.abs(ends.imag) <= 1e-12 * np.abs(ends)) & (ends.real > 0)].real
+        return float(1.0 / np.sqrt(ends.max())) if ends.size else np.inf
+
+    def project(self, points: Floats, T_device_world: RigidTransform | None = None) -> Floats:
+        """Pixels (..., 2) of points (..., 3) in mm; world coordinates when a pose is given.
+
+        Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
+        several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
+        """
+        local = np.asarray(points, np.float64)
+        if T_device_world is not None:
+            local = T_device_world.apply(local)
+        xd, yd, *_ = distort(local[..., 0] / local[..., 2], local[..., 1] / local[..., 2], self.distortion)
+        (fx, _, cx), (_, fy, cy) = self.matrix[:2]
+        return np.stack([fx * xd + cx, fy * yd + cy], axis=-1)
+
+    def sees(
+        self, points: Floats, T_device_world: RigidTransform | None = None, margin_px: float = 0.0
+    ) -> Mask:
+        """Which points (..., 3) in mm fall into the image, `margin_px` or more from its edges; shadows aside.
+
+        World coordinates when a pose is given.
+        """
+        local = np.asarray(points, np.float64)
+        if T_device_world is not None:
+            local = T_device_world.apply(local)
+        seen = np.asarray(local[..., 2] > 0.0)
+        # Far outside the image the distortion may fold back into it, so the rays are bounded first.
+        seen[seen] = np.hypot(local[seen, 0], local[seen, 1]) < self.reach * local[seen, 2]
+        pixels, edge = self.project(local[seen]), margin_px - 0.5
+        seen[seen] = ((pixels >= edge) & (pixels <= np.array(self.size) - 1 - edge)).all(axis=-1)
+        return seen
+
+    def normalise(self, pixels: Floats) -> Floats:
+        """Undistorted ray slopes (x/z, y/z), (..., 2), of pixels (..., 2); inverse of `project`.
+
+        By Newton's method to `PIXEL_TOLERANCE`; NaN where no ray within `reach` leads to the pixel.
+        """
+        (fx, _, cx), (_, fy, cy) = self.matrix[:2]
+        given = np.asarray(pixels, np.float64)
+        aim_x, aim_y = (given[..., 0] - cx) / fx, (given[..., 1] - cy) / fy
+        x, y = aim_x, aim_y
+        last = np.zeros_like(x)
+        with np.errstate(all="ignore"):
+            for _ in range(INVERSION_STEPS):
+                # A step that leads beyond the reach, or a start there, goes half way to it only.
+                length = np.hypot(x, y)
+                last = np.where(length < self.reach, length, 0.5 * (last + self.reach))
+                scale = np.where(length > 0, last / length, 1.0)
+                x, y = scale * x, scale * y
+                xd, yd, xx, xy, yy = distort(x, y, self.distortion)
+                off_x, off_y, determinant = aim_x - xd, aim_y - yd, xx * yy - xy * xy
+                met = (np.abs(fx * off_x) < PIXEL_TOLERANCE) & (np.abs(fy * off_y) < PIXEL_TOLERANCE)
+                met &= determinant > 0
+                if met.all():
+                    break
+                x = np.where(met, x, x + (yy * off_x - xy * off_y) / determinant)
+                y = np.where(met, y, y + (xx * off_y - xy * off_x) / determinant)
+        return np.where(met[..., None], np.stack([x, y], axis=-1), np.nan)

@@ -1,0 +1,65 @@
+"""The system libraries that the Python packages need and pip cannot bring.
+
+`python -m fpplab.core.system` names each one that is missing, with the Debian package to install.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from pathlib import Path
+
+BLENDER = {
+    "libX11.so.6": "libx11-6",
+    "libSM.so.6": "libsm6",
+    "libICE.so.6": "libice6",
+    "libXfixes.so.3": "libxfixes3",
+    "libXi.so.6": "libxi6",
+    "libXrender.so.1": "libxrender1",
+    "libxkbcommon.so.0": "libxkbcommon0",
+    "libGL.so.1": "libgl1",
+}
+"""What Blender's module links to, by Debian package."""
+
+USB = {"libusb-1.0.so.0": "libusb-1.0-0"}
+"""What pyusb and hidapi talk through."""
+
+
+def cache_directory() -> Path:
+    """Where results that can be made again are kept for this user; not made yet."""
+    chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(chosen or Path.home() / ".cache") / "fpplab"
+
+
+def missing(libraries: dict[str, str]) -> list[str]:
+    """The packages of those libraries that do not load."""
+    return [package for name, package in libraries.items() if not _loads(name)]
+
+
+def _loads(name: str) -> bool:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+def main() -> int:
+    """Tell of everything missing; without the USB libraries the virtual bench still runs."""
+    blender, usb = missing(BLENDER), missing(USB)
+    if usb:
+        sys.stderr.write(
+            "fpplab: a real projector needs a system library that is missing (the virtual bench does not); "
+            f"install it with: sudo apt-get install {' '.join(usb)}\n"
+        )
+    if blender:
+        sys.stderr.write(
+            "fpplab: Blender needs system libraries that are missing; install them with: "
+            f"sudo apt-get install {' '.join(blender)}\n"
+        )
+    return 1 if blender else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

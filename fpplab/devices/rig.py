@@ -1,0 +1,197 @@
+"""A rig file -> open devices, closed safely.
+
+    name: Virtual bench
+    bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
+    camera:    {backend: "sim.devices:SimCamera", bits: 8}
+    projector: {backend: "sim.devices:SimProjector"}
+
+`backend` names the class that drives the device: `module:Class`. `bench` is what the devices
+share, where they share anything; `stage` and `fixture` are optional. `bits` and `gain_db` are
+the camera's standing settings; every other key goes to the backend, which refuses what it does
+not know. A relative file name is looked for beside the rig file first.
+"""
+
+from __future__ import annotations
+
+import importlib
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import ConfigDict, Field
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.errors import ConfigError
+from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+
+Dev = TypeVar("Dev", bound=Device)
+
+Mounted = tuple[str, int]
+"""An item and its pose, in a fixture's words."""
+
+
+class Section(Document):
+    """One device of a rig file; keys beyond these are the backend's own options."""
+
+    model_config = ConfigDict(extra="allow")
+
+    backend: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+$")]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What goes to the backend."""
+        return dict(self.model_extra or {})
+
+
+class CameraSection(Section):
+    """The camera and its standing settings."""
+
+    bits: Literal[8, 10, 12, 16] = 8
+    gain_db: float = 0.0
+
+
+class RigFile(Document):
+    """Schema of a rig file."""
+
+    name: str
+    camera: CameraSection
+    projector: Section
+    bench: Section | None = None
+    stage: Section | None = None
+    fixture: Section | None = None
+
+
+class Rig:
+    """The devices of a rig file, open between `with Rig.load(path) as rig:` and its end.
+
+    bench: what the devices share, or None.
+
+    Every device is closed in reverse order, whatever fails; a device that cannot be made
+    safe is reported after all the others are closed.
+    """
+
+    camera: Camera
+    projector: Projector
+
+    def __init__(self, file: RigFile, folder: Path, source: Path | str) -> None:
+        self.file, self._folder, self._source = file, folder, source
+        self.bench: Any = None
+        self.stage: Stage | None = None
+        self.fixture: Fixture | None = None
+        self._stack = ExitStack()
+
+    @classmethod
+    def load(cls, path: Path | str) -> Rig:
+        """Read a rig file, by path or by the name of one that comes with fpplab."""
+        found = config.find(path)
+        return cls(config.load(found, RigFile), found.parent, found)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            bench = self.bench = self._open_bench(stack)
+            self.camera = self._device(stack, "camera", Camera, self.file.camera, bench)  # type: ignore[type-abstract]
+            self.projector = self._device(stack, "projector", Projector, self.file.projector, bench)  # type: ignore[type-abstract]
+            if self.file.stage:
+                self.stage = self._device(stack, "stage", Stage, self.file.stage, bench)  # type: ignore[type-abstract]
+            if self.file.fixture:
+                self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, bench)  # type: ignore[type-abstract]
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def camera_settings(self, exposure_s: float) -> CameraSettings:
+        """The rig's standing settings with a plan's exposure."""
+        return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
+
+    def make_dark(self) -> None:
+        """Blank the projector and stop the camera, unless they are in fault and closing does it."""
+        with ExitStack() as both:  # the second also when the first fails
+            for device, safe in ((self.camera, self.camera.stop), (self.projector, self.projector.blank)):
+                if device.state in (State.IDLE, State.ARMED):
+                    both.callback(safe)
+
+    def described(self, mounted: Mounted | None = None) -> dict[str, Any]:
+        """The rig as resolved, for a session: the file, what the devices are, and what is mounted."""
+        caps = self.projector.caps
+        resolved: dict[str, Any] = {
+            "camera": {"model": self.camera.info().model, "size": list(self.camera.caps.size)},
+            "projector": {
+                "model": self.projector.info().model,
+                "size": list(caps.size),
+                "lattice": caps.lattice.value,
+            },
+        }
+        if mounted is not None:
+            resolved["mounted"] = {"item": mounted[0], "pose": mounted[1]}
+        return {**config.plain(self.file), "resolved": resolved}
+
+    def need_fixture(self, doing: str) -> Fixture:
+        """The fixture, or a `ConfigError` that says what it is needed for."""
+        if self.fixture is None:
+            raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
+        return self.fixture
+
+    def need_stage(self, mm: float) -> Stage:
+        """The stage, which can go there. Nothing moves.
+
+        Raises `ConfigError` for a rig without one, `LimitError` outside the travel.
+        """
+        if self.stage is None:
+            raise ConfigError(f"{self._source}: 'stage' is missing, and the plan's stage_mm {mm:g} needs one")
+        self.stage.check(mm)
+        return self.stage
+
+    def place_stage(self, mm: float) -> None:
+        """Bring the stage to a position, homed first where it is not. Raises as `need_stage`."""
+        stage = self.need_stage(mm)
+        if not stage.homed:
+            stage.home()
+        stage.move_to(mm)
+
+    def _open_bench(self, stack: ExitStack) -> Any:
+        if self.file.bench is None:
+            return None
+        backend = load_backend(self.file.bench.backend, self._source, "bench")
+        if not isinstance(backend, type) or issubclass(backend, Device) or not hasattr(backend, "close"):
+            raise ConfigError(f"{self._source}: 'bench.backend' is '{self.file.bench.backend}': not a bench")
+        bench = self._made(backend, self._options(self.file.bench))
+        bench.open()
+        stack.callback(bench.close)
+        return bench
+
+    def _device(self, stack: ExitStack, name: str, kind: type[Dev], section: Section, bench: Any) -> Dev:
+        backend = load_backend(section.backend, self._source, name)
+        if not (isinstance(backend, type) and issubclass(backend, kind)):
+            raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
+        device: Dev = self._made(backend, name, self._options(section), bench)
+        stack.enter_context(device)
+        return device
+
+    def _made(self, backend: Any, *arguments: Any) -> Any:
+        try:
+            return backend(*arguments)
+        except ConfigError as error:
+            raise ConfigError(f"{self._source}: {error}") from error
+
+    def _options(self, section: Section) -> dict[str, Any]:
+        return {
+            key: config.beside(value, self._folder) if isinstance(value, str) else value
+            for key, value in section.options.items()
+        }
+
+
+def load_backend(name: str, source: Path | str, device: str) -> Any:
+    """The class called `module:Class`, or a `ConfigError` that says what is missing."""
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ImportError as error:
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': cannot be loaded ({error})") from error
+    except AttributeError:
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': {module} has no {attribute}") from None

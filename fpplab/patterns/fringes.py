@@ -1,0 +1,99 @@
+"""Plan -> patterns: the images that a projector is asked to show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import (
+    Lattice,
+    axis_length,
+    full_scale,
+    mirror_centres,
+    phase_of_coordinate,
+    phase_steps,
+)
+from fpplab.patterns.plan import FringeSet, Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """One image for a projector.
+
+    id: names it in frames and journals. image: uint8 [row, column] of mirrors, quantised
+    to `bit_depth` (the full scale is always 255).
+    """
+
+    id: str
+    image: NDArray[np.uint8]
+    bit_depth: int = 8
+
+
+def fringe_level(
+    fringe: FringeSet, step: int, size: tuple[int, int], lattice: Lattice
+) -> NDArray[np.float64]:
+    """The un-quantised fringe image in [0, 1], (height, width); equation in `conventions`.
+
+    Offset and amplitude are one half, so that the pattern neither clips nor wastes range.
+    """
+    u, v = mirror_centres(size, lattice)
+    coordinate, length = (u if fringe.axis == "x" else v), axis_length(size, fringe.axis)
+    phase = phase_of_coordinate(coordinate, fringe.stripes, length) + fringe.phase_origin_rad
+    shifted = phase - fringe.shift_sign * phase_steps(fringe.steps)[step]
+    return np.asarray(0.5 + 0.5 * np.cos(shifted))
+
+
+def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
+    """Levels in [0, 1] as the nearest grey of a `bit_depth` projector, on the scale 0 … 255."""
+    greys = full_scale(bit_depth)
+    return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
+
+
+def pattern_image(
+    plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+) -> NDArray[np.uint8]:
+    """The image of one step of the plan's fringe set `index`, uint8 (height, width).
+
+    Corrected for the plan's response before it is quantised, so that each grey is the nearest to the light
+    that is wanted.
+    """
+    fringe, (width, height) = plan.fringes[index], size
+    # Along x two rows hold all there is, on either lattice; along y one column does.
+    repeated = (width, min(height, 2)) if fringe.axis == "x" else (1, height)
+    level = fringe_level(fringe, step, repeated, lattice)
+    greys = quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
+    if fringe.axis == "x":
+        return np.resize(greys, (height, width))
+    return np.repeat(greys, width, axis=1)
+
+
+def make_patterns(
+    plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
+) -> tuple[Pattern, ...]:
+    """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
+
+    A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`.
+
+    The same plan gives the same, read-only, patterns again, so that a backend can tell them by identity.
+    Raises `ConfigError` when the projector cannot resolve the stripes.
+    """
+    plan.check_projector(size, "plan")
+    return _made(plan, size, lattice, bit_depth)
+
+
+@lru_cache(maxsize=4)
+def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -> tuple[Pattern, ...]:
+    patterns = []
+    for i, n, name in plan.steps():
+        image = pattern_image(plan, i, n, size, lattice, bit_depth)
+        image.flags.writeable = False
+        patterns.append(Pattern(name, image, bit_depth))
+    return tuple(patterns)
+
+
+def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
+    """Uniform images of the given grey levels 0 … 255, for the response and for alignment."""
+    return [Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys]

@@ -1,0 +1,306 @@
+"""The response of projector and camera together: from the level shown to the level seen.
+
+`I_out = a I_in^g + b`, levels as shares of full scale: a is the gain, b the level seen of a
+dark picture, g the exponent (gamma). What a camera sees of `I_in` fixes a and b only up to its own
+gain and black level; g it does not change, and g alone bends fringes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.files import write_text
+
+LEAST_LEVELS = 5
+"""Three parameters, and something left to judge the fit by."""
+CORRECTABLE = (0.5, 5.0)
+"""Exponents whose inverse 256 greys can show: rounding leaves at most 0.007 rad of error in three steps."""
+CERTAIN = 0.05
+"""Greatest relative uncertainty of g with which patterns are corrected: what it leaves of the error."""
+
+Positive = Annotated[float, Field(gt=0)]
+Sigma = Annotated[float, Field(ge=0)]
+Vector = tuple[float, float, float]
+
+
+class Curve(Document):
+    """A response as a law: `I_out = a I_in^g + b`."""
+
+    a: Positive
+    b: float
+    g: Positive
+
+    def apply(self, levels_in: ArrayLike) -> Floats:
+        """Levels seen for levels shown in [0, 1]."""
+        return _model(np.asarray(levels_in, np.float64), self.a, self.b, self.g)
+
+    def invert(self, levels_out: ArrayLike) -> Floats:
+        """Levels shown for levels seen; NaN below b, which no level shown gives."""
+        share = (np.asarray(levels_out, np.float64) - self.b) / self.a
+        return np.asarray(np.where(share >= 0, np.abs(share) ** (1.0 / self.g), np.nan))
+
+    def correct(self, levels: ArrayLike) -> Floats:
+        """The levels in [0, 1] to show so that light rises from black to white as `levels` do.
+
+        The light that can be reached is b … a + b, so `levels` are shares of that:
+        `invert(a level + b) = level^(1/g)`. Gain, black level and exposure fall out, black stays
+        black and white stays white.
+        """
+        return np.asarray(np.asarray(levels, np.float64) ** (1.0 / self.g))
+
+    def check_correctable(self) -> None:
+        """Refuse an exponent whose inverse a projector cannot show: `ValueError`."""
+        least, most = CORRECTABLE
+        if not least <= self.g <= most:
+            raise ValueError(
+                f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
+                "beyond which the projector has too few greys; see to its own gamma setting"
+            )
+
+
+class Level(Document):
+    """One level of the fit: shown, seen, the standard uncertainty of what was seen, seen minus fitted."""
+
+    shown: float
+    seen: float
+    sigma: Sigma | None = None
+    residual: float
+
+
+class Region(Document):
+    """One region of the camera's image, by its place in the grid of regions from 0, and its own fit."""
+
+    row: int
+    column: int
+    a: Positive
+    b: float
+    g: Positive
+    sigma_g: Sigma
+
+
+class Response(Curve):
+    """A fitted response.
+
+    a, b, g: of `I_out = a I_in^g + b`. sigma: their standard uncertainties. covariance: (3, 3), of
+    a, b, g. residual: RMS misfit as a share of full scale; residual_sum: the sum of its squares.
+    misfit: how far the law itself is from what was seen, beyond the uncertainty of the levels, as a
+    standard deviation. levels: how many were fitted; measured: these; left_out: which levels and
+    regions were not, and why. regions: each with its own fit; region_spread: standard deviation of
+    their g, of which region_sigma is what their own uncertainties explain. dark: the level seen
+    with the projector off, with its uncertainty.
+    """
+
+    sigma: tuple[Sigma, Sigma, Sigma]
+    residual: Annotated[float, Field(ge=0)]
+    levels: Annotated[int, Field(ge=LEAST_LEVELS)]
+    covariance: tuple[Vector, Vector, Vector] | None = None
+    residual_sum: Annotated[float, Field(ge=0)] | None = None
+    misfit: Sigma | None = None
+    measured: tuple[Level, ...] = ()
+    regions: tuple[Region, ...] = ()
+    region_spread: Sigma | None = None
+    region_sigma: Sigma | None = None
+    dark: tuple[float, Sigma] | None = None
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def normalised(self) -> dict[str, float] | None:
+        """The projector's own response with its white as 1: free of the camera's gain and black level.
+
+        `a' = a/w`, `b' = (b - dark)/w` with `w = a + b - dark`, and the standard uncertainty that both
+        share, since they add up to 1. None where the dark was not seen.
+        """
+        if self.dark is None or self.covariance is None:
+            return None
+        dark, sigma = self.dark
+        white = self.a + self.b - dark
+        if white <= 0:
+            return None
+        slopes = np.array([self.b - dark, -self.a, self.a]) / white**2
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = np.array(self.covariance)[:2, :2]
+        covariance[2, 2] = sigma**2
+        return {
+            "a": self.a / white,
+            "b": (self.b - dark) / white,
+            "sigma": float(np.sqrt(slopes @ covariance @ slopes)),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The figures for a machine to read, as the command line prints them."""
+        return {
+            **self.model_dump(mode="json", exclude={"levels", "measured"}),
+            "levels": [level.model_dump(mode="json") for level in self.measured],
+            "normalised": self.normalised,
+        }
+
+    def save(self, path: Path) -> None:
+        """Write as YAML, whole or not at all."""
+        write_text(path, config.dump(self))
+
+    @classmethod
+    def load(cls, path: Path | str) -> Response:
+        """Read a response file. Raises `ConfigError`."""
+        return config.load(path, cls)
+
+    def curve(self, source: Path | str) -> Curve:
+        """The law alone, for correcting patterns.
+
+        Raises `ConfigError`, naming `source`, when g cannot be inverted or is too uncertain.
+        """
+        try:
+            self.check_correctable()
+        except ValueError as error:
+            raise ConfigError(f"{source}: {error}") from error
+        if self.sigma[2] > CERTAIN * self.g:
+            raise ConfigError(
+                f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: at most "
+                f"{100 * CERTAIN:g} % to correct patterns with; measure it again with more levels and light"
+            )
+        return Curve(a=self.a, b=self.b, g=self.g)
+
+
+def fit_response(
+    levels_in: ArrayLike,
+    levels_out: ArrayLike,
+    sigma_out: ArrayLike | None = None,
+    saturation: float = 0.99,
+    saturated: ArrayLike | None = None,
+) -> Response:
+    """Fit the response by nonlinear least squares, weighted by `1/sigma_out²` where given.
+
+    levels_in, levels_out, sigma_out: (n,) shares of full scale, shown, seen, and the standard
+    uncertainty of what was seen; without it the uncertainties come from the misfit.
+    saturation: levels seen at or above it are left out, and named in `Response.left_out`; so are
+    those of the mask `saturated` (n,), whose mean hides clipped pixels.
+
+    With `sigma_out`, a misfit that it does not explain is a further, equal variance of every level,
+    chosen so that chi² is its degrees of freedom (Mandel and Paule, Anal. Chem. 42, 1970): levels
+    known to a millionth must not bend the curve where no law holds to a millionth.
+
+    Raises `CalibrationError` when the levels are no levels, too few remain, or they do not rise.
+    """
+    shown, seen = _levels("levels_in", levels_in), _levels("levels_out", levels_out)
+    sigma = None if sigma_out is None else np.asarray(sigma_out, np.float64)
+    if shown.shape != seen.shape or (sigma is not None and sigma.shape != seen.shape):
+        raise CalibrationError("the levels shown, seen and their uncertainties must be as many")
+    if sigma is not None and not (np.all(np.isfinite(sigma)) and np.all(sigma > 0)):
+        raise CalibrationError("'sigma_out' must be positive for every level")
+    clipped: Mask = np.zeros(seen.shape, bool) if saturated is None else np.asarray(saturated, bool)
+    kept = (seen < saturation) & ~clipped
+    left_out = tuple(
+        f"level {i:.4g} is seen as {o:.4g}: saturated, "
+        + (f"at or above {saturation:g}" if o >= saturation else "in some of its pixels")
+        for i, o in zip(shown[~kept], seen[~kept], strict=True)
+    )
+    _fit_for_use(shown[kept], seen[kept], left_out)
+    return _fit(shown[kept], seen[kept], None if sigma is None else sigma[kept], left_out)
+
+
+def _levels(name: str, values: ArrayLike) -> Floats:
+    levels = np.asarray(values, np.float64)
+    if levels.ndim != 1 or not np.all((levels >= 0) & (levels <= 1)):
+        raise CalibrationError(f"'{name}' must be a row of levels from 0 to 1, as shares of full scale")
+    return levels
+
+
+def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None:
+    distinct = len(np.unique(shown))
+    if distinct < LEAST_LEVELS:
+        advice = "shorten the exposure" if left_out else "show more levels"
+        raise CalibrationError(
+            f"{distinct} different levels remain for the response and {len(left_out)} are saturated; "
+            f"at least {LEAST_LEVELS} are needed: {advice}"
+        )
+    if np.corrcoef(shown, seen)[0, 1] < 0.5 if np.ptp(seen) > 0 else True:
+        raise CalibrationError(
+            "the levels seen do not rise with the levels shown; check that the camera looks at the "
+            "projector's light and that the exposure is long enough"
+        )
+
+
+def _fit(shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str, ...]) -> Response:
+    misfit = 0.0 if sigma is None else _misfit(shown, seen, sigma)
+    total = None if sigma is None else np.hypot(sigma, misfit)
+    (a, b, g), covariance = _least_squares(shown, seen, total)
+    if a <= 0 or g <= 0 or not np.all(np.isfinite(covariance)):
+        raise CalibrationError(
+            f"the levels do not follow a I^g + b: the best fit has a = {a:.3g} and g = {g:.3g}"
+        )
+    rest = seen - _model(shown, a, b, g)
+    spread = np.sqrt(np.diag(covariance))
+    sigmas: list[float | None] = [None] * len(shown) if sigma is None else sigma.tolist()
+    return Response(
+        a=a,
+        b=b,
+        g=g,
+        sigma=(float(spread[0]), float(spread[1]), float(spread[2])),
+        covariance=_vectors(covariance),
+        residual=float(np.sqrt(np.mean(rest**2))),
+        residual_sum=float(np.sum(rest**2)),
+        misfit=None if sigma is None else misfit,
+        levels=len(shown),
+        measured=tuple(
+            Level(shown=i, seen=o, sigma=s, residual=r)
+            for i, o, s, r in zip(shown.tolist(), seen.tolist(), sigmas, rest.tolist(), strict=True)
+        ),
+        left_out=left_out,
+    )
+
+
+def _misfit(shown: Floats, seen: Floats, sigma: Floats) -> float:
+    """The further standard deviation of every level that makes chi² its degrees of freedom, or 0."""
+    from scipy.optimize import brentq
+
+    def excess(further: float) -> float:
+        total = np.hypot(sigma, further)
+        best, _ = _least_squares(shown, seen, total)
+        return float(np.sum(((seen - _model(shown, *best)) / total) ** 2)) - (len(shown) - 3)
+
+    # With the whole range as deviation chi² is less than its degrees of freedom, whatever was seen.
+    return float(brentq(excess, 0.0, 1.0, xtol=1e-9)) if excess(0.0) > 0 else 0.0
+
+
+def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[Vector, Floats]:
+    from scipy.optimize import curve_fit
+
+    weight = np.ones_like(seen) if sigma is None else 1.0 / sigma
+    start = min((_linear(shown, seen, weight, g) for g in np.geomspace(0.2, 6.0, 35)), key=lambda s: s[1])[0]
+    try:
+        best, covariance = curve_fit(
+            _model, shown, seen, p0=start, sigma=sigma, absolute_sigma=sigma is not None, jac=_slopes
+        )
+    except RuntimeError as error:
+        raise CalibrationError(f"the response could not be fitted: {error}") from error
+    return (float(best[0]), float(best[1]), float(best[2])), np.asarray(covariance)
+
+
+def _vectors(matrix: Floats) -> tuple[Vector, Vector, Vector]:
+    rows = [(float(x), float(y), float(z)) for x, y, z in matrix]
+    return rows[0], rows[1], rows[2]
+
+
+def _linear(shown: Floats, seen: Floats, weight: Floats, g: float) -> tuple[Vector, float]:
+    """Best (a, b) for a given g, and the weighted squares it leaves."""
+    basis = np.stack([shown**g, np.ones_like(shown)], axis=1) * weight[:, None]
+    (a, b), *_ = np.linalg.lstsq(basis, seen * weight, rcond=None)
+    return (float(a), float(b), g), float(np.sum((seen * weight - basis @ (a, b)) ** 2))
+
+
+def _model(shown: Floats, a: float, b: float, g: float) -> Floats:
+    return np.asarray(a * shown**g + b)
+
+
+def _slopes(shown: Floats, a: float, _b: float, g: float) -> Floats:
+    power = shown**g
+    logarithm = np.log(np.where(shown > 0, shown, 1.0))
+    return np.stack([power, np.ones_like(shown), a * power * logarithm], axis=1)

@@ -1,0 +1,189 @@
+"""Frames of uniform greys -> levels with their uncertainty, by region -> the response.
+
+The image is a grid of regions. Where light falls unevenly each region has its own gain, but all have the
+projector's exponent: their fits must agree, or something else than the response is at work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, Image, Mask, full_scale
+from fpplab.core.errors import CalibrationError
+from fpplab.patterns.response import Region, Response, fit_response
+
+GRID = 3
+"""Regions along each side of the image."""
+CLIPPED = 1e-3
+"""Share of pixels at full scale beyond which a mean is no longer what the light made."""
+LEAST_RISE = 0.05
+"""Rise from black to white, of full scale, below which a region is dark."""
+DISAGREEMENT = 0.05
+"""Spread of the regions' g, relative, beyond which there is no one response: g of 1.05 instead of 1 bends the
+fringes of three steps by 0.01 rad."""
+
+MEAN, NOISE, SPREAD, WHITE = range(4)
+"""What `statistics` gives of each region."""
+
+
+def statistics(image: Image, bits: int) -> Floats:
+    """Of each of the `GRID²` regions, row by row, (4, GRID²), levels as shares of full scale.
+
+    Mean; variance of a pixel's noise, from the differences of neighbours, which the unevenness of the
+    light leaves alone; variance of the pixels; share of pixels at full scale.
+    """
+    return np.stack([_of_region(part / full_scale(bits)) for part in _regions(image)], axis=1)
+
+
+def _of_region(levels: Floats) -> Floats:
+    noise = 0.5 * np.mean(np.diff(levels, axis=1) ** 2)
+    return np.array([levels.mean(), noise, levels.var(), np.mean(levels >= 1.0)])
+
+
+def _regions(image: Image) -> list[Image]:
+    height, width = image.shape
+    rows, columns = (np.linspace(0, side, GRID + 1).astype(int) for side in (height, width))
+    return [
+        image[top:bottom, left:right] for top, bottom in pairwise(rows) for left, right in pairwise(columns)
+    ]
+
+
+@dataclass(frozen=True)
+class Greys:
+    """What was seen of uniform greys.
+
+    shown: (L,) levels, rising. seen: (R, L, 4, GRID²), `statistics` of every frame. dark: (4, GRID²), of the
+    frame with the projector off. pixels: (GRID²,), how many a region has. bits: of the frames.
+    """
+
+    shown: Floats
+    seen: Floats
+    dark: Floats
+    pixels: Floats
+    bits: int
+
+
+def pixels_of_regions(image: Image) -> Floats:
+    """How many pixels each region has, (GRID²,)."""
+    return np.array([float(part.size) for part in _regions(image)])
+
+
+def rounding_variance(spread: Floats) -> Floats:
+    """Variance of the mean's error by rounding to integers, of values of variance `spread` before it.
+
+    Rounding errors of alike values are alike, and a mean does not lessen them; values spread over more
+    than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for
+    s = 0 (Gaussian values; Widrow and Kollár, Quantization Noise, 2008).
+    """
+    k = np.arange(1.0, 41.0)
+    terms = np.exp(-4 * np.pi**2 * k**2 * spread[..., None]) / (2 * np.pi**2 * k**2)
+    return np.asarray(terms.sum(axis=-1))
+
+
+def levels_of(greys: Greys, regions: Mask) -> tuple[Floats, Floats, Mask]:
+    """Mean level over some regions, its standard uncertainty, whether it is clipped; (L,) each.
+
+    The uncertainty has three parts: the pixels' noise over all pixels and repeats; what the repeats
+    scatter beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does
+    not dither it away.
+    """
+    seen, weight = greys.seen[..., regions], greys.pixels[regions]
+    pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
+    means, noise, spread, white = (seen[:, :, i] @ weight / pixels for i in (MEAN, NOISE, SPREAD, WHITE))
+    repeats = len(means)
+    of_pixels = np.maximum(noise.mean(axis=0), step**2 / 12) / pixels
+    lamp = max(0.0, float(np.mean(means.var(axis=0, ddof=1) - of_pixels))) if repeats > 1 else 0.0
+    rounded = spread.mean(axis=0) / step**2
+    # Up to 1/4 they may as well be alike, on the edge between two integers; beyond, rounding has added 1/12.
+    before = np.where(rounded > 1 / 4, rounded - 1 / 12, 0.0)
+    variance = (of_pixels + lamp) / repeats + step**2 * rounding_variance(before)
+    return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > CLIPPED
+
+
+def fit_greys(greys: Greys) -> Response:
+    """Fit the response to the regions that are lit and not saturated, together and each alone.
+
+    When every lit region saturates, its saturated levels are left out instead. Both are named.
+    Raises `CalibrationError`: no region lit, too few levels, regions that do not agree.
+    """
+    chosen, left_out = _choose(greys)
+    response = _fit(greys, chosen)
+    regions = tuple(_region(greys, i) for i in np.flatnonzero(chosen).tolist())
+    exponents = np.array([r.g for r in regions])
+    spread = float(exponents.std(ddof=1)) if len(regions) > 1 else None
+    expected = float(np.sqrt(np.mean([r.sigma_g**2 for r in regions]))) if len(regions) > 1 else None
+    if spread is not None and expected is not None:
+        _check_agreement(response.g, regions, spread, expected)
+    return response.model_copy(
+        update={
+            "regions": regions,
+            "region_spread": spread,
+            "region_sigma": expected,
+            "dark": _dark(greys, chosen),
+            "left_out": left_out + response.left_out,
+        }
+    )
+
+
+def _choose(greys: Greys) -> tuple[Mask, tuple[str, ...]]:
+    mean = greys.seen[:, :, MEAN].mean(axis=0)
+    rise = np.ptp(mean, axis=0)
+    lit = rise >= LEAST_RISE
+    clipped = (greys.seen[:, :, WHITE].mean(axis=0) > CLIPPED).any(axis=0)
+    if not lit.any() and clipped.any():
+        raise CalibrationError("the image is saturated from the darkest level on: shorten the exposure")
+    if not lit.any():
+        raise CalibrationError(
+            f"the levels seen do not rise with the levels shown: by {rise.max():.2g} of full scale at most, "
+            f"and {LEAST_RISE:g} are needed; check that the camera looks at the projector's light and that "
+            "the exposure is long enough"
+        )
+    whole = lit & ~clipped
+    words = [f"{_name(i)} is dark: it rises by {rise[i]:.2g} of full scale" for i in np.flatnonzero(~lit)]
+    if whole.any():
+        words += [f"{_name(i)} is saturated" for i in np.flatnonzero(lit & clipped)]
+    return (whole if whole.any() else lit), tuple(words)
+
+
+def _name(index: int) -> str:
+    return f"region {index // GRID + 1}, {index % GRID + 1} (row, column) of {GRID} x {GRID}"
+
+
+def _fit(greys: Greys, regions: Mask) -> Response:
+    seen, sigma, clipped = levels_of(greys, regions)
+    return fit_response(greys.shown, seen, sigma, saturated=clipped)
+
+
+def _region(greys: Greys, index: int) -> Region:
+    alone = np.arange(GRID**2) == index
+    fitted = _fit(greys, alone)
+    return Region(
+        row=index // GRID,
+        column=index % GRID,
+        a=fitted.a,
+        b=fitted.b,
+        g=fitted.g,
+        sigma_g=fitted.sigma[2],
+    )
+
+
+def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expected: float) -> None:
+    if spread <= max(DISAGREEMENT * g, 3 * expected):
+        return
+    least, most = min(regions, key=lambda r: r.g), max(regions, key=lambda r: r.g)
+    raise CalibrationError(
+        f"the regions of the image do not agree on one response: g is {least.g:.3g} in "
+        f"{_name(least.row * GRID + least.column)} and {most.g:.3g} in "
+        f"{_name(most.row * GRID + most.column)}; show an evenly white card without reflections, and keep "
+        "other light steady"
+    )
+
+
+def _dark(greys: Greys, regions: Mask) -> tuple[float, float]:
+    """The level seen with the projector off, and its standard uncertainty."""
+    one = Greys(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
+    level, sigma, _ = levels_of(one, regions)
+    return float(level[0]), float(sigma[0])

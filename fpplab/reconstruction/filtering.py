@@ -1,0 +1,232 @@
+"""Points that lie on no surface, though their pixels pass every mask: mixed pixels, edges of shadow, strays.
+
+A pixel at an edge sees light from more than one place. Three rules find what that does:
+
+contradiction
+    Light of two surfaces mixes with other phases in every fringe set, so that the sets no longer tell of one
+    place. A pixel whose sets contradict one another by more than `disagreement_max` times what noise explains
+    (`Decoded.disagreement`) has seen no single point.
+half lit
+    A pixel that is lit in part agrees with itself, but tells of the middle of its lit part. With a share q
+    of the light lost that is q/2 pixels beside its ray, which becomes q/2 · footprint / tan(angle between the
+    rays) in depth; the penumbra of a wide aperture does the same. Its modulation is less than that of the
+    surface it continues, and it lies at an edge: a neighbour has no point, or is across a jump.
+    Ink has less modulation too, but no edge beside it.
+isolated
+    What hangs together over fewer than `patch_min` pixels is no surface: orders that noise made wrong.
+
+They work in this order, and what one has removed is an edge to the next. Jumps are those of
+`fpplab.clouds.pixelgrid`, so a steep surface is none. No rule knows the true shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import IntEnum
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from fpplab.clouds import Cloud
+from fpplab.clouds.pixelgrid import PixelGrid, Pixels, connected
+from fpplab.core.conventions import TWO_PI, Map, Mask, axis_length
+from fpplab.core.errors import DataError
+from fpplab.patterns.plan import FilterRules, Plan
+from fpplab.phase import Decoded
+
+REACH_PX = 3
+"""How far from an edge a surface shows its full light: the width over which a bench's optics blur."""
+SIGNIFICANT = 5.0
+"""Loss of modulation, in its own standard deviations, that is believed; the greatest of some forty
+neighbours is itself two or three too great."""
+SAMPLED = 4
+"""Every so manieth row and column tells what disagreement is typical."""
+
+Removed = NDArray[np.uint8]
+
+
+class Rule(IntEnum):
+    """By which rule a pixel gives no point; the values of `Decoded.removed`."""
+
+    CONTRADICTION = 1
+    HALF_LIT = 2
+    ISOLATED = 3
+
+
+def filtered(
+    decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
+) -> tuple[Decoded, Cloud]:
+    """The maps that say what the plan's filter removes, and the cloud without it, with normals.
+
+    decoded, cloud: the same pixels, as decoded by the plan and triangulated; they come back as they are where
+    the plan has no filter. A plan that puts orders to the vote says that its coarse sets are biased: then
+    none is held against the others. Raises `DataError` when no point remains.
+    """
+    rules = plan.filter
+    if rules is None:
+        return decoded, cloud
+    grid, removed = cloud.grid(), np.zeros(decoded.u.shape, np.uint8)
+    if plan.order_vote is None and decoded.disagreement is not None:
+        removed[decoded.disagreement > _greatest_disagreement(decoded.disagreement, rules)] = (
+            Rule.CONTRADICTION
+        )
+        _erase(grid.index, grid.w, removed)
+    across, down = _links(grid)
+    _half_lit(
+        *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
+        *(decoded.modulation, decoded.sigma, _phase_per_px(plan, projector_size)),
+        *(rules.light_min, removed),
+    )
+    _erase(grid.index, grid.w, removed)
+    _isolated(grid.index, across, down, np.empty(grid.count, np.int32), rules.patch_min, removed)
+    _erase(grid.index, grid.w, removed)
+    kept = np.zeros(grid.count, np.bool_)
+    kept[grid.index[grid.index >= 0]] = True
+    if not kept.any():
+        raise DataError(
+            f"the plan's filter removes all {len(cloud)} points; look at the fringes, or leave 'filter' out"
+        )
+    return replace(decoded, removed=removed), replace(cloud, normals=grid.normals()).only(kept)
+
+
+def removal(decoded: Decoded) -> dict[str, int | float] | None:
+    """How many points the filter removed, by rule, and their share of what was measured; None without one."""
+    if decoded.removed is None:
+        return None
+    counts = {rule.name.lower(): int(np.count_nonzero(decoded.removed == rule)) for rule in Rule}
+    return {**counts, "share": sum(counts.values()) / int(np.count_nonzero(decoded.valid))}
+
+
+def _greatest_disagreement(disagreement: Map, rules: FilterRules) -> float:
+    """Beyond which sets contradict one another.
+
+    Where the typical pixel's do, it is not noise that limits (a response that is not undone, light that goes
+    round by other surfaces), and pixels are judged by what is typical.
+    """
+    typical = np.nanmedian(disagreement[::SAMPLED, ::SAMPLED])
+    return rules.disagreement_max * max(1.0, float(typical))
+
+
+def _phase_per_px(plan: Plan, size: tuple[int, int]) -> float:
+    """Phase in rad per projector px of the set whose modulation and sigma are reported.
+
+    Times sigma this is the noise of the phase, and that of the modulation as a share of it.
+    """
+    finest = plan.fringes[plan.sets_along(plan.axes[0])[-1]]
+    return TWO_PI * finest.stripes / axis_length(size, finest.axis)
+
+
+def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
+    """Whether each pixel sees one surface with the next in its row, and in its column."""
+    across, down = np.zeros(grid.index.shape, np.bool_), np.zeros(grid.index.shape, np.bool_)
+    _link(grid.a, grid.b, grid.w, grid.noise, across, down)
+    return across, down
+
+
+@njit(inline="always")
+def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) -> bool:
+    """Whether two pixels see one surface; false where one of them has no point."""
+    return connected(
+        a[y, x] - a[v, u],
+        b[y, x] - b[v, u],
+        w[y, x] - w[v, u],
+        min(w[v, u], w[y, x]),
+        noise[v, u] + noise[y, x],
+    )
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _link(a: Map, b: Map, w: Map, noise: Map, across: Mask, down: Mask) -> None:
+    height, width = a.shape
+    for v in prange(height):
+        for u in range(width - 1):
+            across[v, u] = _joined(a, b, w, noise, v, u, v, u + 1)
+        if v + 1 < height:
+            for u in range(width):
+                down[v, u] = _joined(a, b, w, noise, v, u, v + 1, u)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _half_lit(
+    index: Pixels,
+    a: Map,
+    b: Map,
+    w: Map,
+    noise: Map,
+    across: Mask,
+    down: Mask,
+    modulation: Map,
+    sigma: Map,
+    phase_per_px: float,
+    light_min: float,
+    removed: Removed,
+) -> None:
+    """Marks what has less modulation at an edge than its surface within reach; the picture's end is none."""
+    height, width = index.shape
+    for v in prange(height):
+        for u in range(width):
+            if index[v, u] < 0:
+                continue
+            edge = u > 0 and not across[v, u - 1]
+            edge |= u + 1 < width and not across[v, u]
+            edge |= v > 0 and not down[v - 1, u]
+            edge |= v + 1 < height and not down[v, u]
+            if not edge:
+                continue
+            full = np.float32(0.0)
+            for y in range(max(v - REACH_PX, 0), min(v + REACH_PX + 1, height)):
+                for x in range(max(u - REACH_PX, 0), min(u + REACH_PX + 1, width)):
+                    if _joined(a, b, w, noise, v, u, y, x):
+                        full = max(full, modulation[y, x])
+            own = modulation[v, u]
+            noisy = SIGNIFICANT * own * sigma[v, u] * phase_per_px
+            if own < light_min * full and full - own > noisy:
+                removed[v, u] = Rule.HALF_LIT.value
+
+
+@njit(cache=True)
+def _root(parent: NDArray[np.int32], i: int) -> int:
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True)
+def _isolated(
+    index: Pixels, across: Mask, down: Mask, parent: NDArray[np.int32], least: int, removed: Removed
+) -> None:
+    """Marks patches of fewer than `least` pixels; `parent` is room for each point's patch."""
+    height, width = index.shape
+    for v in range(height):
+        for u in range(width):
+            i = index[v, u]
+            if i < 0:
+                continue
+            parent[i] = i
+            if u > 0 and across[v, u - 1] and index[v, u - 1] >= 0:
+                parent[i] = _root(parent, index[v, u - 1])
+            joined = v > 0 and down[v - 1, u] and index[v - 1, u] >= 0
+            # Mostly they have the same patch already, and no root needs to be looked for.
+            if joined and parent[index[v - 1, u]] != parent[i]:
+                above, here = _root(parent, index[v - 1, u]), _root(parent, i)
+                parent[max(above, here)] = min(above, here)
+    sizes = np.zeros(len(parent), np.int32)
+    for v in range(height):
+        for u in range(width):
+            if index[v, u] >= 0:
+                sizes[_root(parent, index[v, u])] += 1
+    for v in range(height):
+        for u in range(width):
+            if index[v, u] >= 0 and sizes[_root(parent, index[v, u])] < least:
+                removed[v, u] = Rule.ISOLATED.value
+
+
+@njit(parallel=True, cache=True)
+def _erase(index: Pixels, w: Map, removed: Removed) -> None:
+    """Take what was removed from the grid."""
+    for v in prange(len(index)):
+        for u in range(index.shape[1]):
+            if removed[v, u] > 0:
+                index[v, u], w[v, u] = -1, np.nan

@@ -1,0 +1,193 @@
+"""How well each point of a cloud is known: the fringes' noise and the calibration's covariance, propagated.
+
+A point X lies on the ray of its camera pixel m, where its image in the projector meets the coordinates c
+(`fpplab.reconstruction.triangulation`). With the devices' projections m(X, θ) and p(X, θ), the parameters
+θ, the slope j = ∂p/∂X · X along the ray and the coordinates' inverse variances W this is
+
+    m(X, θ) = m,    jᵀ W (p(X, θ) - c) = 0,
+
+and by the implicit function theorem `∂X/∂θ = -A⁻¹ B`, with A and B the slopes of the three equations by X
+and by θ. How j itself changes counts only with the distance from the epipolar curve, and is left out.
+
+Noise is independent from point to point and lies along the ray. A wrong calibration is wrong for all points
+alike: it moves and turns the cloud far more than it bends it. What remains after the best rigid motion is
+given besides, because it is what a comparison with a true shape sees. A point's uncertainty is stated as the
+root mean square distance from where it should be, √trace of its covariance (Helmert's point error): so the
+parts, which are independent, add in squares whatever their directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.reconstruction.triangulation import DecodedMaps
+
+BLOCK = 1 << 14
+"""Points whose slopes are in memory at a time: 12 MB of them."""
+RIGID_SAMPLE = 50_000
+"""About as many points, evenly chosen, decide which rigid motion of the cloud is the best."""
+
+Points = NDArray[np.floating[Any]]
+CoordinateNoise = tuple[float, float]
+"""Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
+
+
+def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
+    """How the coded axes weigh in the triangulation of these maps."""
+    if not np.isfinite(decoded.u).any():
+        return np.inf, 1.0
+    return 1.0, decoded.v_per_u if np.isfinite(decoded.v).any() else np.inf
+
+
+def with_uncertainty(
+    cloud: Cloud,
+    calibration: Calibration,
+    noise: CoordinateNoise,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Cloud:
+    """The cloud with `sigma_calibration_mm` and `sigma_form_mm`, if the calibration has a covariance.
+
+    cloud: as triangulated with this calibration. noise: from `coordinate_noise` of the maps.
+    """
+    if calibration.uncertainty is None:
+        return cloud
+    modes = _Modes.of(calibration, noise)
+    centre = cloud.points.mean(axis=0, dtype=np.float64)
+    motion = _rigid_part(modes, cloud.points, centre)
+    whole, form = (np.empty(len(cloud), np.float32) for _ in range(2))
+    for part in _blocks(len(cloud)):
+        moved = modes.moved(cloud.points[part])
+        whole[part] = _length(moved)
+        form[part] = _length(moved - _rigid_motions(cloud.points[part] - centre) @ motion)
+        progress(part.stop / len(cloud))
+    return replace(cloud, sigma_calibration_mm=whole, sigma_form_mm=form)
+
+
+def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
+    """Covariance of each point's coordinates, (N, 3, 3) in mm² of the camera's frame: noise and calibration.
+
+    cloud: as triangulated with this calibration; without `sigma_noise_mm` the calibration's part alone.
+    noise: from `coordinate_noise` of the maps. How points vary together follows from `calibration_jacobian`.
+    Raises `CalibrationError` when the calibration has no covariance.
+    """
+    modes, covariance = _Modes.of(calibration, noise), np.empty((len(cloud), 3, 3))
+    for part in _blocks(len(cloud)):
+        moved = modes.moved(cloud.points[part])
+        covariance[part] = moved @ moved.transpose(0, 2, 1)
+    if cloud.sigma_noise_mm is not None:
+        points = cloud.points.astype(np.float64)
+        along = points * (cloud.sigma_noise_mm / np.linalg.norm(points, axis=1))[:, None]
+        covariance += along[:, :, None] * along[:, None, :]
+    return covariance
+
+
+def calibration_jacobian(points: Points, calibration: Calibration, noise: CoordinateNoise) -> Floats:
+    """∂X/∂θ at points (N, 3) in mm, camera pixels and projector coordinates held: (N, 3, n), by `PARAMETERS`.
+
+    Units and meaning of these are those of `Uncertainty`: rx, ry, rz add to the rotation vector.
+    """
+    pose, n = calibration.T_projector_camera, len(INTRINSICS)
+    seen, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
+    lit, by_projector = _slopes(points, calibration.projector, pose)
+    seen_by_point, lit_by_point = seen[..., 3:], lit[..., 3:] @ pose.rotation
+    weights = np.einsum("nij,nj->ni", lit_by_point, points) / np.square(noise)
+    depth_by_point = np.einsum("ni,nij->nj", weights, lit_by_point)
+    slopes = np.zeros((len(points), 3, len(PARAMETERS)))
+    slopes[:, :2, :n] = by_camera
+    slopes[:, 2, n : 2 * n] = np.einsum("ni,nij->nj", weights, by_projector)
+    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, lit)
+    return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
+
+
+def _slopes(points: Points, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
+    """Slopes of the projected pixels: by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
+    local = np.ascontiguousarray(points, np.float64)
+    turn, shift = pose.rotation_vector, pose.translation
+    _, slopes = cv2.projectPoints(local, turn, shift, device.matrix, device.distortion)
+    shaped = np.asarray(slopes, np.float64).reshape(len(points), 2, -1)
+    return shaped[..., :6], shaped[..., 6:]
+
+
+def _inverse(first: Floats, second: Floats, third: Floats) -> Floats:
+    """Inverses (N, 3, 3) of the matrices with these rows, (N, 3) each; a fraction of LAPACK's time."""
+    columns = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=-1)
+    return np.asarray(columns / np.einsum("ni,ni->n", third, columns[..., 2])[:, None, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """The independent ways in which a calibration may be wrong, by one standard deviation each.
+
+    changes: of `PARAMETERS` by each of n modes, (all, n); the covariance is `changes changesᵀ`.
+    """
+
+    calibration: Calibration
+    noise: CoordinateNoise
+    changes: Floats
+
+    @classmethod
+    def of(cls, calibration: Calibration, noise: CoordinateNoise) -> _Modes:
+        known = calibration.uncertainty
+        if known is None:
+            raise CalibrationError(
+                "the calibration has no covariance; characterise the rig with `fpplab characterise` to get it"
+            )
+        # Of the correlations, because variances of px and of k3 are many powers of ten apart.
+        scale = np.sqrt(np.diag(known.covariance))
+        values, vectors = np.linalg.eigh(known.covariance / np.outer(scale, scale))
+        changes = np.zeros((len(PARAMETERS), len(values)))
+        changes[[PARAMETERS.index(name) for name in known.names]] = (
+            scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        )
+        return cls(calibration, noise, changes)
+
+    def moved(self, points: Points) -> Floats:
+        """Where each mode moves the points (N, 3): (N, 3, n) in mm."""
+        jacobian = calibration_jacobian(points, self.calibration, self.noise)
+        # As one matrix: NumPy multiplies a stack of small ones several times as slowly.
+        flat = jacobian.reshape(-1, len(self.changes)) @ self.changes
+        return np.asarray(flat.reshape(len(points), 3, -1))
+
+
+def _rigid_part(modes: _Modes, points: Points, centre: Floats) -> Floats:
+    """The rigid motion of the whole cloud, (6, n) for `_rigid_motions`, that comes nearest to each mode."""
+    sample = points[:: max(1, len(points) // RIGID_SAMPLE)]
+    normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
+    for part in _blocks(len(sample)):
+        motions = _rigid_motions(sample[part] - centre).reshape(-1, 6)
+        normal += motions.T @ motions
+        right += motions.T @ modes.moved(sample[part]).reshape(len(motions), -1)
+    # Points on one line leave a rotation open; then the least is taken.
+    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
+
+
+def _rigid_motions(points: Points) -> Floats:
+    """What small translations along and rotations about the axes do to points (N, 3): (N, 3, 6)."""
+    x, y, z = points.T
+    motions = np.zeros((len(points), 3, 6))
+    motions[:, range(3), range(3)] = 1.0
+    motions[:, 1, 3], motions[:, 2, 3] = -z, y
+    motions[:, 0, 4], motions[:, 2, 4] = z, -x
+    motions[:, 0, 5], motions[:, 1, 5] = -y, x
+    return motions
+
+
+def _length(moved: Floats) -> Floats:
+    """√trace of `moved movedᵀ` at each point, (N,)."""
+    return np.asarray(np.sqrt(np.einsum("nij,nij->n", moved, moved)))
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(start + BLOCK, count))

@@ -1,0 +1,53 @@
+"""Frames go to disk while the next ones are taken."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+
+from fpplab.devices import Frame
+from fpplab.sessions.session import Session
+
+MOST_WAITING = 4
+"""Frames that may wait for the disk; who brings more waits for it too."""
+
+
+@contextmanager
+def recording(session: Session, observe: Callable[[Frame], None]) -> Iterator[Callable[[Frame], None]]:
+    """Gives a function that has a frame written into the session, in a thread beside the caller.
+
+    Frames are written one by one, in the order they are given, and none after one that could not be. The
+    caller's thread shows each to `observe` once it is on disk. What was given is written also when the block
+    ends by an exception. Raises, from the function or at the end of the block, what `Session.write` raised.
+    """
+    waiting: deque[tuple[Frame, Future[None]]] = deque()
+
+    def settle() -> None:
+        frame, written = waiting[0]
+        written.result()
+        waiting.popleft()
+        observe(frame)
+
+    def record(frame: Frame) -> None:
+        before = waiting[-1][1] if waiting else None
+        waiting.append((frame, writer.submit(_write_after, before, session, frame)))
+        while waiting and (len(waiting) > MOST_WAITING or waiting[0][1].done()):
+            settle()
+
+    with ThreadPoolExecutor(max_workers=1) as writer:
+        try:
+            yield record
+            while waiting:
+                settle()
+        finally:
+            for _, written in waiting:
+                written.result()
+
+
+def _write_after(before: Future[None] | None, session: Session, frame: Frame) -> None:
+    """Write a frame, unless the one before it failed: then fail alike."""
+    if before is not None:
+        before.result()
+    session.write(frame)

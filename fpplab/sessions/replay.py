@@ -1,0 +1,160 @@
+"""A recorded session played back through the device interface.
+
+    bench:     {backend: "fpplab.sessions.replay:Recording", session: path/to/session}
+    camera:    {backend: "fpplab.sessions.replay:ReplayCamera"}
+    projector: {backend: "fpplab.sessions.replay:ReplayProjector"}
+
+The projector knows which recorded pattern is asked for, the camera gives the frame that was
+taken of it. Nothing is invented: other patterns, settings or more frames than were recorded
+are refused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab.core.conventions import Image
+from fpplab.core.errors import CapabilityError, ConfigError, DataError, FrameLossError
+from fpplab.devices import (
+    Camera,
+    CameraCaps,
+    CameraSettings,
+    DeviceInfo,
+    Frame,
+    Projector,
+    ProjectorCaps,
+    Trigger,
+)
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.sessions.session import FrameRecord, Session
+
+
+class Recording:
+    """What the replayed devices share: the session, and which of its patterns is on show."""
+
+    def __init__(self, options: dict[str, Any]) -> None:
+        unknown = set(options) - {"session"}
+        if unknown or not isinstance(options.get("session"), str):
+            raise ConfigError("bench: a replay takes exactly one option, 'session': the recorded directory")
+        self.session = Session.open(Path(options["session"]))
+        self.shown: int | None = None
+
+    def open(self) -> None:
+        """Refuse a recording without frames."""
+        _ = self.session.format
+
+    def close(self) -> None:
+        """Nothing is held open between frames."""
+
+    def first(self) -> FrameRecord:
+        """The record that speaks for the settings of all."""
+        return self.session.records[0]
+
+
+def _recording(name: str, bench: Any) -> Recording:
+    if not isinstance(bench, Recording):
+        raise ConfigError(f"{name}: a replay needs the bench fpplab.sessions.replay:Recording")
+    return bench
+
+
+class ReplayCamera(Camera):
+    """Gives the recorded frame of the pattern that the replayed projector shows."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        super()._setup(options, bench)
+        self._recording = _recording(self.name, bench)
+
+    def _open(self) -> None:
+        """The bench holds the recording."""
+
+    def _close(self) -> None:
+        """Nothing to make safe."""
+
+    def _info(self) -> DeviceInfo:
+        path = self._recording.session.path
+        return DeviceInfo("camera", "replay", path.name, f"session {path}")
+
+    def _caps(self) -> CameraCaps:
+        width, height, bits = self._recording.session.format
+        first = self._recording.first()
+        return CameraCaps(
+            size=(width, height),
+            bits=(bits,),
+            exposure_s=(first.exposure_s, first.exposure_s),
+            gain_db=(first.gain_db, first.gain_db),
+            triggers=("software",),
+        )
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        return settings
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        """Every frame is there already."""
+
+    def _read(self, timeout_s: float) -> Frame:
+        index = self._recording.shown
+        if index is None:
+            raise FrameLossError(self.name, "read", "the projector is dark, and no dark frame was recorded")
+        try:
+            record = self._recording.session.record(index)
+            image: Image = self._recording.session.read(index).copy()
+        except DataError as error:
+            raise FrameLossError(self.name, "read", str(error), "record the session again") from error
+        return Frame(image, self._taken, record.settings, time.time(), record.device_time_s, record.pattern)
+
+    def _stop(self) -> None:
+        """Nothing is under way between calls."""
+
+
+class ReplayProjector(Projector):
+    """Accepts the recorded patterns, and no others."""
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        super()._setup(options, bench)
+        self._recording = _recording(self.name, bench)
+        self._indices: list[int] = []
+
+    def _open(self) -> None:
+        session = self._recording.session
+        size, lattice = session.projector()
+        self._recorded = {p.id: (i, p) for i, p in enumerate(make_patterns(session.plan, size, lattice))}
+
+    def _close(self) -> None:
+        self._recording.shown = None
+
+    def _info(self) -> DeviceInfo:
+        path = self._recording.session.path
+        return DeviceInfo("projector", "replay", path.name, f"session {path}")
+
+    def _caps(self) -> ProjectorCaps:
+        size, lattice = self._recording.session.projector()
+        return ProjectorCaps(size, lattice, {8: 0.0}, trigger_outputs=0, max_patterns=len(self._recorded))
+
+    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
+        self._indices = [self._recorded_index(p) for p in patterns]
+        return patterns
+
+    def _recorded_index(self, pattern: Pattern) -> int:
+        index, recorded = self._recorded.get(pattern.id, (None, None))
+        if index is None or recorded is None or not np.array_equal(recorded.image, pattern.image):
+            raise CapabilityError(
+                self.name,
+                "load",
+                f"pattern '{pattern.id}' was not recorded in {self._recording.session.path}",
+                "replay it with the plan it was taken with",
+            )
+        return index
+
+    def _show(self, i: int) -> None:
+        self._recording.shown = self._indices[i]
+
+    def _play(self, exposure_s: float, dark_s: float) -> None:
+        raise CapabilityError(self.name, "play", "a recording has no clock", "use a stepped plan")
+
+    def _blank(self) -> None:
+        self._recording.shown = None

@@ -1,0 +1,367 @@
+"""A session: one measurement as a directory, readable after a crash at any moment.
+
+    plan.yaml       what was projected
+    rig.yaml        what with, as resolved (absent for imported images)
+    journal.jsonl   one line per frame that is safely on disk, with its checksum
+    frames/         one uncompressed TIFF per frame, memory-mappable
+    decoded.npz, cloud.ply, calibration.yaml ...   results, beside them
+
+A frame is in the session once its line stands whole in the journal: the file is written
+atomically first, the line after it. A torn last line is a frame that was not recorded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import shutil
+from collections.abc import Callable, Container
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.conventions import Image, Lattice, raw_dtype
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import (
+    append_line,
+    cut_torn_line,
+    make_directory,
+    refuse_existing,
+    whole_lines,
+    write_parts,
+    write_text,
+)
+from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.plan import FringeSet, Plan
+
+PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
+
+RigRecord = dict[str, Any] | None
+"""A rig as `Rig.described` gives it, or None for images from elsewhere."""
+
+
+class FrameRecord(Document):
+    """One line of the journal."""
+
+    index: int
+    pattern: str
+    file: str
+    sha256: str
+    width: int
+    height: int
+    bits: int
+    exposure_s: float
+    gain_db: float
+    host_time_s: float
+    device_time_s: float | None = None
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        """(width, height, bits)."""
+        return self.width, self.height, self.bits
+
+    @property
+    def settings(self) -> CameraSettings:
+        """The camera's settings at this frame."""
+        return CameraSettings(self.exposure_s, self.gain_db, self.bits)
+
+
+class Session:
+    """A recorded, or growing, measurement.
+
+    Make one with `create`, `open` or `resume`; `path` is its directory and `plan` its plan.
+    """
+
+    def __init__(self, path: Path, plan: Plan, records: dict[int, FrameRecord]) -> None:
+        self.path, self.plan, self._records = path, plan, records
+
+    @classmethod
+    def create(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
+        """A new, empty session. Raises `ConfigError` when `path` exists and `force` is not said."""
+        refuse_existing(path, force)
+        if path.exists():
+            _remove(path)
+        make_directory(path, lambda draft: _furnish(draft, plan, rig))
+        return cls(path, plan, {})
+
+    @classmethod
+    def open(cls, path: Path) -> Session:
+        """An existing session. Raises `DataError` when it is none or its journal is damaged."""
+        if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
+            raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
+        plan = config.load(path / PLAN, Plan)
+        return cls(path, plan, _read_journal(path, plan))
+
+    @classmethod
+    def resume(
+        cls,
+        path: Path,
+        plan: Plan,
+        rig: RigRecord = None,
+        force: bool = False,
+        complete_too: bool = False,
+    ) -> Session:
+        """The interrupted session at `path`, or a new one.
+
+        One that is complete (unless `complete_too`), or of another plan, rig or mounted item, is refused;
+        with `force` it is replaced.
+        """
+        if force or not (path / JOURNAL).is_file():
+            return cls.create(path, plan, rig, force)
+        session = cls.open(path)
+        if not session.records:  # it stopped before its first frame: nothing is lost
+            return cls.create(path, plan, rig, force=True)
+        if session.plan != plan:
+            raise DataError(f"{path}: was begun with another plan; name another output, or add --force")
+        if rig is not None and (began := session.rig()) != rig:
+            what = "item or pose" if _but_mounted(began) == _but_mounted(rig) else "rig"
+            raise DataError(f"{path}: was begun with another {what}; name another output, or add --force")
+        if not session.missing() and not complete_too:
+            refuse_existing(path, force)
+        _tidy(path)
+        return session
+
+    def rig(self) -> RigRecord:
+        """The rig as resolved when the session was made, or None for imported images."""
+        path = self.path / RIG
+        return config.parse(config.read_text(path), path) if path.is_file() else None
+
+    @property
+    def records(self) -> list[FrameRecord]:
+        """The journal, in the order of the plan."""
+        return [self._records[i] for i in sorted(self._records)]
+
+    def record(self, index: int) -> FrameRecord:
+        """The journal's line of one frame. Raises `DataError` when it is not recorded."""
+        if index not in self._records:
+            raise DataError(f"{self.path}: frame {index} is not recorded")
+        return self._records[index]
+
+    def missing(self) -> list[int]:
+        """Indices of the plan's images that are not recorded yet."""
+        return [i for i in range(self.plan.images) if i not in self._records]
+
+    def write(self, frame: Frame) -> None:
+        """Put one frame on disk and then into the journal.
+
+        Raises `DataError` (no space, index taken, another pattern than the plan has there).
+        """
+        pattern = frame.pattern_id or ""
+        _check_place(frame.index, pattern, _pattern_ids(self.plan), self._records, self.path)
+        name = _file_name(frame.index, pattern)
+        image = np.ascontiguousarray(frame.image)
+        with ThreadPoolExecutor(max_workers=1) as beside:  # neither holds Python's lock
+            checksum = beside.submit(_checksum, image)
+            write_parts(self.path / name, tiff_head(image.shape, image.dtype), image.data)
+        height, width = image.shape
+        record = FrameRecord(
+            index=frame.index,
+            pattern=pattern,
+            file=name,
+            sha256=checksum.result(),
+            width=width,
+            height=height,
+            bits=frame.settings.bits,
+            exposure_s=frame.settings.exposure_s,
+            gain_db=frame.settings.gain_db,
+            host_time_s=frame.host_time_s,
+            device_time_s=frame.device_time_s,
+        )
+        append_line(self.path / JOURNAL, json.dumps(record.model_dump()))
+        self._records[frame.index] = record
+
+    def read(self, index: int, verify: bool = True) -> Image:
+        """One frame, memory-mapped and read-only, checked against the journal.
+
+        Raises `DataError` when it is missing, truncated, altered or of another kind than journalled.
+        """
+        record = self.record(index)
+        path = self.path / record.file
+        try:
+            image: Image = tifffile.memmap(path, mode="r")
+        except FileNotFoundError:
+            raise DataError(f"{path}: frame {index} is missing") from None
+        except Exception as error:
+            raise DataError(f"{path}: frame {index} is truncated or damaged ({error})") from error
+        expected = raw_dtype(record.bits)
+        if image.dtype != expected or image.shape != (record.height, record.width):
+            raise DataError(
+                f"{path}: frame {index} is {image.dtype} {image.shape[::-1]} but the journal says "
+                f"{expected} {(record.width, record.height)}"
+            )
+        if verify and _checksum(image) != record.sha256:
+            raise DataError(f"{path}: frame {index} is corrupt: its checksum is not the journal's")
+        return image
+
+    def stack(self, verify: bool = True, progress: Callable[[float], None] | None = None) -> list[Image]:
+        """Every frame of the plan in its order, memory-mapped.
+
+        Raises `DataError` naming the frames that are missing, or of another size than the first.
+        """
+        if missing := self.missing():
+            shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
+            raise DataError(
+                f"{self.path}: {len(missing)} of {self.plan.images} frames are missing ({shown}); "
+                "run the same scan again to complete it"
+            )
+        images = []
+        for i, record in enumerate(self.records):
+            images.append(self.read(i, verify))
+            if record.format != self.format:
+                raise DataError(
+                    f"{self.path / record.file}: frame {i} is {_shown(record.format)}, "
+                    f"but the first is {_shown(self.format)}"
+                )
+            if progress:
+                progress((i + 1) / self.plan.images)
+        return images
+
+    def finest(self) -> tuple[FringeSet, list[Image]]:
+        """The finest fringe set along the first coded axis, and its frames; checksums are taken as good."""
+        finest = self.plan.sets_along(self.plan.axes[0])[-1]
+        return self.plan.fringes[finest], [self.read(i, verify=False) for i in self.plan.finest_images]
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        """(width, height, bits) of the first frame."""
+        if not self._records:
+            raise DataError(f"{self.path}: has no frames yet")
+        return self.records[0].format
+
+    def projector(self) -> tuple[tuple[int, int], Lattice]:
+        """Size and lattice of the projector that showed the patterns.
+
+        From the rig as recorded, or for images from elsewhere from the plan, on a square lattice.
+        """
+        rig = self.rig()
+        if rig is None and self.plan.projector_size:
+            return self.plan.projector_size, Lattice.SQUARE
+        try:
+            found = (rig or {})["resolved"]["projector"]
+            return (int(found["size"][0]), int(found["size"][1])), Lattice(found["lattice"])
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise DataError(
+                f"{self.path}: does not say how many pixels the projector had, and in which lattice; "
+                "add 'projector_size' to the plan's fringes and import the images again"
+            ) from error
+
+
+def _but_mounted(rig: RigRecord) -> dict[str, Any]:
+    """A rig's record without what was mounted on it."""
+    resolved = (rig or {}).get("resolved") or {}
+    return {**(rig or {}), "resolved": {k: v for k, v in resolved.items() if k != "mounted"}}
+
+
+def _file_name(index: int, pattern: str) -> str:
+    return f"{FRAMES}/{index:04d}_{pattern}.tif"
+
+
+def _shown(form: tuple[int, int, int]) -> str:
+    return f"{form[0]} x {form[1]} at {form[2]} bits"
+
+
+@cache
+def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """What stands before the pixels of an image in the file that tifffile writes."""
+    image, file = np.zeros(shape, dtype), io.BytesIO()
+    tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
+    return file.getvalue()[: -image.nbytes]
+
+
+def _checksum(image: NDArray[Any]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()
+
+
+def _furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
+    write_text(path / PLAN, config.dump(plan))
+    if rig is not None:
+        write_text(path / RIG, config.to_yaml(rig))
+    write_text(path / JOURNAL, "")
+
+
+def _pattern_ids(plan: Plan) -> list[str]:
+    return [name for _, _, name in plan.steps()]
+
+
+def _check_place(index: int, pattern: str, ids: list[str], taken: Container[int], where: Path | str) -> None:
+    if index in taken:
+        raise DataError(f"{where}: frame {index} is recorded already")
+    if not 0 <= index < len(ids) or pattern != ids[index]:
+        raise DataError(
+            f"{where}: frame {index} shows '{pattern}', which is not what the plan has there: "
+            "the frames are of another plan"
+        )
+
+
+def _read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
+    ids = _pattern_ids(plan)
+    records: dict[int, FrameRecord] = {}
+    for number, line in enumerate(whole_lines(path / JOURNAL), 1):
+        where = f"{path / JOURNAL} line {number}"
+        try:
+            record = FrameRecord.model_validate_json(line)
+        except ValidationError as error:
+            raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
+        _check_place(record.index, record.pattern, ids, records, where)
+        if record.file != _file_name(record.index, record.pattern):
+            raise DataError(
+                f"{where}: frame {record.index} names the file '{record.file}', which is not its own"
+            )
+        records[record.index] = record
+    return records
+
+
+def _tidy(path: Path) -> None:
+    """Take away what a crash left: half a frame's file, and a torn last line of the journal."""
+    for draft in (path / FRAMES).glob(".*"):
+        draft.unlink()
+    cut_torn_line(path / JOURNAL)
+
+
+def _remove(path: Path) -> None:
+    """Delete a session that is to be replaced; nothing else is ever deleted."""
+    if not (path / JOURNAL).is_file():
+        raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
+    shutil.rmtree(path)
+
+
+def refuse_foreign(path: Path) -> None:
+    """Refuse, before anything is done, an output for a session that is something else: `ConfigError`."""
+    if path.exists() and not (path / JOURNAL).is_file():
+        raise ConfigError(f"{path}: exists and is not a session; name another output")
+
+
+def recorded_sessions(paths: list[Path]) -> list[Session]:
+    """Sessions named one by one, or by the directory that holds them, all of one plan and format.
+
+    Raises `ConfigError` when one is given twice, `DataError` when a path holds none, or when they do not
+    belong together.
+    """
+    sessions: list[Session] = []
+    for path in paths:
+        alone = (path / JOURNAL).is_file()
+        inside = [] if alone else sorted(p.parent for p in path.glob(f"*/{JOURNAL}"))
+        sessions += [Session.open(p) for p in inside or [path]]
+    places = [session.path.resolve() for session in sessions]
+    for place in places:
+        if places.count(place) > 1:
+            raise ConfigError(f"{place}: is given twice; a pose counts once")
+    first = sessions[0]
+    for session in sessions[1:]:
+        if session.plan != first.plan:
+            raise DataError(f"{session.path}: was taken with another plan than {first.path}")
+        if session.format != first.format:
+            raise DataError(
+                f"{session.path}: has frames of {_shown(session.format)}, "
+                f"but {first.path} of {_shown(first.format)}"
+            )
+    return sessions

@@ -1,0 +1,132 @@
+"""The artefacts are closed bodies of known volume, placed as the twin expects them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fpplab import artefacts
+from fpplab.artefacts import Pillars, Pyramid, Steps
+from fpplab.cli import app
+from fpplab.clouds import load_mesh
+from fpplab.core.errors import ConfigError
+
+POLYGON = artefacts.ROUND / 2 * np.sin(2 * np.pi / artefacts.ROUND)
+"""Area of the pillars' outline for a radius of one."""
+
+
+def expected_volume(name: str) -> float:
+    if name == "steps":
+        return 90.0 * 70.0 / 5 * (5 + 10 + 15 + 20 + 25)
+    if name == "pyramid":  # a plate and a prismatoid whose sides go in by the same share
+        foot, top = 80.0 * 60.0, 8.0 * 6.0
+        return 90 * 70 * 5 + 20.0 / 3 * (foot + top + np.sqrt(foot * top))
+    standing = [(d / 2) ** 2 * (h + i - 5) for i, d in enumerate((6, 9, 12, 15)) for h in (9, 15, 21)]
+    return 90 * 70 * 5 + POLYGON * sum(standing)
+
+
+@pytest.mark.parametrize("name", artefacts.NAMES)
+def test_artefact_is_one_closed_body_facing_outwards(name: str) -> None:
+    mesh = artefacts.make(name)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.body_count == 1
+    assert mesh.area_faces.min() > 0.0
+    assert mesh.volume == pytest.approx(expected_volume(name), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", artefacts.NAMES)
+def test_artefact_stands_on_its_base_in_the_middle(name: str) -> None:
+    low, high = artefacts.make(name).bounds
+    assert low == pytest.approx([-45.0, -35.0, 0.0])
+    assert high[:2] == pytest.approx([45.0, 35.0])
+    assert 20.0 <= high[2] <= 25.0
+
+
+def test_steps_rise_along_x() -> None:
+    mesh = artefacts.make("steps")
+    up = mesh.face_normals[:, 2] > 0.5
+    treads = mesh.triangles_center[up]
+    order = np.argsort(treads[:, 0])
+    assert (np.diff(treads[order, 2]) >= 0.0).all()
+    assert sorted(set(np.round(treads[:, 2], 6))) == [5, 10, 15, 20, 25]
+
+
+def test_stl_is_read_back_as_the_same_body(tmp_path: Path) -> None:
+    mesh = artefacts.make("pillars")
+    artefacts.save_stl(mesh, tmp_path / "pillars.stl")
+    read = load_mesh(tmp_path / "pillars.stl")
+    assert read.is_watertight
+    assert read.volume == pytest.approx(mesh.volume, rel=1e-6)
+
+
+def test_unknown_artefact_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="pyramid, pillars, steps"):
+        artefacts.make("cube")
+
+
+def test_artefacts_of_other_sizes() -> None:
+    low, high = artefacts.make(
+        "steps", {"footprint": (60.0, 40.0), "heights": (1.0, 2.0, 3.0, 4.0, 6.0)}
+    ).bounds
+    np.testing.assert_allclose([low, high], [[-30, -20, 0], [30, 20, 6]])
+    assert artefacts.make("pyramid", {"height": 30.0}).bounds[1, 2] == 30.0
+    with pytest.raises(ConfigError, match="'steps' has no length 'hight'; it has footprint, heights"):
+        artefacts.make("steps", {"hight": 3.0})
+    with pytest.raises(
+        ConfigError, match=r"'pyramid' needs for 'foot' as many lengths as in \(80.0, 60.0\), not 5"
+    ):
+        artefacts.make("pyramid", {"foot": 5.0})
+    with pytest.raises(ConfigError, match="must be lengths above 0 mm"):
+        artefacts.make("pyramid", {"height": -1.0})
+
+
+@pytest.mark.parametrize(
+    ("build", "field"),
+    [
+        (lambda: Pyramid(top=(90.0, 6.0)), "top"),
+        (lambda: Pyramid(thickness=30.0), "thickness"),
+        (lambda: Pyramid(height=float("nan")), "height"),
+        (lambda: Pillars(diameters=(30.0, 9.0, 9.0, 9.0)), "diameters"),
+        (lambda: Pillars(heights=(4.0, 9.0)), "thickness"),
+        (lambda: Steps(heights=(5.0, 5.0)), "heights"),
+        (lambda: Steps(heights=()), "heights"),
+        (lambda: Steps(footprint=(-1.0, 2.0)), "footprint"),
+    ],
+)
+def test_impossible_shapes_are_refused_by_field(build: object, field: str) -> None:
+    with pytest.raises(ConfigError, match=field):
+        build()  # type: ignore[operator]
+
+
+def test_the_command_writes_the_sliced_shape_and_counts_its_layers(tmp_path: Path) -> None:
+    out = tmp_path / "printed.stl"
+    words = ["artefact", "steps", "--out", str(out), "--layer", "0.2", "--bead", "0.03", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["layers"] == 125
+    assert result["size_mm"] == pytest.approx([90.0, 70.0, 25.0])
+    assert len(load_mesh(out).faces) == result["faces"] > 1000
+
+
+def test_the_command_writes_the_drawn_shape_without_layers(tmp_path: Path) -> None:
+    words = ["artefact", "steps", "--out", str(tmp_path / "drawn.stl"), "--json"]
+    result = json.loads(CliRunner().invoke(app, words).stdout)
+    assert result.keys() == {"size_mm", "faces", "mesh"}
+    assert result["faces"] == len(artefacts.make("steps").faces)
+
+
+@pytest.mark.parametrize(
+    ("options", "field"), [(["--bead", "0.03"], "--layer"), (["--layer", "0"], "layer_mm")]
+)
+def test_the_command_refuses_impossible_layers(tmp_path: Path, options: list[str], field: str) -> None:
+    out = tmp_path / "printed.stl"
+    done = CliRunner().invoke(app, ["artefact", "steps", "--out", str(out), *options])
+    assert isinstance(done.exception, ConfigError)
+    assert field in str(done.exception)
+    assert not out.exists()

@@ -1,0 +1,211 @@
+"""Characterisation: what is put in comes out."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Level, Observation, characterise, finest_periods, observe
+from fpplab.characterisation.bundle import Model, Problem, fit, uncertainty
+from fpplab.core.geometry import Pinhole
+from fpplab.patterns.plan import Plan
+from fpplab.phase import decode
+from fpplab.targets import Target
+from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
+
+DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[2].parent / "shared" / "data")) / "slstudio"
+
+
+@pytest.mark.parametrize("projector", [SQUARE, DIAMOND], ids=["square", "diamond"])
+def test_parameters_are_recovered_within_their_uncertainty(projector: Pinhole) -> None:
+    noise = 0.05
+    found = characterise(
+        observed(poses(8), projector, noise), BOARD, CAMERA.size, projector.size, projector.lattice,
+        level=Level.TANGENTIAL,
+    )  # fmt: skip
+    expected = values(Calibration(CAMERA, projector, PAIR, {}))
+    pulls = {k: (v - expected[k]) / found.sigma[k] for k, v in values(found.calibration).items()}
+    assert max(abs(p) for p in pulls.values()) < 3.5, pulls
+    assert 0.4 < np.sqrt(np.mean(np.square(list(pulls.values())))) < 1.8
+    for figure in found.calibration.rms_px.values():
+        assert figure == pytest.approx(noise * np.sqrt(2), rel=0.1)
+    assert found.calibration.projector.lattice is projector.lattice
+    assert found.calibration.projector.size == projector.size
+
+
+def test_without_noise_parameters_and_poses_are_exact() -> None:
+    truth = poses(5)
+    found = characterise(observed(truth), BOARD, CAMERA.size, SQUARE.size)
+    expected = values(Calibration(CAMERA, SQUARE, PAIR, {}))
+    for name, value in values(found.calibration).items():
+        assert value == pytest.approx(expected[name], rel=2e-5, abs=2e-5), name
+    for pose_found, pose_true in zip(found.poses, truth, strict=True):
+        np.testing.assert_allclose(pose_found.matrix, pose_true.matrix, atol=2e-3)
+
+
+@pytest.mark.parametrize("centre", [(905, 1300), (2000, 570)])
+def test_a_lens_shifted_beyond_the_edge_is_found(centre: tuple[int, int]) -> None:
+    shifted = Pinhole.from_focal((1824, 1140), (2600, 2600), centre)
+    found = characterise(observed(poses(8), shifted, 0.03), BOARD, CAMERA.size, shifted.size)
+    for row, name in enumerate(("cx", "cy")):
+        doubt = 4 * found.sigma[f"projector.{name}"]
+        assert found.calibration.projector.matrix[row, 2] == pytest.approx(centre[row], abs=doubt)
+    assert found.calibration.rms_px["projector"] < 0.05
+
+
+def test_the_error_in_unseen_poses_is_a_little_more_than_the_noise() -> None:
+    found = characterise(observed(poses(8), noise_px=0.1), BOARD, CAMERA.size, SQUARE.size)
+    assert found.leave_one_out_px is not None
+    for device in ("camera", "projector"):
+        held_out, fitted = found.leave_one_out_px[device], found.calibration.rms_px[device]
+        assert fitted < held_out < 1.4 * fitted
+
+
+def test_three_poses_give_a_result_but_no_error_in_unseen_poses() -> None:
+    found = characterise(observed(poses(3), noise_px=0.02), BOARD, CAMERA.size, SQUARE.size)
+    assert found.leave_one_out_px is None
+    assert found.summary()["leave_one_out"] == {"camera_px": None, "projector_px": None}
+    assert found.calibration.rms_px["joint"] < 0.04
+
+
+def test_a_few_gross_errors_do_not_spoil_the_result() -> None:
+    clean = observed(poses(8), noise_px=0.05)
+    spoiled = [replace(o, camera_px=o.camera_px.copy()) for o in clean]
+    for k in range(8):
+        spoiled[k].camera_px[6 * k] += (3.0, -2.0)
+    without, found = (
+        characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=Level.TANGENTIAL)
+        for seen in (clean, spoiled)
+    )
+    expected = values(without.calibration)
+    for name, value in values(found.calibration).items():
+        assert value == pytest.approx(expected[name], abs=1.2 * without.sigma[name]), name
+
+
+def test_partial_views_are_used() -> None:
+    whole = observed(poses(8), noise_px=0.03)
+    random = np.random.default_rng(3)
+    part = []
+    for o in whole:
+        kept = np.sort(random.choice(len(o.ids), 30, replace=False))
+        part.append(Observation(o.name, o.ids[kept], o.camera_px[kept], o.projector_px[kept]))
+    found = characterise(part, BOARD, CAMERA.size, SQUARE.size)
+    assert found.points == 240
+    assert found.calibration.rms_px["joint"] == pytest.approx(0.03 * np.sqrt(2), rel=0.1)
+
+
+def test_a_board_within_its_tolerance_has_its_shape_found() -> None:
+    drawn = BOARD.points()
+    bend = 0.1 * (drawn[:, 0] / 30) ** 2 - 0.05
+    bent = drawn + np.stack([np.zeros(52), np.zeros(52), bend], axis=1)
+    seen = observed(poses(10), noise_px=0.03, points=bent)
+    flat = characterise(seen, BOARD, CAMERA.size, SQUARE.size)
+    fitted = characterise(seen, BOARD.model_copy(update={"tolerance_mm": 0.1}), CAMERA.size, SQUARE.size)
+    assert flat.calibration.rms_px["joint"] > 2 * 0.03 * np.sqrt(2)
+    assert fitted.calibration.rms_px["joint"] == pytest.approx(0.03 * np.sqrt(2), rel=0.12)
+    heights = fitted.board[:, 2]
+    assert np.corrcoef(heights, bend)[0, 1] > 0.99
+    assert fitted.leave_one_out_px["camera"] < 0.5 * flat.leave_one_out_px["camera"]  # type: ignore[index]
+
+
+@pytest.mark.parametrize("level", list(Level))
+@pytest.mark.parametrize("tolerance", [None, 0.1])
+def test_normal_equations_are_those_of_the_misfit(level: Level, tolerance: float | None) -> None:
+    seen = observed(poses(3), noise_px=0.5)
+    seen[1] = replace(
+        seen[1],
+        ids=seen[1].ids[5:20],
+        camera_px=seen[1].camera_px[5:20],
+        projector_px=seen[1].projector_px[5:20],
+    )
+    start = truth_of(poses(3))
+    start.camera[9:], start.projector[9:] = (0.3, -0.2, 0.1), (-0.1, 0.2, 0.4)
+    problem = Problem(tuple(seen), Model(level, BOARD.points() + 0.02, tolerance), 0.3)
+    vector = problem.pack(start)
+    slopes = np.empty((len(problem.misfit(vector)), len(vector)))
+    for column in range(len(vector)):
+        step = np.zeros_like(vector)
+        step[column] = 1e-6 * max(abs(vector[column]), 1.0)
+        change = problem.misfit(vector + step) - problem.misfit(vector - step)
+        slopes[:, column] = change / (2 * step[column])
+    residuals = problem.misfit(vector)
+    for limit in (np.inf, 0.5):
+        weight = np.minimum(1.0, limit / np.abs(residuals)) if np.isfinite(limit) else np.ones_like(residuals)
+        normal, gradient = problem.normal_equations(vector, limit)
+        scale = np.sqrt(np.diag(normal))
+        expected = slopes.T @ (weight[:, None] * slopes)
+        np.testing.assert_allclose(
+            normal / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-5
+        )
+        size = np.linalg.norm(np.sqrt(weight) * residuals)
+        np.testing.assert_allclose(
+            gradient / scale, slopes.T @ (weight * residuals) / scale, atol=1e-5 * size
+        )
+
+
+@pytest.mark.parametrize("tolerance", [None, pytest.param(0.05, marks=pytest.mark.slow)])
+def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | None) -> None:
+    """40 repeats with fresh noise and, where it is free, a freshly bent board."""
+    held, start, pulls, distances = poses(6), truth_of(poses(6)), [], []
+    expected = values(Calibration(CAMERA, SQUARE, PAIR, {}))
+    model = Model(Level.TANGENTIAL, BOARD.points(), tolerance)
+    for seed in range(40):
+        bend = np.random.default_rng([7, seed]).normal(0, tolerance or 0, (52, 3))
+        seen = observed(held, noise_px=0.05, points=BOARD.points() + bend, seed=seed)
+        solution = fit(seen, start, model)
+        known = uncertainty(seen, solution, model)
+        found = np.concatenate([solution.camera[:8], solution.projector[:8], solution.T_projector_camera])
+        error = found - [expected[name] for name in known.names]
+        pair = known.covariance[-3:, -3:]
+        along = PAIR.translation / np.linalg.norm(PAIR.translation)
+        baseline = np.linalg.norm(solution.T_projector_camera[3:]) - np.linalg.norm(PAIR.translation)
+        wanted = [f"{d}.{t}" for d in ("camera", "projector") for t in ("fx", "fy", "cx", "cy")]
+        pulls += [(found[known.names.index(n)] - expected[n]) / known.sigma[n] for n in wanted]
+        pulls.append(baseline / np.sqrt(along @ pair @ along))
+        distances.append(error @ np.linalg.solve(known.covariance, error))
+    assert np.mean(np.abs(pulls) < 3) >= 0.95
+    assert 0.85 < np.sqrt(np.mean(np.square(pulls))) < 1.15
+    # Of chi squared with 22 degrees of freedom the mean of 40 has a standard deviation of 1.05.
+    assert 22 - 4.2 < np.mean(distances) < 22 + 4.2
+
+
+# Real captures
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
+def test_real_captures_are_characterised() -> None:
+    plan, target = Plan.load("plan_slstudio_board"), Target.load("target_slstudio")
+    observations = []
+    for name in ("calseq1", "calseq2", "calseq3", "calseq4", "calseq5"):
+        frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
+        decoded = decode(frames, plan, (1824, 1140))
+        periods = finest_periods(plan, (1824, 1140))
+        observations.append(observe(name, np.mean(frames[:3], axis=0), decoded, target, periods))
+    assert [len(o.ids) for o in observations] == [117] * 5
+    found = characterise(observations, target, (1688, 1352), (1824, 1140))
+    assert found.left_out == {}
+    assert found.apart_px["camera"] < 0.243
+    assert found.apart_px["projector"] < 0.257
+    assert found.apart_px["stereo"] < 0.302
+    assert found.calibration.rms_px["camera"] < 0.075
+    assert found.calibration.rms_px["projector"] < 0.075
+    assert len(found.rejected) < 20
+    assert any("camera's image: upper left, left, lower left" in w for w in found.warnings)
+    assert found.leave_one_out_px is not None
+    assert found.leave_one_out_px["camera"] < 0.15
+    assert found.leave_one_out_px["projector"] < 0.16
+    assert found.calibration.camera.matrix[0, 0] == pytest.approx(2191.7, abs=2)
+    assert found.calibration.baseline_mm == pytest.approx(166.2, abs=0.4)
+    flat = characterise(observations, target, (1688, 1352), (1824, 1140), level="auto", refine_board=False)
+    assert flat.calibration.rms_px["camera"] < 0.26
+    assert flat.calibration.rms_px["projector"] < 0.30
+    assert flat.leave_one_out_px is not None
+    assert flat.leave_one_out_px["camera"] < 0.33
+    assert flat.leave_one_out_px["projector"] < 0.40

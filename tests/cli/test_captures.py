@@ -1,0 +1,160 @@
+"""Captures of a real LightCrafter 4500 and one camera, from images to characterisation and cloud."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Observation, characterise, finest_periods, observe
+from fpplab.core.conventions import Floats
+from fpplab.pipeline import decode_session, mean_image
+from fpplab.reconstruction.triangulation import triangulate
+from fpplab.sessions.session import Session, recorded_sessions
+from fpplab.targets import Target
+from tests.cli.conftest import Command
+
+
+@pytest.fixture(scope="module")
+def calibration(
+    fpplab: Command, captures: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict]:  # type: ignore[type-arg]
+    """The five board poses imported and characterised."""
+    folder = tmp_path_factory.mktemp("captures")
+    for k in range(1, 6):
+        done = fpplab(
+            "import", captures / f"calseq{k}", "--plan", "plan_slstudio_board", "--frames", "{index:02d}.png",
+            "--out", folder / "board" / f"calseq{k}", "--json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        assert done.json["frames"] == 12
+    done = fpplab(
+        "characterise", folder / "board", "--target", "target_slstudio", "--out", folder / "c.yaml", "--json"
+    )
+    assert done.code == 0, done.err
+    return folder / "c.yaml", done.json
+
+
+def test_five_poses_are_characterised(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
+    _, found = calibration
+    assert found["poses"] == 5
+    assert not found["left_out"]
+    assert found["camera"]["rms_px"] <= 0.10
+    assert found["projector"]["rms_px"] <= 0.11
+    assert found["stereo_rms_px"] <= 0.36
+    assert found["joint_rms_px"] <= 0.11
+    assert max(found["leave_one_out"].values()) <= 0.20
+    assert found["model"] == "tangential"
+    assert [m["model"] for m in found["models"]] == ["k1", "k2", "tangential", "k3", "rational"]
+    assert 0 < found["rejected"] < 20
+    assert len(found["warnings"]) == 1
+
+
+@pytest.mark.slow
+def test_a_board_taken_as_flat(fpplab: Command, calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
+    folder = calibration[0].parent
+    done = fpplab(
+        "characterise", folder / "board", "--target", "target_slstudio", "--out", folder / "flat.yaml",
+        "--flat-board", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert done.json["model"] == "k1"
+    assert [m["model"] for m in done.json["models"]] == ["k1", "k2", "tangential", "k3", "rational"]
+    assert done.json["leave_one_out"]["camera_px"] <= 0.33
+    assert done.json["leave_one_out"]["projector_px"] <= 0.40
+    assert "warning: no point of a board lay in this part of the camera's image" in done.err
+    page = (folder / "flat.html").read_text()
+    assert "k1: distortion k1" in page
+    assert "point 109 lies" in page
+
+
+@pytest.mark.slow
+def test_a_pose_left_out_is_measured_as_the_board(calibration: tuple[Path, dict]) -> None:  # type: ignore[type-arg]
+    """The board's points of each pose, triangulated by devices that never saw it, on the board's shape."""
+    sessions, target = recorded_sessions([calibration[0].parent / "board"]), Target.load("target_slstudio")
+    observations = [observed(session, target) for session in sessions]
+    (width, height, _), (projector, _) = sessions[0].format, sessions[0].projector()
+    for held in observations:
+        others = [o for o in observations if o is not held]
+        found = characterise(others, target, (width, height), projector)
+        assert rigid_rms(triangulated(held, found.calibration), found.board[held.ids]) <= 0.06, held.name
+
+
+def observed(session: Session, target: Target) -> Observation:
+    periods = finest_periods(session.plan, session.projector()[0])
+    return observe(session.path.name, mean_image(session), decode_session(session), target, periods)
+
+
+def triangulated(seen: Observation, calibration: Calibration) -> Floats:
+    """Points (K, 3) in mm. Each is the only pixel of a camera that is cut out of the real one around it."""
+    points = []
+    for pixel, coordinate in zip(seen.camera_px, seen.projector_px, strict=True):
+        matrix = calibration.camera.matrix.copy()
+        matrix[:2, 2] -= pixel
+        cut = replace(calibration, camera=replace(calibration.camera, size=(1, 1), matrix=matrix))
+        u, v = (np.full((1, 1), value, np.float32) for value in coordinate)
+        maps = SimpleNamespace(u=u, v=v, sigma=np.full((1, 1), 0.1, np.float32), v_per_u=1.0)
+        points.append(triangulate(maps, cut, normals=False).points[0])
+    return np.array(points, np.float64)
+
+
+def rigid_rms(points: Floats, onto: Floats) -> float:
+    """RMS distance in mm after the best rotation and translation."""
+    _, left = Rotation.align_vectors(onto - onto.mean(axis=0), points - points.mean(axis=0))
+    return float(left / np.sqrt(len(points)))
+
+
+@pytest.mark.slow
+def test_a_twin_becomes_the_rig_of_the_captures(
+    fpplab: Command,
+    calibration: tuple[Path, dict],  # type: ignore[type-arg]
+    tmp_path: Path,
+) -> None:
+    """The first two epochs: geometry by points, and light.
+
+    Of the three poses at like depths: the focus is matched later, and poses apart would seem refocused.
+    """
+    board = calibration[0].parent / "board"
+    done = fpplab(
+        "match", "--twin", "rig_slstudio",
+        *(word for k in (3, 4, 5) for word in ("--reference", board / f"calseq{k}")),
+        "--out", tmp_path / "matched", "--epochs", 2, "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    poses = done.json["poses"]
+    assert [one["pose"] for one in poses] == [f"calseq{k}" for k in (3, 4, 5)]
+    assert all(abs(one["epsilon_d_px_after"]) <= 0.1 for one in poses)
+    before, after = done.json["rows"]
+    assert after["ssim_board"] >= max(0.87, before["ssim_board"] + 0.04)
+    assert after["ssim"] >= before["ssim"]
+    assert abs(after["epsilon_d_px"]) <= 0.06
+    page = (tmp_path / "matched" / "report.html").read_text()
+    assert page.count("Images of calseq") >= len(poses)
+
+
+def test_the_skull_is_reconstructed(
+    fpplab: Command,
+    captures: Path,
+    calibration: tuple[Path, dict],  # type: ignore[type-arg]
+    tmp_path: Path,
+) -> None:
+    from fpplab.clouds import load_cloud, local_quadric_distance
+
+    skull = tmp_path / "skull"
+    done = fpplab(
+        "import", captures / "skull_2x3", "--plan", "plan_slstudio_skull", "--frames", "{index:02d}.png",
+        "--out", skull, "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    done = fpplab(
+        "reconstruct", skull, "--calibration", calibration[0], "--out", skull / "cloud.ply", "--json"
+    )
+    assert done.code == 0, done.err
+    assert done.json["points"] >= 380_000
+    distance = local_quadric_distance(load_cloud(skull / "cloud.ply"))
+    assert np.nanmedian(np.abs(distance)) <= 0.12

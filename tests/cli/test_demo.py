@@ -1,0 +1,159 @@
+"""The demonstration, and every command on what it leaves."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.cli.conftest import Command, Demo
+
+COMPARED = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "completeness"}
+ARTEFACTS = ("pyramid", "pillars", "steps")
+
+
+def test_demo_answers_every_key_of_the_design(demo: Demo) -> None:
+    keys = {"gamma", "characterisation", "scans", "mean_surface_smcd_um", "seconds", "report"}
+    assert keys <= demo.answer.keys()
+    scan_keys = {"artefact", "images", "points", "surface_rms_um", *COMPARED}
+    for scan in demo.answer["scans"]:
+        assert scan_keys <= scan.keys()
+    assert [s["artefact"] for s in demo.answer["scans"]] == list(ARTEFACTS)
+
+
+def test_demo_characterises_and_measures_truly(demo: Demo) -> None:
+    found = demo.answer["characterisation"]
+    assert found["camera"]["rms_px"] <= 0.06
+    assert found["projector"]["rms_px"] <= 0.08
+    for scan in demo.answer["scans"]:
+        assert scan["surface_rms_um"] <= 60.0, scan
+        assert scan["completeness"] >= 0.9, scan
+        assert scan["smcd_um"] >= scan["smcd_floor_um"] > 0
+
+
+def test_demo_finds_the_response_that_the_world_has(demo: Demo) -> None:
+    gamma = demo.answer["gamma"]
+    assert gamma["g"] == pytest.approx(1.0, abs=max(0.01, 3 * gamma["sigma"][2]))
+
+
+def test_demo_report_stands_alone(demo: Demo) -> None:
+    page = Path(demo.answer["report"]).read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") >= 24
+    assert "http://" not in page
+    assert "https://" not in page
+    for name in ARTEFACTS:
+        assert name in page
+
+
+def test_demo_refuses_to_replace_without_force(fpplab: Command, demo: Demo) -> None:
+    again = fpplab("demo", "--quick", "--json", "--out", demo.folder)
+    assert again.code == 2
+    assert "--force" in again.json["error"]
+
+
+def test_decode_gives_maps(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    done = fpplab("decode", demo.folder / "pyramid", "--out", tmp_path / "x.npz", "--json")
+    assert done.code == 0, done.err
+    maps = np.load(tmp_path / "x.npz")
+    assert {"u", "v", "modulation", "sigma"} <= set(maps.files)
+    assert maps["u"].dtype == np.float32
+    assert int(np.isfinite(maps["u"]).sum()) == done.json["valid"] > 1000
+
+
+@pytest.mark.parametrize(
+    "suffix", [".ply", *(pytest.param(other, marks=pytest.mark.slow) for other in (".xyz", ".npz"))]
+)
+def test_reconstruct_again_gives_the_scan_s_points(
+    fpplab: Command, demo: Demo, tmp_path: Path, suffix: str
+) -> None:
+    out = tmp_path / f"cloud{suffix}"
+    calibration = demo.folder / "calibration.yaml"
+    done = fpplab("reconstruct", demo.folder / "steps", "--calibration", calibration, "--out", out, "--json")
+    assert done.code == 0, done.err
+    assert done.json["points"] == demo.answer["scans"][2]["points"]
+    again = fpplab("reconstruct", demo.folder / "steps", "--calibration", calibration, "--out", out, "--json")
+    assert again.code == 2
+
+
+def test_compare_gives_the_demo_s_figures(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    scan = demo.folder / "pyramid"
+    picture = tmp_path / "errors.png"
+    done = fpplab("compare", scan / "cloud.ply", scan / "truth.stl", "--align", "--out", picture, "--json")
+    assert done.code == 0, done.err
+    assert {"surface_rms_um", "surface_p95_um", "outliers", *COMPARED} <= done.json.keys()
+    expected = demo.answer["scans"][0]["surface_rms_um"]
+    assert done.json["surface_rms_um"] == pytest.approx(expected, rel=0.02)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_characterise_from_recorded_sessions(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    out = tmp_path / "again.yaml"
+    done = fpplab("characterise", demo.folder / "board", "--target", "target_paper", "--out", out, "--json")
+    assert done.code == 0, done.err
+    keys = {"camera", "projector", "joint_rms_px", "leave_one_out", "poses", "points"}
+    assert keys <= done.json.keys()
+    assert out.read_text() == (demo.folder / "calibration.yaml").read_text()
+
+
+@pytest.mark.slow
+def test_a_session_without_its_board_is_named_and_left_out(
+    fpplab: Command, demo: Demo, tmp_path: Path
+) -> None:
+    poses = tmp_path / "poses"
+    shutil.copytree(demo.folder / "board", poses)
+    blank = poses / "pose_00"
+    shutil.rmtree(blank)
+    card = _scan_of_nothing(fpplab, demo, blank)
+    assert card.code == 0, card.err
+    done = fpplab("characterise", poses, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json")
+    assert done.code == 0, done.err
+    assert list(done.json["left_out"]) == ["pose_00"]
+    assert "left out: pose_00" in done.err
+
+
+@pytest.mark.slow
+def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    sessions = [tmp_path / f"none_{k}" for k in range(3)]
+    assert _scan_of_nothing(fpplab, demo, sessions[0]).code == 0
+    for copy in sessions[1:]:
+        shutil.copytree(sessions[0], copy)
+    done = fpplab(
+        "characterise", *sessions, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json"
+    )
+    assert done.code == 5
+    assert "(none_0 and 2 more: the board was not found in the picture)" in done.json["error"]
+    assert not (tmp_path / "c.yaml").exists()
+
+
+def _scan_of_nothing(fpplab: Command, demo: Demo, out: Path):  # type: ignore[no-untyped-def]
+    return fpplab(
+        "scan", "--rig", "rig_demo_quick", "--plan", "plan_board", "--item", "grey_card",
+        "--calibration", demo.folder / "calibration.yaml", "--out", out, "--json",
+    )  # fmt: skip
+
+
+def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    rig = {
+        "name": "replay",
+        "bench": {"backend": "fpplab.sessions.replay:Recording", "session": str(demo.folder / "pillars")},
+        "camera": {"backend": "fpplab.sessions.replay:ReplayCamera"},
+        "projector": {"backend": "fpplab.sessions.replay:ReplayProjector"},
+    }
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    done = fpplab(
+        "scan", "--rig", tmp_path / "rig.yaml", "--calibration", demo.folder / "calibration.yaml",
+        "--out", tmp_path / "again", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert {"points", "images", "seconds", "cloud"} <= done.json.keys()
+    assert done.json["points"] == demo.answer["scans"][1]["points"]
+
+
+def test_view_writes_a_recording(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
+    out = tmp_path / "s.rrd"
+    done = fpplab("view", demo.folder / "pyramid", "--out", out, "--json")
+    assert done.code == 0, done.err
+    assert out.stat().st_size > 100_000

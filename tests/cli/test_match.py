@@ -1,0 +1,80 @@
+"""`fpplab match` as a user runs it: a small hidden bench, and a nominal twin of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpplab.core import config
+from fpplab.devices.rig import Rig
+from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.pipeline import take_poses
+from tests.cli.conftest import Command
+
+PLAN = Plan(
+    fringes=tuple(
+        FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 48)
+    )
+)
+POSES = 4
+
+pytestmark = pytest.mark.slow
+
+
+def small(name: str, folder: Path) -> Path:
+    """A rig that comes with fpplab, at an eighth of the sensor's pixels along each side."""
+    found = config.find(name)
+    data = config.parse(config.read_text(found), found)
+    data["bench"]["binning"] = 8
+    path = folder / found.name
+    path.write_text(config.to_yaml(data))
+    return path
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hidden")
+    with Rig.load(small("rig_hidden", folder)) as rig:
+        take_poses(rig, PLAN, "board", POSES, folder / "board", force=False)
+    return folder / "board"
+
+
+def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    twin, out = small("rig_twin", tmp_path), tmp_path / "matched"
+    done = fpplab(
+        "match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--view", "--json",
+        env={"DISPLAY": "", "WAYLAND_DISPLAY": ""},
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert "Watch it at http://127.0.0.1:" in done.err
+    assert "epoch 2, light: loss" in done.err
+    answer = done.json
+    assert {"ssim", "epsilon_d_px", "loss", "epochs", "gamma"} <= answer.keys()
+    assert answer["epochs"] == 2
+    first, last = answer["rows"]
+    assert last["loss_board"] < first["loss_board"]
+    poses = answer["poses"]
+    assert [one["pose"] for one in poses] == [path.name for path in sorted(board.iterdir())]
+    for when, row in (("before", first), ("after", last)):
+        assert np.mean([one[f"ssim_board_{when}"] for one in poses]) == pytest.approx(row["ssim_board"])
+        assert all(abs(one[f"epsilon_d_px_{when}"]) < 0.1 for one in poses)
+    epochs = [json.loads(line) for line in (out / "match.jsonl").read_text().splitlines()]
+    assert [e["step"] for e in epochs] == ["start", "points", "light"]
+    assert "paper" in (out / "report.html").read_text()
+    with Rig.load(out / "rig.yaml") as rig:
+        assert rig.camera.caps.size == (684, 456)
+        assert rig.fixture is not None
+        assert rig.fixture.caps.items["board"] == POSES
+    again = fpplab("match", "--twin", twin, "--reference", board, "--out", out, "--json")
+    assert again.code == 2
+    assert "exists already" in again.json["error"]
+
+
+def test_a_twin_of_another_camera_is_refused(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    done = fpplab("match", "--twin", "rig_twin", "--reference", board, "--out", tmp_path / "no", "--json")
+    assert done.code == 2
+    assert "684 x 456 pixels, the twin's 1368 x 912" in done.json["error"]
+    assert not (tmp_path / "no").exists()

@@ -1,0 +1,35 @@
+"""A person as a fixture, at the other end of a pseudo-terminal."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+
+import pytest
+
+from fpplab.core.errors import DeviceError
+from fpplab.devices.operator import Operator
+
+
+def test_a_person_is_asked_for_item_and_pose(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand, terminal = os.openpty()
+    with open(terminal, encoding="utf-8") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        os.write(hand, b"\n\n")
+        with Operator("fixture", {}) as operator:
+            operator.mount("board", 2)
+            operator.mount("pyramid")
+            assert operator.pose("pyramid") is None
+    os.close(hand)
+    asked = capsys.readouterr().err
+    assert "Put board in pose 3 in front of the rig" in asked
+    assert "Put pyramid" in asked
+
+
+def test_without_a_terminal_there_is_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    with pytest.raises(DeviceError, match="nobody at the terminal; run this command in a terminal"):
+        Operator("fixture", {}).open()

@@ -1,0 +1,117 @@
+"""Rig files: what they open, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fpplab.core.errors import ConfigError, DeviceError
+from fpplab.devices import State
+from fpplab.devices.rig import Rig
+from tests.conformance import reference
+from tests.conformance.reference import ReferenceBench
+
+GOOD = """
+name: test
+bench: {backend: "tests.conformance.reference:ReferenceBench"}
+camera: {backend: "tests.conformance.reference:ReferenceCamera", bits: 12, gain_db: 3}
+projector: {backend: "tests.conformance.reference:ReferenceProjector"}
+stage: {backend: "tests.conformance.reference:ReferenceStage"}
+"""
+
+
+def rig_of(text: str, tmp_path: Path) -> Rig:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    return Rig.load(path)
+
+
+def test_a_rig_opens_what_its_file_names_and_closes_it(tmp_path: Path) -> None:
+    with rig_of(GOOD, tmp_path) as rig:
+        devices = [rig.camera, rig.projector, rig.stage]
+        assert [d.state for d in devices if d] == [State.IDLE] * 3
+        assert [d.name for d in devices if d] == ["camera", "projector", "stage"]
+        assert rig.fixture is None
+        settings = rig.camera_settings(0.05)
+        assert (settings.exposure_s, settings.gain_db, settings.bits) == (0.05, 3.0, 12)
+    assert [d.state for d in devices if d] == [State.CLOSED] * 3
+
+
+def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
+    with rig_of(GOOD, tmp_path) as rig:
+        described = rig.described()
+    assert described["resolved"] == {
+        "camera": {"model": "reference", "size": [48, 32]},
+        "projector": {"model": "reference", "size": [24, 16], "lattice": "diamond"},
+    }
+    assert described["camera"]["bits"] == 12
+    assert "fixture" not in described
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("name: test", "", "'name' is missing"),
+        ("name: test", "name: test\nlaser: {}", "unknown key 'laser'"),
+        ("bits: 12", "bits: 11", "'camera.bits' is 11: should be 8, 10, 12 or 16"),
+        ("bits: 12", "bits: '12'", "'camera.bits' is '12'"),
+        ("reference:ReferenceStage", "reference.ReferenceStage", "'stage.backend' is 'tests"),
+        ("reference:ReferenceStage", "reference:Nothing", "'stage.backend' is .* has no Nothing"),
+        ("reference:ReferenceStage", "nowhere:Stage", r"'stage.backend' is .* cannot be loaded \(No module"),
+        ("reference:ReferenceStage", "reference:ReferenceCamera", "'stage.backend' is .*: not a stage"),
+        ("reference:ReferenceStage", "reference:replace", "'stage.backend' is .*: not a stage"),
+        ('ReferenceStage"}', 'ReferenceStage", speed: 3}', "'stage' has no option 'speed'"),
+    ],
+)
+def test_a_wrong_file_is_refused(tmp_path: Path, old: str, new: str, complaint: str) -> None:
+    assert GOOD.count(old) == 1
+    with (
+        pytest.raises(ConfigError, match=rf"rig\.yaml: {complaint}"),
+        rig_of(GOOD.replace(old, new), tmp_path),
+    ):
+        pass
+
+
+def test_a_device_that_does_not_open_closes_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[str] = []
+    for name in ("ReferenceBench.close", "ReferenceCamera._close", "ReferenceProjector._close"):
+        monkeypatch.setattr(f"{reference.__name__}.{name}", lambda self, name=name: closed.append(name))
+
+    def broken(self: object) -> None:
+        raise OSError("no answer")
+
+    monkeypatch.setattr(reference.ReferenceStage, "_open", broken)
+    with pytest.raises(DeviceError, match="stage: open: OSError: no answer"), rig_of(GOOD, tmp_path):
+        pass
+    assert closed == ["ReferenceProjector._close", "ReferenceCamera._close", "ReferenceBench.close"]
+
+
+def test_a_device_that_cannot_be_made_safe_does_not_keep_the_others_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: object) -> None:
+        raise OSError("stuck")
+
+    monkeypatch.setattr(reference.ReferenceProjector, "_close", broken)
+    rig = rig_of(GOOD, tmp_path)
+    with pytest.raises(DeviceError, match="projector: close: OSError: stuck"), rig:
+        assert rig.camera.state is State.IDLE
+    assert str(rig.camera.state) == str(rig.projector.state) == "closed"
+
+
+def test_files_are_looked_for_beside_the_rig_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(ReferenceBench, "open", lambda self: seen.append(self.options["world"]))
+    monkeypatch.setattr(ReferenceBench, "close", lambda self: None)
+    (tmp_path / "here.yaml").write_text("")
+    for name in ("here.yaml", "elsewhere.yaml"):
+        text = GOOD.replace('ReferenceBench"', f'ReferenceBench", world: {name}')
+        rig = rig_of(text, tmp_path)
+        monkeypatch.setattr(reference.ReferenceProjector, "_close", lambda self: None)
+        monkeypatch.setattr(reference.ReferenceCamera, "_close", lambda self: None)
+        with rig:
+            pass
+    assert seen == [str((tmp_path / "here.yaml").resolve()), "elsewhere.yaml"]

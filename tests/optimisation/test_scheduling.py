@@ -1,0 +1,165 @@
+"""Measuring by several processes: the same as by one, whatever happens to them."""
+
+from __future__ import annotations
+
+import mmap
+import socket
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab.core.errors import DeviceError, LimitError
+from fpplab.optimisation import scheduling
+from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate_runner import Lab, Spent
+from fpplab.optimisation.methods.coordinate import coordinates
+from fpplab.optimisation.scheduling import Cluster, Here, Opener, Task, Workers, workers_of
+from fpplab.optimisation.space import Space
+from fpplab.optimisation.storage import Journal, Outcome
+from tests.support.searching import LIMITS, Formula, study
+
+TASKS: list[Task] = [
+    (Candidate((Fringes("x", 1.0, 3), Fringes("x", 4.0 + k, 3 + k)), 0.02), seed)
+    for k in range(4)
+    for seed in (1, 2)
+]
+IMAGES, IMAGE_BYTES = 60, 3_000_000
+
+
+def measured(workers: Workers, tasks: list[Task]) -> dict[int, Outcome]:
+    found: dict[int, Outcome] = {}
+    workers.measure(tasks, found.__setitem__)
+    return found
+
+
+@pytest.fixture(scope="module")
+def pair() -> Iterator[Cluster]:
+    cluster = Cluster(Formula(noise_um=2.0), workers=2)
+    yield cluster
+    cluster.close()
+
+
+def opening(opener: Opener, pair: Cluster) -> Cluster:
+    """The same workers, of another rig."""
+    other = object.__new__(Cluster)
+    other._opener, other._client = opener, pair._client
+    return other
+
+
+def test_one_worker_needs_no_other_process() -> None:
+    assert isinstance(workers_of(Formula(), 1, None), Here)
+
+
+@pytest.mark.slow
+def test_two_processes_measure_what_one_does(pair: Cluster) -> None:
+    assert measured(pair, TASKS) == measured(Here(Formula(noise_um=2.0)), TASKS)
+
+
+@pytest.mark.slow
+def test_the_optimum_and_the_order_are_the_same_with_any_number(tmp_path: Path, pair: Cluster) -> None:
+    wanted, found = study(budget=30), []
+    for name, workers in (("one", Here(Formula(noise_um=2.0))), ("two", pair)):
+        space = Space.of(wanted, LIMITS, "study.yaml")
+        lab = Lab(space, workers, Journal(tmp_path / f"{name}.jsonl", wanted, {}))
+        with pytest.raises(Spent):
+            coordinates(lab, wanted.method)  # type: ignore[arg-type]
+        found.append((lab.best, lab.trials))
+    assert found[0] == found[1]
+
+
+@pytest.mark.slow
+def test_a_killed_workers_measurement_is_done_again(tmp_path: Path) -> None:
+    formula = Formula(dies_once=tmp_path / "died")
+    cluster = Cluster(formula, workers=2)
+    try:
+        found = measured(cluster, TASKS)
+    finally:
+        cluster.close()
+    assert (tmp_path / "died").exists()
+    assert found == measured(Here(Formula()), TASKS)
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Fills an array as large as an image, again and again, and scores the pages that were mapped for it."""
+
+    def __call__(self) -> Filling:
+        return self
+
+    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+        import resource  # which there is where there is glibc
+
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(IMAGES):
+            np.ones(IMAGE_BYTES, np.uint8)
+        mapped = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+        (score, _) = Formula()().measure(candidate, seed)
+        return (replace(score, points=mapped),)
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="what glibc does with memory")
+def test_memory_of_an_image_is_there_for_the_next(pair: Cluster) -> None:
+    (found,) = measured(opening(Filling(), pair), TASKS[:1]).values()
+    assert not isinstance(found, str)
+    assert found[0].points < IMAGES * IMAGE_BYTES / mmap.PAGESIZE / 10
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """A rig that fails."""
+
+    def __call__(self) -> Stuck:
+        return self
+
+    def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+        raise LimitError("stage", "move_to", "70 mm was asked for", "the travel is 0 to 60 mm")
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.slow
+def test_a_fault_of_a_rig_comes_from_its_process(pair: Cluster) -> None:
+    with pytest.raises(LimitError, match="70 mm was asked for"):
+        measured(opening(Stuck(), pair), TASKS[:1])
+
+
+def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    with pytest.raises(DeviceError, match=f"nothing answers at 'tcp://127.0.0.1:{port}'"):
+        Cluster(Formula(), address=f"tcp://127.0.0.1:{port}")
+
+
+@pytest.mark.slow
+def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+    distributed: Any = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty:
+        address = empty.scheduler_address
+        with pytest.raises(DeviceError, match=f"'{address}' has no workers"):
+            Cluster(Formula(), address=address)
+
+
+@pytest.mark.slow
+def test_workers_of_a_scheduler_elsewhere_measure(pair: Cluster) -> None:
+    elsewhere = Cluster(Formula(noise_um=2.0), address=pair._client.scheduler.address)
+    try:
+        assert measured(elsewhere, TASKS) == measured(Here(Formula(noise_um=2.0)), TASKS)
+    finally:
+        elsewhere.close()
+
+
+@pytest.mark.parametrize("address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1"])
+def test_an_address_that_is_none(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+    with pytest.raises(DeviceError, match="start one with `dask scheduler`"):
+        Cluster(Formula(), address=address)

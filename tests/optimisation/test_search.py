@@ -1,0 +1,498 @@
+"""The search: spaces, limits, methods and journals, on formulas whose optimum is known."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fpplab.core import config, errors
+from fpplab.core.errors import ConfigError, DataError, LimitError
+from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.candidate_runner import Lab, Spent
+from fpplab.optimisation.methods.bayesian import bayes
+from fpplab.optimisation.methods.coordinate import coordinates
+from fpplab.optimisation.methods.gradient import descend
+from fpplab.optimisation.methods.pareto import pareto
+from fpplab.optimisation.objectives import Figures, Judge, Trial
+from fpplab.optimisation.scheduling import Here, outcome_of
+from fpplab.optimisation.space import Parameter, Space
+from fpplab.optimisation.storage import Journal
+from fpplab.optimisation.study import Gradient, Study
+from fpplab.patterns.plan import Plan
+from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, lab_of, study, with_stage
+
+PHASES = {
+    "space": {"steps": [[3, 12], [3, 12], [3, 16]]},
+    "objectives": ["images"],
+    "constraints": {"smcd_of_start": 1.0},
+}
+FRONT = {
+    "space": {
+        "steps": [[3, 12], [3, 12], [3, 15]],
+        "stripes": [None, [2, 32], [12, 228]],
+        "stage_mm": [-60, 60],
+    },
+    "start": {"fringes": [{**fringe, "steps": 7} for fringe in FRINGES], "stage_mm": 0.0},
+    "objectives": ["surface_smcd_um", "images"],
+    "method": {"kind": "nsga2", "population": 12},
+    "constraints": {"images": 21},
+    "budget": 600,
+}
+GRADIENT = {"kind": "gradient"}
+
+
+# Candidates and plans
+
+
+def test_plan_of_a_candidate_differs_in_its_arrangement_alone() -> None:
+    like = Plan.load("plan_paper.yaml").model_copy(update={"settle_s": 0.1})
+    candidate = Candidate((Fringes("y", 1.0, 3), Fringes("y", 9.5, 4)), 0.04, stage_mm=-3.0)
+    plan = candidate.plan(like)
+    assert [(f.axis, f.stripes, f.steps) for f in plan.fringes] == [("y", 1.0, 3), ("y", 9.5, 4)]
+    assert (plan.exposure_s, plan.stage_mm, plan.settle_s) == (0.04, -3.0, 0.1)
+    assert plan.masks == like.masks
+    assert plan.images == candidate.images == 7
+
+
+# Space
+
+
+@given(
+    share=st.floats(0, 1),
+    bounds=st.tuples(st.floats(0.01, 10), st.floats(10.1, 1000)),
+    ratio=st.booleans(),
+)
+def test_a_value_and_its_share_are_one(share: float, bounds: tuple[float, float], ratio: bool) -> None:
+    parameter = Parameter("stripes[1]", "stripes", *bounds, ratio=ratio)
+    value = parameter.at(share)
+    assert parameter.holds(value)
+    slack = 0.0005 * (
+        1 / bounds[0] / math.log(bounds[1] / bounds[0]) if ratio else 1 / (bounds[1] - bounds[0])
+    )
+    assert parameter.share(value) == pytest.approx(share, abs=slack + 1e-9)
+
+
+@given(share=st.floats(0, 1))
+def test_a_stage_may_stand_in_few_places(share: float) -> None:
+    parameter = Parameter("stage_mm", "geometry", -60, 50, every=25)
+    assert parameter.at(share) in {-60, -35, -10, 15, 40, 50}
+    assert abs(parameter.at(share) - (-60 + 110 * share)) <= 12.5
+
+
+def test_start_is_the_starts_plan(tmp_path: Path) -> None:
+    space = lab_of(tmp_path, **FRONT).space
+    begin = space.candidate(space.start)
+    assert begin == Candidate(tuple(Fringes("x", float(s), 7) for s in (1, 8, 64)), 0.02, 0.0)
+
+
+def test_fewer_sets_are_the_base_and_the_last(tmp_path: Path) -> None:
+    space = lab_of(
+        tmp_path,
+        space={
+            "sets": [2, 4],
+            "steps": [None, [3, 9], None, None],
+            "stripes": [None, [2, 6], None, [12, 228]],
+        },
+    ).space
+    names = [p.name for p in space.parameters]
+    assert names == ["sets", "steps[1]", "stripes[1]", "stripes[3]"]
+    assert [f.stripes for f in space.candidate(space.start).fringes] == [1, 8, 64]
+    assert [f.stripes for f in space.candidate((2, 5, 3.0, 100.0)).fringes] == [1, 100]
+    four = space.candidate((4, 5, 3.0, 100.0)).fringes
+    assert [(f.stripes, f.steps) for f in four] == [(1, 12), (3, 5), (8, 12), (100, 12)]
+
+
+def test_axis_and_light_and_geometry_are_parameters(tmp_path: Path) -> None:
+    space = lab_of(
+        tmp_path,
+        space={"axis": ["x", "y"], "exposure_s": [0.01, 0.1], "convergence_deg": [-5, 5]},
+    ).space
+    assert [p.name for p in space.parameters] == ["axis", "exposure_s", "convergence_deg"]
+    moved = space.candidate((1, 0.05, 2.0))
+    assert {f.axis for f in moved.fringes} == {"y"}
+    assert (moved.exposure_s, moved.convergence_deg, moved.stage_mm) == (0.05, 2.0, 0.0)
+
+
+def test_what_cannot_be_shown_is_refused_with_its_reason(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, constraints={"images": 36})
+    crossed, shown = lab.measure([(30.0, 20.0), (5.0, 40.0)])
+    assert crossed.refused == "stripes along x do not grow from set to set"
+    assert shown.measured
+    assert lab.refused == {crossed.refused: 1}
+    assert crossed.candidate not in [t.candidate for t in lab.trials]
+
+
+BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
+    "empty": ({"space": {}}, "'space' leaves nothing to search"),
+    "of one point": ({"space": {"stage_mm": [0, 0]}}, "'space' leaves nothing to search"),
+    "upside down": ({"space": {"stage_mm": [5, -5]}}, "'stage_mm' is [5.0, -5.0]"),
+    "without the start": ({"space": {"stage_mm": [5, 20]}}, "does not hold the start's 0"),
+    "base searched": ({"space": {"stripes": [[0.9, 1.1], None, None]}}, "'space.stripes[0]' is the base"),
+    "base not written": ({"space": {"stripes": [[2, 32], [12, 228]]}}, "has 2 bounds for 3 sets"),
+    "beyond the projector": (
+        {"space": {"stripes": [None, None, [12, 400]]}},
+        "reaches 400, beyond rig 'Formula': 'fringes[2].stripes' is 400: at 4 projector pixels per period "
+        "at most 228 along x",
+    ),
+    "beyond the stage": (
+        {"space": {"stage_mm": [-60, 90]}},
+        "'stage_mm' is 90: the stage travels from -60 to 60 mm",
+    ),
+    "beyond the bit depth": (
+        {"space": {"exposure_s": [0.001, 0.1]}},
+        "with 8 bits from 0.008333 s, which is 120 images per second",
+    ),
+    "stripes that cannot grow": (
+        {"start": {"fringes": FRINGES[:2]}, "space": {"stripes": [None, [0.5, 0.9]]}},
+        "does not hold the start's 8",
+    ),
+    "too many images": (
+        {"space": {"steps": [[3, 12], [9, 12], [9, 12]]}, "constraints": {"images": 20}},
+        "'constraints.images' is 20, and 'space' has no plan of fewer than 21",
+    ),
+    "two objectives, one method": (
+        {"objectives": ["surface_smcd_um", "images"]},
+        "'method.kind' is 'coordinate'",
+    ),
+    "objective unknown": ({"objectives": ["beauty"]}, "'objectives[0]' is 'beauty'"),
+    "seed twice": ({"seeds": [1, 1]}, "names one twice"),
+    "places without a stage": ({"space": {"stage_every_mm": 5}}, "is given without 'stage_mm'"),
+    "no stage at the start": (
+        {"start": {"fringes": FRINGES}, "space": {"stage_mm": [-5, 5]}},
+        "'start' has no stage_mm to begin with",
+    ),
+    "foreign fringes": (
+        {"start": {"fringes": [{**FRINGES[0], "shift_sign": -1}, FRINGES[2]]}},
+        "fringes made elsewhere",
+    ),
+    "cannot be unwrapped": ({"start": {"fringes": FRINGES[1:]}}, "hierarchical unwrapping needs"),
+}
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD_SPACES.values(), ids=BAD_SPACES.keys())
+def test_contradictions_are_named(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        lab_of(tmp_path, **changes)
+    assert str(refused.value).startswith("study.yaml")
+    assert words in str(refused.value)
+
+
+def test_a_stage_is_needed_for_a_baseline(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="the rig has no stage"):
+        lab_of(tmp_path, limits=with_stage(None), space={"stage_mm": [-5, 5]})
+
+
+def test_a_study_is_for_its_rig() -> None:
+    study(rig="Formula").check_rig("Formula", "study.yaml")
+    with pytest.raises(ConfigError, match="'rig' is 'Formula', but the rig given is 'Other'"):
+        study(rig="Formula").check_rig("Other", "study.yaml")
+
+
+@pytest.mark.parametrize("name", ["phases", "stripes", "stripes_gradient", "baseline", "pareto"])
+def test_studies_that_come_along_suit_the_demonstration(name: str) -> None:
+    from fpplab.devices.rig import Rig
+    from fpplab.optimisation.limits import RigLimits
+
+    with Rig.load("rig_demo") as rig:
+        limits = RigLimits.of(rig)
+    known = Study.load(f"study_{name}")
+    space = Space.of(known, limits, name)
+    assert space.refusal(space.candidate(space.start)) is None
+    assert limits.items is not None
+    assert set(known.artefacts) <= limits.items
+
+
+def test_files_of_a_study_are_found_beside_it(tmp_path: Path) -> None:
+    plan = {"fringes": FRINGES, "filter": None}
+    (tmp_path / "mine.yaml").write_text(config.to_yaml(plan))
+    (tmp_path / "c.yaml").touch()
+    wanted = {**PLAIN, "start": "mine.yaml", "calibrations": [{"file": "c.yaml", "stage_mm": 0.0}]}
+    (tmp_path / "study.yaml").write_text(config.to_yaml(wanted))
+    known = Study.load(tmp_path / "study.yaml")
+    assert known.start == config.validate(plan, Plan, "plan")
+    assert known.start.filter is None
+    assert known.calibrations[0].file == str(tmp_path / "c.yaml")
+
+
+# Figures, limits and fronts
+
+
+def _scores(table: dict[tuple[str, int], float], **others: Any) -> tuple[Score, ...]:
+    plain: dict[str, Any] = {
+        "images": 36, "points": 9, "smcd_um": 80.0, "smcd_floor_um": 50.0, "surface_rms_um": 1.0,
+        "completeness": 0.9, "wrong_orders": 0.0, "outliers": 0.0, "seconds": 1.0,
+    }  # fmt: skip
+    return tuple(
+        Score(artefact=name, seed=seed, surface_smcd_um=um, **{**plain, **others})
+        for (name, seed), um in table.items()
+    )
+
+
+def test_figures_are_means_over_artefacts_and_seeds() -> None:
+    found = Figures.of(_scores({("a", 1): 10.0, ("b", 1): 20.0, ("a", 2): 14.0, ("b", 2): 24.0}))
+    assert found.surface_smcd_um == 17.0
+    assert found.smcd_spread_um == pytest.approx(np.std([15.0, 19.0], ddof=1))
+    assert found.worst_smcd_um == 19.0
+    assert found.worst_artefact_um == 22.0
+    assert Figures.of(_scores({("a", 1): 10.0})).smcd_spread_um is None
+
+
+def _trial(images: int, um: float, **others: Any) -> Trial:
+    scores = _scores({("a", 1): um}, images=images, **others)
+    return Trial((images,), Candidate((Fringes("x", 1.0, images),), um), scores)
+
+
+def _judge(**changes: Any) -> Judge:
+    start = Figures.of(_scores({("a", 1): 20.0}))
+    return Judge(
+        study(**{"objectives": ["surface_smcd_um", "images"], "method": {"kind": "nsga2"}, **changes}), start
+    )
+
+
+@pytest.mark.parametrize(
+    ("others", "limit"),
+    [
+        ({"wrong_orders": 0.0011}, "wrong_orders"),
+        ({"completeness": 0.85}, "completeness"),
+        ({"seconds": 1.6}, "seconds"),
+        ({"um": 20.3}, "surface_smcd_um"),
+    ],
+)
+def test_a_broken_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> None:
+    judge = _judge(constraints={"seconds": 1.5, "smcd_of_start": 1.01})
+    bad, good = _trial(3, **{"um": 0.1, **others}), _trial(36, 20.1)
+    assert [name for name, by in judge.violations(bad).items() if by > 0] == [limit]
+    assert judge.wanted(good)
+    assert not judge.wanted(bad)
+    assert judge.rank(good) < judge.rank(bad)
+    assert judge.front([bad, good]) == [good]
+
+
+def test_what_cannot_be_measured_comes_last() -> None:
+    judge = _judge()
+    failed = Trial((0.0,), Candidate((), 1.0), failed="nothing there")
+    assert judge.rank(_trial(3, 1e9, wrong_orders=1.0)) < judge.rank(failed)
+
+
+@given(st.lists(st.tuples(st.integers(3, 12), st.integers(1, 30)), min_size=1, max_size=40))
+def test_nothing_dominates_a_front_and_it_dominates_the_rest(points: list[tuple[int, int]]) -> None:
+    judge = _judge()
+    trials = [_trial(images, float(um)) for images, um in points]
+    front = judge.front(trials)
+    kept = {judge.values(t) for t in front}
+    assert len(kept) == len(front)
+    for trial in trials:
+        own = judge.values(trial)
+        better = [v for v in kept if v != own and all(a <= b for a, b in zip(v, own, strict=True))]
+        assert bool(better) != (own in kept)
+    assert [t.candidate.images for t in front] == sorted((t.candidate.images for t in front), reverse=True)
+
+
+# Methods
+
+
+def test_coordinates_find_the_stripes(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, Formula(best_stripes=100.0, noise_um=3.0))
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    # The valley is quadratic: half the finest move, 1 % of a range of log(228/12), is the most left.
+    assert abs(math.log(lab.best.candidate.fringes[-1].stripes / 100.0)) <= 0.01 * math.log(228 / 12)
+    assert lab.best.figures.wrong_orders == 0.0
+
+
+def test_coordinates_find_the_baseline(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert lab.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
+
+
+def test_what_is_searched_on_a_grid_stays_there(tmp_path: Path) -> None:
+    space = {"stage_mm": [-60, 60], "stage_every_mm": 10}
+    lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert lab.best.candidate.stage_mm == -30
+    assert {trial.candidate.stage_mm for trial in lab.trials} <= {*range(-60, 61, 10)}
+
+
+def test_coordinates_find_the_fewest_images(tmp_path: Path) -> None:
+    """Orders hold with 3 steps at ratio 8; the distance, which must not rise, is the finest set's alone."""
+    lab = lab_of(tmp_path, **PHASES)
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert [f.steps for f in lab.best.candidate.fringes] == [3, 3, 12]
+
+
+def test_orders_that_fail_stop_the_search(tmp_path: Path) -> None:
+    """With noisier orders, a ratio of 8 needs 8**2 / (4 throw)**2 steps in the coarser set: 6."""
+    lab = lab_of(tmp_path, Formula(throw=0.82), **PHASES)
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert [f.steps for f in lab.best.candidate.fringes] == [6, 6, 12]
+
+
+def test_gradient_descent_as_in_the_paper(tmp_path: Path) -> None:
+    lab = lab_of(
+        tmp_path,
+        start={"fringes": [{**f, "stripes": s} for f, s in zip(FRINGES, (1, 8, 16), strict=True)]},
+        method=GRADIENT,
+    )
+    ended = descend(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert ended == "not down by 1 for 5 epochs"
+    start, best = lab.start.figures.surface_smcd_um, lab.best.figures.surface_smcd_um
+    # Near the bottom each epoch leaves a share q of what is above it, and five gained less than 1 µm.
+    curvature = 2 * 30.0 * math.log(228 / 12) ** 2 / start
+    q = (1 - Gradient(kind="gradient").rate * curvature) ** 2
+    least = best_of(Formula(), 12)
+    assert least <= best < least + q**5 / (1 - q**5)
+    assert len(lab.epochs) > 5
+
+
+def best_of(formula: Formula, steps: int) -> float:
+    return 12.5 + 40.0 / math.sqrt(steps) + 20.0 * (formula.best_stage_mm / 60.0) ** 2
+
+
+def test_gradient_stops_when_the_gain_is_small(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, Formula(best_stripes=64.0), method={**GRADIENT, "patience": 3, "rate": 0.0001})
+    assert descend(lab, lab.space.study.method) == "not down by 1 for 3 epochs"  # type: ignore[arg-type]
+    assert len(lab.epochs) == 3
+
+
+def test_gradient_moves_steps_by_one(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, **{**PHASES, "method": GRADIENT})
+    descend(lab, lab.space.study.method)  # type: ignore[arg-type]
+    for before, after in zip([lab.start, *_steps(lab)], _steps(lab), strict=False):
+        assert max(abs(a - b) for a, b in zip(before.point, after.point, strict=True)) == 1
+    assert lab.best.candidate.images < 36
+
+
+def _steps(lab: Lab) -> list[Trial]:
+    return [epoch.trials[-1] for epoch in lab.epochs if epoch.step == "step"]
+
+
+def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, method={"kind": "bayesian", "batch": 8}, budget=64)
+    with pytest.raises(Spent):
+        bayes(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert lab.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
+    assert lab.judge.wanted(lab.best)
+
+
+@pytest.mark.slow
+def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path / "front", **FRONT)
+    pareto(lab, lab.space.study.method)  # type: ignore[arg-type]
+    front = {t.candidate.images: t.figures.surface_smcd_um for t in lab.front}
+    assert set(front) == set(range(9, 22))
+    for name in ("steps", "stripes", "stage_mm"):
+        single = lab_of(
+            tmp_path / name,
+            **{**FRONT, "space": {name: FRONT["space"][name]}, "objectives": ["surface_smcd_um"],  # type: ignore[index]
+               "method": {"kind": "coordinate"}},
+        )  # fmt: skip
+        coordinates(single, single.space.study.method)  # type: ignore[arg-type]
+        best = single.best.figures
+        assert front[best.images] <= best.surface_smcd_um
+
+
+# The journal
+
+
+def test_a_killed_search_goes_on_where_it_was(tmp_path: Path) -> None:
+    whole = lab_of(tmp_path / "whole", Formula(noise_um=2.0))
+    coordinates(whole, whole.space.study.method)  # type: ignore[arg-type]
+    journal = tmp_path / "whole" / "study.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    half = tmp_path / "half" / "study.jsonl"
+    half.parent.mkdir()
+    half.write_bytes(b"".join(lines[:21]) + lines[21][:40])  # the header, twenty, and a torn line
+    log = tmp_path / "log"
+    again = lab_of(tmp_path / "half", Formula(noise_um=2.0, log=log))
+    coordinates(again, again.space.study.method)  # type: ignore[arg-type]
+    assert half.read_bytes() == journal.read_bytes()
+    assert len(log.read_text().splitlines()) == len(lines) - 21
+    assert again.best == whole.best
+    assert [t.candidate for t in again.trials] == [t.candidate for t in whole.trials]
+
+
+def test_nothing_is_measured_twice(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    lab = lab_of(tmp_path, Formula(log=log))
+    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert len(log.read_text().splitlines()) == 2 * len(lab.trials)
+
+
+def test_a_journal_is_of_one_study(tmp_path: Path) -> None:
+    lab_of(tmp_path).start  # noqa: B018 - measured for the journal
+    with pytest.raises(ConfigError, match="'artefacts' is another"):
+        Journal(tmp_path / "study.jsonl", study(artefacts=["ball"]), {})
+    with pytest.raises(ConfigError, match="'rig' is another"):
+        Journal(tmp_path / "study.jsonl", study(), {"name": "other"})
+    assert len(Journal(tmp_path / "study.jsonl", study(budget=3, seeds=[5]), {})) == 2
+
+
+def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
+    lab_of(tmp_path).start  # noqa: B018 - measured for the journal
+    path = tmp_path / "study.jsonl"
+    path.write_text(path.read_text().replace('"points": 1000', '"points": "many"'))
+    with pytest.raises(DataError, match=r"study\.jsonl line 2: is no measurement"):
+        Journal(path, study(), {})
+
+
+def test_a_budget_is_kept(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, budget=9)
+    with pytest.raises(Spent):
+        coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+    assert 9 <= len(lab.trials) <= 9 + 6  # a round is not broken
+
+
+# What cannot be measured
+
+
+def test_a_candidate_of_which_nothing_comes_is_no_fault_of_the_rig(tmp_path: Path) -> None:
+    lab = lab_of(tmp_path, Formula(fails_at=35), space=PHASES["space"])
+    failed, fine = lab.measure([(11, 12, 12), (10, 12, 12)])
+    assert failed.failed == "no pixel could be measured"
+    assert fine.measured
+    assert lab.best.measured
+    again = lab_of(tmp_path, Formula(), space=PHASES["space"])
+    assert again.measure([(11, 12, 12)])[0].failed == failed.failed
+
+
+def test_a_score_of_nothing_is_a_failure() -> None:
+    class Blind:
+        def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+            return _scores({("pyramid", 1): float("inf")})
+
+        def close(self) -> None: ...
+
+    assert outcome_of(Blind(), Candidate((), 1.0), 1) == "nothing of the pyramid could be measured"
+
+
+def test_a_start_that_measures_nothing_ends_the_search(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="the start of the study cannot be measured"):
+        lab_of(tmp_path, Formula(fails_at=36)).start  # noqa: B018
+
+
+def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
+    class Broken:
+        def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+            raise LimitError("stage", "move_to", "stuck")
+
+        def close(self) -> None: ...
+
+    wanted = study()
+    lab = Lab(Space.of(wanted, LIMITS, "s"), Here(Broken), Journal(tmp_path / "j.jsonl", wanted, {}))
+    with pytest.raises(LimitError):
+        lab.measure([lab.space.start])
+
+
+@pytest.mark.parametrize("kind", [errors.DeviceError, errors.LimitError, errors.TimeoutError])
+def test_faults_come_whole_from_another_process(kind: type[errors.DeviceError]) -> None:
+    fault = kind("stage", "move_to", "70 mm was asked for", "the travel is 0 to 60 mm")
+    copy = pickle.loads(pickle.dumps(fault))
+    assert type(copy) is kind
+    assert (str(copy), copy.device, copy.remedy) == (str(fault), "stage", fault.remedy)

@@ -1,0 +1,289 @@
+"""The page is one file, complete, escaped, readable without its pictures, and has only what it was given."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import replace
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Pixels
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Characterisation
+from fpplab.characterisation.observation import Observation
+from fpplab.clouds import Cloud
+from fpplab.comparison import Comparison
+from fpplab.core.errors import DataError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.patterns.response import Level, Region, Response
+from fpplab.phase import Decoded, Wrapped
+from fpplab.report import ScanSection, figures, write_report
+from fpplab.report.uncertainty import caption, sigma_maps
+
+SIZE = (64, 48)
+
+
+class Page(HTMLParser):
+    """The page's images, headings, tables' cells and everything that could leave the file."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.images: list[dict[str, str | None]] = []
+        self.headings: list[str] = []
+        self.cells: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self._in = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self._in = tag
+        if tag == "img":
+            self.images.append(dict(attrs))
+        self.links += [v or "" for k, v in attrs if k in ("href", "src", "srcset", "data", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._in in ("h1", "h2"):
+            self.headings.append(data)
+        if self._in in ("td", "th"):
+            self.cells.append(data)
+
+
+def decoded(axes: str = "x") -> Decoded:
+    v, u = np.mgrid[0.0 : SIZE[1], 0.0 : SIZE[0]].astype(np.float32)
+    empty = np.full_like(u, np.nan)
+    maps = [2 * u if "x" in axes else empty, 3 * v if "y" in axes else empty, 50 + u, 0.02 + 0 * u]
+    for values in maps:
+        values[:10] = np.nan
+    return Decoded(*maps)
+
+
+def cloud() -> Cloud:
+    v, u = np.mgrid[10 : SIZE[1], 0 : SIZE[0]]
+    points = np.stack([0.5 * u, 0.5 * v, 400 + 0.01 * u], axis=-1).reshape(-1, 3).astype(np.float32)
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.int32)
+    sigma = np.full(len(points), 0.0125, np.float32)
+    return Cloud(points, pixels, SIZE, sigma_noise_mm=sigma)
+
+
+def comparison(points: int) -> Comparison:
+    distances = np.random.default_rng(2).normal(0, 0.04, points).astype(np.float32)
+    return Comparison(
+        smcd_um=212.4,
+        smcd_floor_um=187.6,
+        surface_smcd_um=45.67,
+        surface_rms_um=57.89,
+        surface_p95_um=110.2,
+        completeness=0.934,
+        outliers=12,
+        visible_share=0.81,
+        points=points,
+        beside=0,
+        density_per_mm2=200.0,
+        outlier_mm=1.0,
+        near_mm=0.5,
+        restricted=True,
+        alignment=None,
+        distances_mm=distances,
+        counted=np.ones(points, np.bool_),
+    )
+
+
+def scan(name: str = "pyramid", axes: str = "x", truth: bool = True) -> ScanSection:
+    frame = np.random.default_rng(1).integers(0, 200, (SIZE[1], SIZE[0])).astype(np.uint8)
+    flat = np.zeros((SIZE[1], SIZE[0]), np.float32)
+    wrapped = Wrapped(flat + 1, flat + 50, flat + 100, flat, flat + 200)
+    points = cloud()
+    return ScanSection(
+        name, 36, frame, wrapped, decoded(axes), points, comparison(len(points)) if truth else None
+    )
+
+
+def characterisation() -> Characterisation:
+    rng = np.random.default_rng(4)
+    device = Pinhole.from_focal(SIZE, (80.0, 81.0), (31.0, 23.0))
+    pose = RigidTransform(np.eye(3), np.array([-120.0, 0, 0]))
+    calibration = Calibration(device, device, pose, {"camera": 0.0421, "projector": 0.0604, "joint": 0.0511})
+    observations = tuple(
+        Observation(name, np.arange(9), rng.uniform(5, 40, (9, 2)), rng.uniform(5, 40, (9, 2)))
+        for name in ("pose_00", "pose_01", "pose_02")
+    )
+    residuals = tuple(rng.normal(0, 0.05, (9, 2)) for _ in observations)
+    return Characterisation(
+        calibration=calibration,
+        observations=observations,
+        poses=(RigidTransform.identity(),) * 3,
+        camera_residuals=residuals,
+        projector_residuals=residuals,
+        apart_px={"camera": 0.05, "projector": 0.07, "stereo": 0.08},
+        leave_one_out_px={"camera": 0.0733, "projector": 0.0844},
+        board=np.zeros((9, 3)),
+        left_out={"pose_03": "pose_03: the board was not found in the picture"},
+        sigma={"camera.fx": 0.3},
+    )
+
+
+def response() -> tuple[Response, Any]:
+    levels = np.linspace(0, 1, 9)
+    fitted = Response(a=0.9, b=0.02, g=2.2, sigma=(0.001, 0.002, 0.003), residual=0.004, levels=9)
+    return fitted, np.stack([levels, fitted.apply(levels)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(
+        path,
+        "Demonstration <b>1</b>",
+        facts={"Rig": "Bench & twin"},
+        response=response(),
+        characterisation=characterisation(),
+        scans=[scan("pyramid"), scan("steps", "xy")],
+        when=datetime(2026, 3, 4, 15, 30, tzinfo=UTC),
+    )
+    return path
+
+
+def test_nothing_leaves_the_file(full: Path) -> None:
+    page = Page(full)
+    assert not {"script", "link", "iframe", "object", "form"} & set(page.tags)
+    assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
+    text = full.read_text(encoding="utf-8")
+    assert "url(" not in text
+    assert "@import" not in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_every_picture_is_a_png_with_words(full: Path) -> None:
+    page = Page(full)
+    # response; poses, two residuals, two coverages, epipolar; seven and eight maps with an error map each
+    assert len(page.images) == 1 + 6 + 8 + 9
+    for image in page.images:
+        assert image["alt"]
+        data = base64.b64decode((image["src"] or "").split(",")[1], validate=True)
+        picture = Pixels.open(io.BytesIO(data))
+        assert picture.format == "PNG"
+        assert picture.width <= 1600
+
+
+def test_the_figures_come_first(full: Path) -> None:
+    text = full.read_text(encoding="utf-8")
+    assert text.index("Surface RMS") < text.index("<img")
+    cells = Page(full).cells
+    for figure in (
+        "57.9",
+        "110",
+        "45.7",
+        "212",
+        "188",
+        "93.4\u202f%",
+        "2\u202f432",
+        "0.042",
+        "0.060",
+        "0.073",
+        "0.084",
+    ):
+        assert figure in cells
+    assert "12 (0.493\u202f%)" in cells
+    assert "80.0 ± 0.3 / 81.0" in cells
+
+
+def test_text_is_escaped_and_dated(full: Path) -> None:
+    text = full.read_text(encoding="utf-8")
+    assert "Demonstration &lt;b&gt;1&lt;/b&gt;" in text
+    assert "Bench &amp; twin" in text
+    assert "2026-03-04 15:30 UTC" in text
+
+
+def test_sections_in_their_order(full: Path) -> None:
+    assert Page(full).headings[1:] == ["Response", "Characterisation", "Pyramid", "Steps"]
+    assert "pose_03: the board was not found in the picture" in Page(full).cells
+
+
+def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
+    path = tmp_path / "scan.html"
+    write_report(path, "Scan", scans=[scan(truth=False)])
+    page = Page(path)
+    assert page.headings[1:] == ["Pyramid"]
+    assert len(page.images) == 7
+    assert "Roughness in µm" in page.cells
+    assert "12.5" in page.cells
+    assert "SMCD in µm" not in page.cells
+
+
+def test_the_caption_says_what_moves_the_whole_cloud() -> None:
+    noise = cloud()
+    assert "nothing of its own uncertainty" in caption(noise)
+    both = replace(noise, sigma_calibration_mm=np.full(len(noise), 0.03, np.float32))
+    assert "common to all points" in caption(both)
+    assert "median 32.5 µm" in caption(both)  # √(12.5² + 30²)
+    narrow, wide = (Pixels.open(io.BytesIO(sigma_maps(c))).width for c in (noise, both))
+    assert wide == pytest.approx(2 * narrow, rel=0.02)
+
+
+def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) -> None:
+    bare = replace(cloud(), sigma_noise_mm=None)
+    with pytest.raises(DataError, match="nothing to draw"):
+        sigma_maps(bare)
+    path = tmp_path / "scan.html"
+    write_report(path, "Scan", scans=[replace(scan(truth=False), cloud=bare)])
+    assert len(Page(path).images) == 6
+
+
+def test_only_points_that_count_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def drawn(*given: Any) -> bytes:
+        seen.append(given)
+        return b""
+
+    monkeypatch.setattr(figures, "error_map", drawn)
+    one = scan()
+    assert one.comparison is not None
+    one.comparison.counted[:5] = False
+    write_report(tmp_path / "scan.html", "Scan", scans=[one])
+    assert [given[2].sum() for given in seen] == [len(one.cloud) - 5]
+
+
+def test_a_characterisation_alone(tmp_path: Path) -> None:
+    path = tmp_path / "characterisation.html"
+    write_report(path, "Characterisation", characterisation=characterisation())
+    assert Page(path).headings[1:] == ["Characterisation"]
+
+
+def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot be written"):
+        write_report(tmp_path / "file" / "report.html", "Scan")
+    old = tmp_path / "report.html"
+    old.write_text("old")
+    broken = scan(truth=False)
+    broken.decoded.modulation[:] = np.nan
+    with pytest.raises(DataError, match="no measured pixel"):
+        write_report(old, "Scan", scans=[broken])
+    assert old.read_text() == "old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "report.html"]
+
+
+def test_the_caption_of_a_response_says_what_is_drawn(tmp_path: Path) -> None:
+    fitted, levels = response()
+    parts = {
+        "measured": tuple(Level(shown=x, seen=y, sigma=0.001, residual=0.0) for x, y in levels.tolist()),
+        "regions": tuple(Region(row=0, column=k, a=0.9, b=0.02, g=2.2, sigma_g=0.003) for k in range(3)),
+    }
+    for name, drawn in (("curve", fitted), ("regions", fitted.model_copy(update=parts))):
+        path = tmp_path / f"{name}.html"
+        write_report(path, "Response", response=(drawn, levels))
+        page = path.read_text(encoding="utf-8")
+        assert ("exponent of each region" in page) == (name == "regions")
+        assert ("Right: measured minus fitted" in page) == (name == "curve")

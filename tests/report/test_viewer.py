@@ -1,0 +1,328 @@
+"""What the viewer is sent, read back from a recording; and the server that it is sent to."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from numpy.typing import NDArray
+from PIL import Image as Pixels
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud, save_cloud
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import DeviceError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.devices import CameraSettings, Frame
+from fpplab.matching.record import Epoch, ParametersFile
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.phase import Decoded
+from fpplab.pipeline import CLOUD, DECODED
+from fpplab.report import viewer as live
+from fpplab.sessions.session import Session
+from tests.support.plane_twin import CAMERA, nominal, tilted
+
+SIZE, MIRRORS = (64, 48), (90, 70)
+PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1.0, steps=3), FringeSet(axis="x", stripes=6.0, steps=4)))
+
+
+def patterns() -> Sequence[Pattern]:
+    return make_patterns(PLAN, MIRRORS, Lattice.SQUARE)
+
+
+def frame(index: int, bits: int = 8) -> Frame:
+    """The camera sees the middle of the projector's image, pixel by pixel, at half its brightness."""
+    pattern = patterns()[index]
+    image: Any = pattern.image[: SIZE[1], : SIZE[0]] // 2 + 20
+    image = image if bits == 8 else image.astype(np.uint16) << (bits - 8)
+    return Frame(image, index, CameraSettings(0.02, 0.0, bits), 0.0, None, pattern.id)
+
+
+def calibration() -> Calibration:
+    camera = Pinhole.from_focal(SIZE, (80.0, 81.0), (31.5, 23.5))
+    projector = Pinhole.from_focal(MIRRORS, (120.0, 121.0), (44.5, 69.0))  # looks up: centre at the edge
+    pose = RigidTransform.from_vectors(np.array([0.02, -0.3, 0.05]), np.array([-120.0, 7.0, 20.0]))
+    return Calibration(camera, projector, pose, {})
+
+
+def cloud() -> Cloud:
+    points = np.random.default_rng(5).normal((0, 0, 400), 20, (200, 3)).astype(np.float32)
+    return Cloud(points, colour=np.arange(200, dtype=np.uint8))
+
+
+def decoded() -> Decoded:
+    u = np.tile(np.linspace(0, 89, SIZE[0], dtype=np.float32), (SIZE[1], 1))
+    u[:10] = np.nan
+    return Decoded(u, np.full_like(u, np.nan), 0 * u + 50, 0 * u + 0.02)
+
+
+class Recording:
+    """A recording file, by entity and component."""
+
+    def __init__(self, path: Path) -> None:
+        import rerun as rr
+
+        self.data = rr.dataframe.load_recording(path)
+
+    def frames(self, entity: str, index: str = "frame") -> list[int]:
+        """When an entity was logged."""
+        table = self.data.view(index=index, contents=f"/{entity}").select().read_all()
+        return [int(n) for n in table.column(index).to_pylist()]
+
+    def value(self, entity: str, component: str, row: int | None = None, index: str = "frame") -> Any:
+        """What was logged: static, or in one row."""
+        view = self.data.view(index=index, contents=f"/{entity}")
+        table = (view.select_static() if row is None else view.select()).read_all()
+        found = table.column(f"/{entity}:{component}").to_pylist()[row or 0]
+        return found if len(found) > 1 else found[0]
+
+    def jpeg(self, entity: str, row: int) -> NDArray[np.int64]:
+        """A compressed picture."""
+        data = bytes(self.value(entity, "Blob", row))
+        return np.asarray(Pixels.open(io.BytesIO(data)).convert("L")).astype(np.int64)
+
+    def rgb(self, entity: str, row: int | None = None) -> NDArray[np.int64]:
+        """A coloured map (h, w, 3)."""
+        form = self.value(entity, "ImageFormat", row)
+        data = np.array(self.value(entity, "ImageBuffer", row))
+        return data.reshape(form["height"], form["width"], 3).astype(np.int64)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("live") / "scan.rrd"
+    with live.Viewer.open(path) as viewer:
+        viewer.plan(PLAN, MIRRORS, Lattice.SQUARE)
+        for i in range(PLAN.images):
+            viewer.frame(frame(i, bits=12))
+        viewer.calibration(calibration())
+        viewer.decoded(decoded())
+        viewer.cloud(cloud())
+        assert viewer.fault is None
+        assert viewer.where == str(path)
+    return Recording(path)
+
+
+def test_every_frame_is_there_with_its_pattern(recording: Recording) -> None:
+    assert recording.frames("world/camera/image") == list(range(7))
+    assert recording.frames("world/projector/pattern") == list(range(7))
+    for i in (0, 5):
+        image, pattern = (recording.jpeg(e, i) for e in ("world/camera/image", "world/projector/pattern"))
+        assert np.abs(image - frame(i).image).mean() < 3
+        assert np.abs(pattern - patterns()[i].image).mean() < 3
+
+
+def test_the_phase_follows_the_last_frame_of_each_set(recording: Recording) -> None:
+    assert recording.frames("maps/phase") == [2, 6]
+    # Six stripes over 90 mirrors: the phase, and so its colour, repeats every 15 pixels.
+    fine = recording.rgb("maps/phase", 1)
+    assert np.abs(fine[:, 15:60] - fine[:, :45]).mean() < 6
+    assert np.abs(fine[:, 7:52] - fine[:, :45]).mean() > 30
+
+
+def test_devices_stand_where_the_calibration_says(recording: Recording) -> None:
+    known = calibration()
+    for entity, device, pose in (
+        ("world/camera", known.camera, RigidTransform.identity()),
+        ("world/projector", known.projector, known.T_projector_camera.inverse()),
+    ):
+        by_columns = np.array(recording.value(entity, "PinholeProjection")).reshape(3, 3)
+        expected = device.matrix.copy()
+        expected[:2, 2] += 0.5
+        assert pytest.approx(expected, rel=1e-6) == by_columns.T
+        assert recording.value(entity, "Resolution") == list(device.size)
+        rotation = np.array(recording.value(entity, "TransformMat3x3")).reshape(3, 3).T
+        assert rotation == pytest.approx(pose.rotation, abs=1e-6)
+        assert recording.value(entity, "Translation3D") == pytest.approx(pose.translation, abs=1e-4)
+
+
+def test_the_results_are_always_there(recording: Recording) -> None:
+    points = np.array(recording.value("world/cloud", "Position3D"), np.float32)
+    assert np.array_equal(points, cloud().points)
+    u = recording.rgb("maps/u")
+    assert np.array_equal(u[5, 5], live.UNMEASURED)
+    assert not np.array_equal(u[20, 5], u[20, 60])
+
+
+def test_errors_colour_the_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "errors.rrd"
+    errors = np.linspace(-0.05, 0.05, 200)
+    errors[7] = np.nan
+    with live.Viewer.open(path) as viewer:
+        viewer.cloud(cloud(), errors)
+    packed = np.array(Recording(path).value("world/cloud", "Color"), np.int64)
+    red, blue = packed >> 24, (packed >> 8) & 255
+    assert red[0] < 60 < 90 < blue[0]
+    assert blue[-1] < 60 < 90 < red[-1]
+    assert (red[7], blue[7]) == (live.UNMEASURED[0], viewer.UNMEASURED[2])
+
+
+def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
+    path, parameters = tmp_path / "match.rrd", ParametersFile.of(nominal(tilted(2)))
+    losses = [0.4, 0.2, 0.1]
+    names = ("loss", "loss_board", "ssim", "ssim_board", "epsilon_d_px")
+    with live.Viewer.open(path) as viewer:
+        for number, loss in enumerate(losses):
+            figures = dict.fromkeys(names, 1.0) | {"loss": loss}
+            viewer.epoch(
+                Epoch(
+                    epoch=number,
+                    step="light",
+                    accepted=True,
+                    loss=figures,
+                    difference=3.0,
+                    seconds=1.0,
+                    parameters=parameters,
+                )
+            )
+        assert viewer.fault is None
+    found = Recording(path)
+    assert found.frames("match/loss", "epoch") == [0, 1, 2]
+    assert [found.value("match/loss", "Scalar", n, "epoch") for n in range(3)] == losses
+    assert found.value("match/difference", "Scalar", 2, "epoch") == 3.0
+    matrix = np.array(found.value("world/camera", "PinholeProjection")).reshape(3, 3).T
+    assert matrix[0, 0] == pytest.approx(CAMERA.matrix[0, 0])
+
+
+def session(path: Path, plan: Plan) -> Session:
+    made = Session.create(path, plan)
+    for i in range(plan.images):
+        made.write(frame(i))
+    return made
+
+
+def test_a_session_is_shown_with_its_results(tmp_path: Path) -> None:
+    sized = PLAN.model_copy(
+        update={"fringes": tuple(f.model_copy(update={"projector_size": MIRRORS}) for f in PLAN.fringes)}
+    )
+    made = session(tmp_path / "scan", sized)
+    decoded().save(made.path / DECODED)
+    save_cloud(cloud(), made.path / CLOUD)
+    assert live.view_session(made, calibration(), tmp_path / "s.rrd") == str(tmp_path / "s.rrd")
+    found = Recording(tmp_path / "s.rrd")
+    assert found.frames("world/projector/pattern") == list(range(7))
+    assert len(found.value("world/cloud", "Position3D")) == 200
+    assert found.rgb("maps/modulation").shape == (48, 64, 3)
+
+
+def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> None:
+    live.view_session(session(tmp_path / "scan", PLAN), None, tmp_path / "s.rrd")
+    found = Recording(tmp_path / "s.rrd")
+    assert found.frames("world/camera/image") == list(range(7))
+    entities = {c.entity_path for c in found.data.schema().component_columns()}
+    assert not {"/world/projector/pattern", "/world/cloud", "/maps/u"} & entities
+
+
+# The server
+
+
+@pytest.fixture
+def served() -> Iterator[live.Viewer]:
+    with live.Viewer.open("browser") as viewer:
+        assert viewer.fault is None
+        yield viewer
+
+
+def process(viewer: live.Viewer) -> psutil.Process:
+    assert viewer._server is not None
+    return psutil.Process(viewer._server.pid)
+
+
+def test_the_server_is_reached_from_this_computer_alone_and_ends(served: live.Viewer) -> None:
+    server = process(served)
+    served.frame(frame(0))
+    listening = {c.laddr for c in server.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+    assert len(listening) == 2
+    assert {address.ip for address in listening} == {"127.0.0.1"}
+    assert any(f"http://127.0.0.1:{address.port}/" in served.where for address in listening)
+    served.close()
+    assert not server.is_running()
+    served.close()
+
+
+def test_a_viewer_that_dies_does_not_stop_the_measurement(
+    served: live.Viewer, caplog: pytest.LogCaptureFixture
+) -> None:
+    served.frame(frame(0))
+    server = process(served)
+    server.kill()
+    psutil.wait_procs([server], timeout=10)
+    with caplog.at_level(logging.WARNING, "fpplab"):
+        for i in (1, 2):
+            served.frame(frame(i))
+        served.close()
+    assert served.fault is not None
+    assert [r.getMessage() for r in caplog.records] == [f"the viewer is switched off: {served.fault}"]
+    assert "\n" not in served.fault
+
+
+def test_bad_data_switch_the_viewer_off(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with live.Viewer.open(tmp_path / "s.rrd") as viewer:
+        viewer.cloud(cloud(), np.zeros((3, 3)))
+    assert viewer.fault is not None
+    assert len(caplog.records) == 1
+
+
+def test_a_viewer_that_does_not_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    fake = tmp_path / "rerun"
+    fake.write_text('#!/bin/sh\n[ "$1" = analytics ] && exit 0\necho "no such driver" >&2\nexit 3\n')
+    fake.chmod(0o755)
+    monkeypatch.setattr(live, "_program", lambda: str(fake))
+    with live.Viewer.open("window") as viewer:
+        viewer.frame(frame(0))
+    assert viewer.fault == "viewer: open: rerun ended: no such driver"
+    assert len(caplog.records) == 1
+    with pytest.raises(DeviceError, match="no such driver"):
+        live.view_session(session(tmp_path / "scan", PLAN), None, "browser")
+
+
+@pytest.mark.parametrize(
+    ("variables", "display"), [({}, False), ({"DISPLAY": ":0"}, True), ({"WAYLAND_DISPLAY": "w"}, True)]
+)
+def test_without_a_display_a_browser_is_served(
+    variables: dict[str, str], display: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert live.has_display() is display
+
+
+WAITING = """
+import sys
+from pathlib import Path
+from fpplab.report.viewer import view_session
+from fpplab.sessions.session import Session
+print(view_session(Session.open(Path(sys.argv[1])), None, "browser", lambda where: print(where, flush=True)))
+"""
+
+
+def test_ctrl_c_ends_the_viewer_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    made = session(tmp_path / "scan", PLAN)
+    command = [sys.executable, "-c", WAITING, str(made.path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ}) as program:
+        assert program.stdout is not None
+        where = program.stdout.readline()
+        children = psutil.Process(program.pid).children(recursive=True)
+        program.send_signal(signal.SIGINT)
+        rest, _ = program.communicate(timeout=60)
+    assert where.startswith("http://127.0.0.1:")
+    assert rest == where
+    assert program.returncode == 0
+    assert children
+    assert not any(child.is_running() for child in children)

@@ -1,0 +1,172 @@
+"""Loose images that are not what was promised."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.sessions.importing import import_images
+from fpplab.sessions.session import Session
+from tests.support.recorded import PLAN, image_of
+
+NAMES = "f_{index:02d}.png"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for index in range(PLAN.images):
+        Pillow.fromarray(image_of(index)).save(folder / NAMES.format(index=index))
+    return folder
+
+
+def bring(folder: Path, names: str = NAMES, **options: Any) -> Session:
+    return import_images(folder, PLAN, names, folder.parent / "session", **options)
+
+
+def refuses(folder: Path, complaint: str, error: type[Exception] = DataError, **options: Any) -> None:
+    with pytest.raises(error, match=complaint):
+        bring(folder, **options)
+    assert [p.name for p in folder.parent.iterdir()] == ["images"], "something half-made is left"
+
+
+def replace(folder: Path, index: int, image: np.ndarray[Any, Any]) -> None:
+    Pillow.fromarray(image).save(folder / NAMES.format(index=index))
+
+
+def test_good_images_come_in_whole(folder: Path) -> None:
+    shares: list[float] = []
+    session = bring(folder, progress=shares.append)
+    assert shares == [0.25, 0.5, 0.75, 1.0]
+    assert session.projector()[0] == (64, 48)
+    for index, image in enumerate(Session.open(session.path).stack()):
+        np.testing.assert_array_equal(image, image_of(index))
+    with pytest.raises(ConfigError, match="exists already"):
+        bring(folder)
+    assert bring(folder, force=True).missing() == []
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_deep_images_come_in_whole(folder: Path, bits: int) -> None:
+    for index in range(4):
+        replace(folder, index, image_of(index).astype(np.uint16) * 4)
+    session = bring(folder, bits=bits)
+    assert session.format == (20, 16, bits)
+    np.testing.assert_array_equal(session.read(2), image_of(2).astype(np.uint16) * 4)
+
+
+def test_missing_images(folder: Path) -> None:
+    for index in (1, 3):
+        (folder / NAMES.format(index=index)).unlink()
+    refuses(folder, r"2 of the plan's 4 frames are missing \(f_01.png, f_03.png\); looked for 'f_")
+
+
+def test_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not a folder"):
+        bring(tmp_path / "nowhere")
+
+
+def test_an_image_in_colour(folder: Path) -> None:
+    replace(folder, 2, np.zeros((16, 20, 3), np.uint8))
+    refuses(folder, r"f_02.png: is not a grey image \(its mode is RGB\)")
+
+
+def test_an_image_with_transparency(folder: Path) -> None:
+    Pillow.fromarray(image_of(2)).convert("LA").save(folder / "f_02.png")
+    refuses(folder, r"f_02.png: is not a grey image \(its mode is LA\)")
+
+
+def test_an_image_of_another_size(folder: Path) -> None:
+    replace(folder, 3, np.zeros((16, 21), np.uint8))
+    refuses(folder, "f_03.png: is 21 x 16 pixels but the first image is 20 x 16")
+
+
+def test_one_image_under_two_names(folder: Path) -> None:
+    replace(folder, 3, image_of(1))
+    refuses(folder, "f_03.png: is the same image as f_01.png; every step has an image of its own")
+
+
+def test_more_bits_than_promised(folder: Path) -> None:
+    replace(folder, 1, image_of(1).astype(np.uint16) * 257)
+    refuses(folder, "f_01.png: holds 16-bit grey levels but 8 bits were promised; see --bits")
+
+
+def test_fewer_bits_than_promised(folder: Path) -> None:
+    refuses(folder, "f_00.png: holds 8-bit grey levels but 12 bits were promised; see --bits", bits=12)
+
+
+def test_a_level_that_the_bits_do_not_hold(folder: Path) -> None:
+    for index in range(4):
+        replace(folder, index, np.full((16, 20), 4096 if index == 2 else 4090 + index, np.uint16))
+    refuses(folder, "f_02.png: has a grey level of 4096, more than 12 bits hold", bits=12)
+
+
+def test_an_image_cut_off_anywhere(folder: Path) -> None:
+    """Whatever is accepted of a truncated file has every pixel right."""
+    path = folder / "f_01.png"
+    data = path.read_bytes()
+    accepted: list[int] = []
+    complaints: set[str] = set()
+    for length in range(0, len(data), 5):
+        path.write_bytes(data[:length])
+        try:
+            session = bring(folder, force=True)
+        except DataError as error:
+            complaints.add(str(error).partition("(")[0])
+        else:
+            np.testing.assert_array_equal(session.read(1), image_of(1))
+            accepted.append(len(data) - length)
+    assert complaints == {f"{path}: is truncated or no image "}
+    assert all(lost <= 20 for lost in accepted), "only checksums and the empty end chunk may lack"
+
+
+def test_an_image_with_a_flipped_bit(folder: Path) -> None:
+    path = folder / "f_01.png"
+    data = path.read_bytes()
+    middle = data.index(b"IDAT") + 20
+    path.write_bytes(data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :])
+    refuses(folder, "f_01.png: is truncated or no image")
+
+
+def test_no_image_at_all(folder: Path) -> None:
+    (folder / "f_00.png").write_text("hello")
+    refuses(folder, "f_00.png: is truncated or no image")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "f.png",
+        "f_{}.png",
+        "f_{0}.png",
+        "f_{i}.png",
+        "f_{index",
+        "f_{index:s}.png",
+        "{index}{index}",
+        "{index.real}",
+    ],
+)
+def test_a_wrong_format(folder: Path, names: str) -> None:
+    refuses(folder, r"--frames is '.*': expected one \{index\}", ConfigError, names=names)
+
+
+def test_a_full_disk_leaves_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def full(handle: int) -> None:
+        calls.append(handle)
+        if len(calls) == 6:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        refuses(folder, "no space left on the disk")
+    assert bring(folder).missing() == []

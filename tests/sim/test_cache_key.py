@@ -1,0 +1,83 @@
+"""The name of a table on disk: every number that light depends on, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim.build import Setup, build_scene
+from sim.light.cache import digest
+from sim.scene import Scene, View
+from tests.sim.conftest import plain, world
+
+
+def scene() -> Scene:
+    """A scene with a value in every field that can have one."""
+    of = world(
+        camera={**plain()["camera"], "focus_mm": 450.0},
+        projector={**plain()["projector"], "focus_mm": 475.0},
+    )
+    board = build_scene(of, Setup("board"))[0]
+    body = build_scene(of, Setup("pillars"))[0].surfaces[0]
+    return dataclasses.replace(board, surfaces=(*board.surfaces, body))
+
+
+SCENE = scene()
+SHIFTED = [View((0.25, -0.25), (0.5, 0.1)), View((-0.25, 0.25), (-0.5, 0.3))]
+KNOWN = digest(SCENE, SHIFTED)
+
+
+def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The place of every number, or array of them."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from numbers(getattr(value, field.name), (*path, field.name))
+    elif isinstance(value, tuple | list):
+        for i, part in enumerate(value):
+            yield from numbers(part, (*path, i))
+    elif value is not None:
+        yield path
+
+
+def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
+    """The same with the least change of the number at a place; of an array's, the one at a share `which`."""
+    if path:
+        first, rest = path[0], path[1:]
+        if isinstance(first, str):
+            return dataclasses.replace(value, **{first: altered(getattr(value, first), rest, which)})
+        return type(value)(altered(v, rest, which) if i == first else v for i, v in enumerate(value))
+    if isinstance(value, np.ndarray):
+        changed = value.copy()
+        place = np.unravel_index(int(which * value.size), value.shape)
+        changed[place] = altered(value[place].item(), (), which)
+        return changed
+    if isinstance(value, bool):
+        return not value
+    return value ^ 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
+
+
+PLACES = list(numbers((SCENE, SHIFTED)))
+
+
+def test_a_scene_has_the_numbers_that_it_is_thought_to_have() -> None:
+    named = {str(p[-1] if isinstance(p[-1], str) else p[-2]) for p in PLACES}
+    assert {"vertices", "faces", "uv", "picture", "T_camera_item", "distortion", "circles", "window"} < named
+    assert {"reflectance", "slope", "depth_mm", "diameter_mm", "exact", "fill", "shift", "lens"} < named
+
+
+@pytest.mark.parametrize("place", PLACES, ids=lambda place: ".".join(map(str, place)))
+def test_any_one_number_changes_the_name(place: tuple[Any, ...]) -> None:
+    """By the least that a number can change, at the ends and within of arrays."""
+    for which in (0.0, 0.37, 0.999999):
+        assert digest(*altered((SCENE, SHIFTED), place, which)) != KNOWN
+
+
+def test_the_name_depends_on_nothing_else() -> None:
+    assert digest(scene(), list(SHIFTED)) == KNOWN
+    assert digest(SCENE, SHIFTED[::-1]) != KNOWN
+    assert digest(SCENE, SHIFTED[:1]) != KNOWN
+    assert digest(dataclasses.replace(SCENE, surfaces=SCENE.surfaces[::-1]), SHIFTED) != KNOWN

@@ -1,0 +1,167 @@
+"""Light on flat items by formula: against Blender, against rays of our own, and where it must not serve."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fpplab.patterns.fringes import make_patterns, uniform_patterns
+from fpplab.patterns.plan import FringeSet, Plan
+from sim.build import build_scene
+from sim.light import Light, Setup, Show
+from sim.light.lens import lens_points
+from sim.light.plane import can_compute, computed
+from sim.scene import View
+from sim.worker import Blender
+from sim.world import World
+from sim.world.render import shifts
+from tests.sim.conftest import plain, world
+from tests.sim.raycaster import Caster, Plane
+
+PLAN = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=3) for s in (1, 64)))
+SIZE = [384, 256]
+
+
+def _world(subpixels: int, focus_mm: float | None, projector_focus_mm: float | None) -> World:
+    camera = plain()["camera"] | {
+        "sensor_size": SIZE,
+        "pixel_um": 13132.8 / SIZE[0],
+        "f_number": 2.0,
+        "focus_mm": focus_mm,
+    }
+    projector = plain()["projector"] | {"focus_mm": projector_focus_mm, "aperture_mm": 20.0}
+    board = {"target": "target_paper.yaml", "poses": {"count": 4}, "reflectance": 0.8, "ink": 0.1}
+    return world(
+        camera=camera,
+        projector=projector,
+        items={**plain()["items"], "board": board},
+        render={"subpixels": subpixels, "cache": False},
+    )
+
+
+@pytest.mark.parametrize(
+    ("subpixels", "focus_mm", "projector_focus_mm"),
+    [(2, None, None), (3, 425.0, None), (2, None, 490.0)],
+    ids=["sharp", "camera out of focus", "projector out of focus"],
+)
+@pytest.mark.parametrize(
+    "setup", [Setup("card"), Setup("board", 1), Setup("board", 3, stage_mm=7.0)], ids=str
+)
+def test_light_by_formula_is_blender_s(
+    monkeypatch: pytest.MonkeyPatch,
+    blender: Blender,
+    setup: Setup,
+    subpixels: int,
+    focus_mm: float | None,
+    projector_focus_mm: float | None,
+) -> None:
+    """Through the same points of every lens: the pixels' turns are the shader's own.
+
+    Blender aims some thousandths of a pixel beside, so a sample at the item's edge may miss it.
+    """
+    of = _world(subpixels, focus_mm, projector_focus_mm)
+    monkeypatch.setattr("sim.light.light.computed", lambda scene, views, spots: computed(scene, views))
+    ours, theirs = Light(of, blender, analytic=True), Light(of, blender)
+    table, rendered = ours.table(setup), theirs.table(setup)
+    assert table.corner == rendered.corner
+    lit, also = table.samples[..., 3] > 0, rendered.samples[..., 3] > 0
+    assert lit.sum() > 1000
+    assert np.mean(lit[lit | also] != also[lit | also]) < 1e-3
+    np.testing.assert_allclose(
+        table.samples[lit & also][:, :2], rendered.samples[lit & also][:, :2], atol=5e-3
+    )
+    np.testing.assert_allclose(table.samples[lit & also][:, 2], rendered.samples[lit & also][:, 2], atol=1e-3)
+    (left, top), (_, h, w, _) = table.corner, table.samples.shape
+    same = np.ones(table.albedo.shape, bool)
+    same[top : top + h, left : left + w] = (lit == also).all(axis=0)
+    size = of.projector.size
+    patterns = (*make_patterns(PLAN, size, of.projector.lattice), *uniform_patterns([255], size))
+    for n in range(len(patterns)):
+        show = Show(patterns, n)
+        error = (ours.irradiance(setup, show) - theirs.irradiance(setup, show))[same]
+        assert np.sqrt(np.mean(error**2)) < 2e-4
+
+
+@pytest.mark.parametrize("focus_mm", [None, 445.0, 500.0], ids=["sharp", "nearer", "farther"])
+@pytest.mark.parametrize("pose", range(2))
+def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -> None:
+    """Nearer to 400 points of pixel and lens than so many points are, and not beside their places."""
+
+    def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
+        places = shifts(subpixels)
+        lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
+        return computed(scene, [View(*both) for both in zip(places, lens, strict=True)], spots).albedo
+
+    scene = build_scene(_world(1, focus_mm, None), Setup("board", pose))[0]
+
+    many, points, spots = seen(20, False), seen(4, False), seen(4, True)
+    assert np.std(spots - many) < 0.65 * np.std(points - many)
+    assert spots.sum() == pytest.approx(many.sum(), rel=2e-4)
+    for slope in np.gradient(many):  # the displacement that explains the difference best
+        assert abs(np.sum(slope * (spots - many)) / np.sum(slope**2)) < 5e-3
+
+
+@pytest.mark.parametrize("turned", [[8, -5, 0], [0, 60, 0], [0, -75, 20], [180, 12, 0]])
+def test_light_by_formula_is_that_of_rays(turned: list[float]) -> None:
+    """Also on a card that turns its back to the projector, or shows its back to both."""
+    pose = {"rotation_deg": turned, "translation_mm": [0, 0, 450]}
+    of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
+    scene = build_scene(of, Setup("card"))[0]
+    table = computed(scene, [View((0.0, 0.0))])
+    held = of.items["card"].pose.transform()  # type: ignore[union-attr]
+    normal = held.rotation[:, 2] * -np.sign(held.rotation[:, 2] @ held.translation)
+    caster = Caster(of.camera_model(), of.projector_model(), of.T_projector_camera(), 475.0, 0.7)
+    seen = caster.look([Plane(held.translation, normal)], 1)
+    place = np.stack([seen.u, seen.v, np.ones_like(seen.u)], axis=-1)[0] @ scene.lamp.affine.T
+    inside = (seen.shade[0] > 0) & of.projector_model().sees(seen.points[0], of.T_projector_camera())
+    inside &= (np.abs(held.inverse().apply(seen.points[0])) < 1000).all(axis=-1)  # where the card is
+    lit = table.samples[0, ..., 3] > 0
+    assert inside.sum() > 1000
+    assert lit[inside].all()
+    assert (seen.shade[0][lit] > 0).all()
+    np.testing.assert_allclose(table.samples[0, inside, :2], place[inside], atol=2e-4)
+    np.testing.assert_allclose(table.samples[0, inside, 3], seen.shade[0][inside], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("turned", "is_lit"), [(-75, True), (75, False)])
+def test_a_card_between_camera_and_projector_is_dark(turned: float, is_lit: bool) -> None:
+    """Its plane passes 120 mm beside the camera: to the left of it, or between it and the projector."""
+    pose = {"rotation_deg": [0, turned, 0], "translation_mm": [0, 0, 450]}
+    of = world(items={"card": {"card_mm": [100, 100], "pose": pose}})
+    table = computed(build_scene(of, Setup("card"))[0], [View((0.0, 0.0))])
+    assert table.albedo.max() == np.float32(0.9)
+    assert bool(table.samples[..., 3].any()) is is_lit
+
+
+def test_a_white_surface_that_faces_the_projector_has_irradiance_1() -> None:
+    axis = world().T_projector_camera().inverse()
+    pose = {
+        "rotation_deg": np.degrees(axis.rotation_vector).tolist(),
+        "translation_mm": axis.apply(np.array([0.0, -200.0, 475.0])).tolist(),
+    }
+    of = world(items={"card": {"card_mm": [100, 100], "pose": pose}}, material={"reflectance": 1.0})
+    shade = computed(build_scene(of, Setup("card"))[0], [View((0.0, 0.0))]).samples[..., 3]
+    np.testing.assert_allclose(shade[shade > 0], 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"roughness": 0.3},
+        {"kind": "glossy"},
+        {"kind": "translucent"},
+        {"ridges": {"depth_mm": 0.1}},
+        {"grain": {"slope": 0.1}},
+    ],
+)
+def test_other_materials_are_left_to_blender(material: dict[str, Any]) -> None:
+    assert not can_compute(build_scene(world(material=material), Setup("card"))[0])
+
+
+def test_bodies_are_left_to_blender() -> None:
+    assert not can_compute(build_scene(world(), Setup("pillars"))[0])
+    assert can_compute(build_scene(world(), Setup("card"))[0])
+    assert can_compute(build_scene(world(), Setup("board"))[0])

@@ -1,0 +1,148 @@
+"""Fringe sets: acquired once, shared by steps, and with noise that does not know who asked first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.devices import CameraSettings
+from fpplab.devices.rig import Rig
+from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.candidate import Fringes
+from fpplab.optimisation.sets import FringeSets, View
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import FringeSet, Plan
+from sim.build import Setup
+from sim.world import World
+from tests.sim.conftest import RIG, plain, write_world
+
+LIKE = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=3),))
+CARD = View("card", 0.02)
+BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
+
+Sets = Callable[..., FringeSets]
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "shaking"])
+def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """A card, lit by formula."""
+    folder = tmp_path_factory.mktemp("rig")
+    write_world(folder, plain(vibration_mm=request.param))
+    text = RIG.replace("world.yaml}", "world.yaml, analytic: true}").replace("bits: 12", "bits: 8")
+    (folder / "rig.yaml").write_text(text)
+    with Rig.load(folder / "rig.yaml") as opened:
+        yield opened
+
+
+@pytest.fixture
+def sets(rig: Rig) -> Sets:
+    """New sets on the rig, which know of nothing before."""
+    return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
+
+
+def stack(sets: FringeSets, *fringes: Fringes, seed: int = 1, view: View = CARD) -> NDArray[np.uint8]:
+    return np.stack(sets.frames(view, fringes, seed))
+
+
+def fewer(fringes: Fringes, steps: int) -> Fringes:
+    return Fringes(fringes.axis, fringes.stripes, steps)
+
+
+@pytest.mark.parametrize("steps", [6, 4, 3])
+def test_a_set_of_every_so_manyth_image_is_the_set_acquired(sets: Sets, steps: int) -> None:
+    of_twelve, alone = sets(), sets()
+    stack(of_twelve, BASE, FINE)
+    taken = stack(of_twelve, fewer(BASE, steps), fewer(FINE, steps))
+    assert of_twelve.acquired == 24
+    np.testing.assert_array_equal(taken, stack(alone, fewer(BASE, steps), fewer(FINE, steps)))
+    assert alone.acquired == 2 * steps
+
+
+def test_five_steps_are_not_in_twelve(sets: Sets) -> None:
+    store = sets()
+    stack(store, BASE)
+    stack(store, fewer(BASE, 5))
+    assert store.acquired == 17
+
+
+def test_nothing_depends_on_who_was_measured_before(sets: Sets) -> None:
+    one, other = sets(), sets()
+    first = stack(one, BASE, MIDDLE, FINE)
+    stack(other, fewer(BASE, 5), fewer(MIDDLE, 3), seed=4)
+    stack(other, BASE, Fringes("x", 7.4, 12), FINE)
+    np.testing.assert_array_equal(first, stack(other, BASE, MIDDLE, FINE))
+
+
+def test_a_plan_with_one_other_frequency_takes_one_set(sets: Sets) -> None:
+    store = sets()
+    stack(store, BASE, MIDDLE, FINE)
+    stack(store, BASE, Fringes("x", 8.0, 12), FINE)
+    assert store.acquired == 48
+
+
+def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
+    """And not only another number here and there."""
+    store = sets()
+    one, again, elsewhere = stack(store, BASE), stack(store, BASE, seed=2), stack(store, FINE, BASE)[12:]
+    assert (one != again).mean() > 0.3
+    assert (one != elsewhere).mean() > 0.3
+    halves = one[:6].astype(int) + one[6:]  # half a turn apart: the fringes add up to the same everywhere
+    assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
+
+
+def test_near_candidates_have_the_same_noise(sets: Sets) -> None:
+    """So a difference between them is a difference between them."""
+    near = Fringes("x", 7.3001, 12)
+    frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
+    other = stack(sets(), BASE, near, seed=2)[12:].astype(float)
+    assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)
+
+
+def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None:
+    store = sets(keep_bytes=1)
+    before = stack(store, BASE)
+    stack(store, FINE)
+    np.testing.assert_array_equal(before, stack(store, BASE))
+    assert store.acquired == 36
+
+
+def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
+    stood: list[View] = []
+    store = FringeSets(rig, LIKE, stood.append)
+    rig.fixture.mount("card")  # type: ignore[union-attr]
+    stack(store, BASE)
+    stack(store, fewer(BASE, 6))
+    assert stood == [CARD]
+    brighter = View("card", 0.03)
+    assert stack(store, BASE, view=brighter).mean() > 1.2 * stack(store, BASE).mean()
+    assert stood == [CARD, brighter]
+
+
+def test_where_noise_is_not_told_what_to_follow_from_it_goes_on_as_before(rig: Rig) -> None:
+    """The bench uses each number once, and counts frames again then."""
+    rig.fixture.mount("card")  # type: ignore[union-attr]
+    camera, projector = rig.camera, rig.projector
+    camera.configure(CameraSettings(0.02))
+    projector.load(make_patterns(LIKE, projector.caps.size, projector.caps.lattice))
+    projector.show(0)
+    told = []
+    for _ in range(2):
+        rig.bench.draw([11, 12])
+        told.append([camera.snap().image for _ in range(3)])
+    np.testing.assert_array_equal(told[0][:2], told[1][:2])
+    assert (told[0][0] != told[0][1]).any()
+    assert (told[0][2] != told[1][2]).any()
+
+
+def test_a_projector_turned_towards_the_camera_is_where_the_calibration_says(tmp_path: Path) -> None:
+    world = World.load(write_world(tmp_path, plain()))
+    known = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(12.0), {})
+    turned = Setup("card", stage_mm=12.0, convergence_deg=1.5).T_projector_camera(world)
+    np.testing.assert_allclose(
+        turned.matrix, Calibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
+    )

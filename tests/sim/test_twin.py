@@ -1,0 +1,273 @@
+"""The twin as matching drives it: what it says first, what it becomes, and what it leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab.calibration.model import Calibration
+from fpplab.core import config
+from fpplab.core.errors import ConfigError
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices import CameraSettings
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
+from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.response import Curve
+from fpplab.simulation.matchable import Parameters, Twin
+from sim.build import Setup
+from sim.light import Light, Show
+from sim.sensor import SensorModel
+from sim.twin import SimTwin
+from sim.worker import Blender
+from sim.world import World
+from tests.sim.conftest import SIZE, plain
+
+SETTINGS = CameraSettings(0.02, bits=12)
+PLAN = Plan(fringes=(FringeSet(axis="x", stripes=32, steps=3),))
+EXACT = {"subpixels": 2, "cache": False}
+
+
+def _bent() -> World:
+    """The bench of which the plain world is the data sheet: everything that can be matched is different."""
+    data = plain(ambient=0.05, vibration_mm=0.02, render=EXACT)
+    data["camera"] |= {"focus_mm": 440.0, "f_number": 4.0, "vignetting": 5.0, "centre_offset_px": [4, 3]}
+    data["camera"]["sensor"] = {"black_level": 0.02, "full_well_e": 12000.0, "read_noise_e": 4.0}
+    data["projector"] |= {
+        "response": {"a": 0.7, "b": 0.06, "g": 1.2},
+        "blur": 0.8,
+        "focus_mm": 470.0,
+        "aperture_mm": 15.0,
+        "throw_ratio": 1.19,
+        "leds": {"green": {"lumens": 0.3, "wavelength_nm": 525}},
+    }
+    data["items"]["board"] |= {"reflectance": 0.8, "ink": 0.1}
+    return config.validate(data, World, "test")
+
+
+def _nominal() -> World:
+    return config.validate(plain(render=EXACT), World, "test")
+
+
+def _twin(of: World, board: str = "board") -> SimTwin:
+    return SimTwin(of, board, Blender("bench"))  # which no board needs, so it does not start
+
+
+def _patterns(of: Twin) -> tuple[Pattern, ...]:
+    projector = of.parameters.calibration.projector
+    return make_patterns(PLAN, projector.size, projector.lattice)
+
+
+@pytest.fixture
+def twin() -> SimTwin:
+    return _twin(_nominal())
+
+
+def test_at_first_it_is_what_its_file_says() -> None:
+    of = _bent()
+    parameters = _twin(of).parameters
+    assert parameters.white == 1
+    assert parameters.response == Curve(a=0.7 / 0.76, b=0.06 / 0.76, g=1.2)
+    assert parameters.ambient == 0.05 / 0.76
+    assert (parameters.paper, parameters.ink) == (0.8, 0.1)
+    assert (parameters.camera_focus_mm, parameters.f_number, parameters.vignetting) == (440, 4, 5)
+    assert len(parameters.poses) == 4
+    assert parameters.calibration.camera.matrix[0, 0] == of.camera_model().matrix[0, 0]
+
+
+def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
+    """The world itself, through the bench's own way: the twin adds nothing and leaves nothing out."""
+    of = _bent()
+    twin = _twin(of)
+    patterns = _patterns(twin)
+    levels = twin.expected(2, patterns, SETTINGS)
+    light, sensor = Light(of, Blender("bench"), analytic=True), SensorModel.of(of)
+    for n in range(len(patterns)):
+        picture = light.irradiance(Setup("board", 2), Show(patterns, n))
+        frames = np.stack([sensor.expose(picture, SETTINGS, k) for k in range(60)]).astype(np.float64)
+        lit = picture > 0.02
+        error = (frames.mean(axis=0) - levels[n])[lit]
+        noise = frames.std(axis=0)[lit] / np.sqrt(60)
+        assert abs(error.mean()) < 5 * noise.mean() / np.sqrt(lit.sum())
+        assert np.abs(error / noise).mean() == pytest.approx(np.sqrt(2 / np.pi), rel=0.1)
+
+
+@pytest.mark.parametrize("ambient", [0.05, 0.0])
+def test_at_some_pixels_it_sees_what_it_sees_there(ambient: float) -> None:
+    """Also at pixels that see nothing, and not in the image's order."""
+    twin = _twin(_bent())
+    twin.become(replace(twin.parameters, ambient=ambient))
+    patterns, random = _patterns(twin), np.random.default_rng(0)
+    pixels = random.integers(0, SIZE[1], 500), random.integers(0, SIZE[0], 500)
+    whole = twin.expected(2, patterns, SETTINGS)[:, *pixels]
+    np.testing.assert_array_equal(twin.expected_at(2, patterns, SETTINGS, pixels), whole)
+    assert len(np.unique(whole)) > 100
+    assert np.count_nonzero(whole == whole.min()) > 100
+
+
+def test_light_that_is_rendered_is_the_same_at_some_pixels(blender: Blender) -> None:
+    of = _bent()
+    light, size = Light(of, blender, analytic=True), of.projector.size
+    patterns = tuple(uniform_patterns([255, 64], size))
+    pixels = np.arange(40, 80), np.arange(90, 130)
+    found = light.irradiance_at(Setup("pillars"), patterns, pixels)
+    whole = [light.irradiance(Setup("pillars"), Show(patterns, n)) for n in range(2)]
+    np.testing.assert_array_equal(found, [one[pixels] for one in whole])
+    assert found[0].min() > 2 * found[1].max() > 0
+
+
+def test_given_another_bench_s_parameters_it_sees_what_that_sees(twin: SimTwin) -> None:
+    """Brightness too: what the lamps differ by is in `white`."""
+    bench = _twin(_bent())
+    patterns = _patterns(bench)
+    seen = bench.expected(1, patterns, SETTINGS)
+    levels = [_white_level(w) for w in (_nominal(), _bent())]
+    twin.become(replace(bench.parameters, white=0.76 * levels[1] / levels[0]))
+    found = twin.expected(1, patterns, SETTINGS)
+    assert np.ptp(seen) > 500
+    np.testing.assert_allclose(found, seen, atol=0.01)
+
+
+def _white_level(of: World) -> float:
+    sensor = SensorModel.of(of)
+    return sensor.gain(SETTINGS) * sensor.electrons(1.0, 1.0)
+
+
+def _changed(twin: SimTwin, **fields: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
+    patterns = _patterns(twin)
+    twin.become(replace(twin.parameters, **fields))
+    return twin.expected(0, patterns, SETTINGS)
+
+
+@pytest.mark.parametrize("fields", [{"f_number": 5.6}, {"full_well_e": 9000.0}])
+def test_white_is_what_it_says_whatever_the_lens_and_the_sensor(
+    twin: SimTwin, fields: dict[str, Any]
+) -> None:
+    before = _changed(twin)
+    np.testing.assert_allclose(_changed(twin, **fields), before, rtol=1e-5)
+
+
+def test_white_scales_all_light(twin: SimTwin) -> None:
+    black = 0.01 * 4095
+    before = _changed(twin, ambient=0.03)
+    np.testing.assert_allclose(_changed(twin, white=0.5) - black, 0.5 * (before - black), atol=2e-3)
+    before = _changed(twin, black_level=0.05) - 0.05 * 4095
+    np.testing.assert_allclose(before, 0.5 * (_changed(twin, black_level=0.01, white=1.0) - black), atol=2e-3)
+
+
+def test_a_changed_pose_moves_the_picture_and_a_changed_lamp_keeps_the_table(twin: SimTwin) -> None:
+    before = _changed(twin)
+    poses = twin.parameters.poses
+    tables = twin._light._tables._results
+    held = dict(tables)
+    assert len(held) == 1
+    _changed(twin, response=Curve(a=0.9, b=0.1, g=1.1), ambient=0.1, read_noise_e=9.0)
+    assert dict(twin._light._tables._results) == held
+    moved = RigidTransform(poses[0].rotation, poses[0].translation + [0.5, 0, 0])
+    nominal = {"response": Curve(a=1.0, b=0.0, g=1.0), "ambient": 0.0}
+    assert np.abs(_changed(twin, poses=(moved, *poses[1:]), **nominal) - before).max() > 100
+    np.testing.assert_array_equal(_changed(twin, poses=poses), before)
+
+
+def test_frames_have_the_sensor_s_noise_and_every_draw_is_another(twin: SimTwin) -> None:
+    patterns = _patterns(twin)[:1]
+    levels = twin.expected(0, patterns, SETTINGS)[0]
+    frames = np.stack([twin.frames(0, patterns, SETTINGS)[0] for _ in range(40)]).astype(np.float64)
+    lit = levels > 500
+    gain = SensorModel.of(_nominal()).gain(SETTINGS)
+    variance = gain**2 * ((levels[lit] - 41) / gain + 2.5**2) + 1 / 12
+    assert np.mean(frames.var(axis=0, ddof=1)[lit] / variance) == pytest.approx(1, rel=0.03)
+
+
+def test_vibration_is_that_of_a_moved_item(twin: SimTwin) -> None:
+    """To first order: the pictures' covariance over many frames is that of truly moved ones."""
+    shake = 0.02
+    _changed(twin, vibration_mm=shake, read_noise_e=0.0, full_well_e=1e9)  # hardly any noise
+    patterns = _patterns(twin)[:1]
+    frames = np.stack(twin.frames(0, 150 * patterns, SETTINGS)).astype(np.float64)
+    pose = twin.parameters.poses[0]
+    moved = []
+    for axis in range(3):
+        ends = []
+        for sign in (-1, 1):
+            place = RigidTransform(pose.rotation, pose.translation + sign * shake * np.eye(3)[axis])
+            twin.become(replace(twin.parameters, poses=(place,)))
+            ends.append(twin.expected(0, patterns, SETTINGS)[0].astype(np.float64))
+        moved.append((ends[1] - ends[0]) / 2)
+    variance = np.sum(np.square(moved), axis=0)
+    strong = variance > 50
+    assert strong.sum() > 300
+    assert frames.var(axis=0)[strong].sum() == pytest.approx(variance[strong].sum(), rel=0.35)
+
+
+def test_what_it_saves_is_a_rig_that_sees_the_same(twin: SimTwin, tmp_path: Path) -> None:
+    bench = _twin(_bent()).parameters
+    twin.become(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
+    patterns = _patterns(twin)
+    seen = twin.expected(3, patterns, replace(SETTINGS, gain_db=6.0))
+    path = twin.save(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"rig.yaml", "world.yaml", "calibration.yaml"}
+    with Rig.load(path) as rig:
+        assert rig.camera_settings(0.02) == replace(SETTINGS, gain_db=6.0)
+        found = rig.bench.twin("board")
+        np.testing.assert_allclose(
+            found.expected(3, patterns, replace(SETTINGS, gain_db=6.0)), seen, atol=0.02
+        )
+        assert rig.fixture is not None
+        assert rig.fixture.caps.items["board"] == 4
+
+
+def _unequal(calibration: Calibration) -> Calibration:
+    """What no world can say of itself: unequal focal lengths, eight coefficients."""
+    camera = calibration.camera
+    matrix = camera.matrix * np.array([[1.0, 1, 1], [1, 1.003, 1], [1, 1, 1]])
+    lens = camera.distortion + np.array([0, 0, 0, 0, 0, 0.05, 0.01, 0.001])
+    return replace(calibration, camera=replace(camera, matrix=matrix, distortion=lens))
+
+
+def test_a_body_is_scanned_where_it_is_said_to_be(blender: Blender) -> None:
+    of = _nominal()
+    twin = SimTwin(of, "board", blender)
+    patterns = _patterns(twin)
+    pose = RigidTransform.from_vectors(np.array([np.pi, 0.0, 0.02]), np.array([3.0, -2.0, 455.0]))
+    frames = twin.scan("pillars", pose, patterns, SETTINGS)
+    picture = Light(of, blender).irradiance(Setup("pillars", held=pose), Show(patterns, 1))
+    expected = SensorModel.of(of).expected(picture, SETTINGS)
+    sigma = np.sqrt(np.maximum(expected, 1) * SensorModel.of(of).gain(SETTINGS)) + 1
+    assert np.percentile(np.abs(frames[1] - expected) / sigma, 99.9) < 5
+    assert picture.max() > 0.3
+    assert twin.mesh("pillars").is_watertight
+
+
+WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
+    (lambda p: replace(p, paper=1.2), r"the twin's parameters: 'items\.board\.reflectance' is 1\.2"),
+    (lambda p: replace(p, projector_blur=0.1), "'blur' is 0.1: must be 0"),
+    (lambda p: replace(p, camera_focus_mm=10.0), "'focus_mm' is 10: must be greater than 'focal_mm'"),
+    (lambda p: replace(p, response=Curve(a=0.9, b=0.3, g=1.0)), "at most 1"),
+    (lambda p: replace(p, poses=()), "poses"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG)
+def test_what_no_world_can_have_is_refused(
+    twin: SimTwin, change: Callable[[Parameters], Parameters], said: str
+) -> None:
+    before = twin.parameters
+    with pytest.raises(ConfigError, match=said):
+        twin.become(change(before))
+    assert twin.parameters is before
+
+
+def test_only_a_board_can_be_matched_and_only_bodies_have_a_mesh(twin: SimTwin) -> None:
+    with pytest.raises(ConfigError, match=r"'items\.card' is no board; there are board"):
+        _twin(_nominal(), "card")
+    with pytest.raises(ConfigError, match="no item 'cup'"):
+        twin.expected_of("cup", _patterns(twin), SETTINGS)
+    with pytest.raises(ConfigError, match="is flat: only artefacts and parts have a mesh"):
+        twin.mesh("card")
+    assert twin.expected_of("card", _patterns(twin), SETTINGS).max() > 1000

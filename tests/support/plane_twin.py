@@ -1,0 +1,288 @@
+"""A twin of a flat board by formulas: rays, a plane, two look-ups. What Blender does for the real one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from fpplab import artefacts
+from fpplab.calibration.model import Calibration
+from fpplab.core import config
+from fpplab.core.conventions import Floats, Image, Lattice, Pixels, full_scale
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.response import Curve
+from fpplab.sessions.session import Session
+from fpplab.simulation.matchable import Levels, Parameters
+from fpplab.targets import Target
+
+CAMERA = Pinhole.from_focal((456, 304), (1216, 1216), (230, 150), (-0.08, 0.1, 4e-4, -3e-4, 0))
+PROJECTOR = Pinhole.from_focal((456, 285), (547, 547), (227, 300), (-0.03, 0.05, 2e-4, 3e-4, 0))
+PAIR = RigidTransform.from_vectors(np.radians([-15, -18.1, 2.2]), np.array([150.0, 0, 0])).inverse()
+TARGET = config.validate(
+    {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],
+     "staggered": True, "diameter_mm": 3, "foreground": 0.05, "background": 0.9},
+    Target, "board.yaml",
+)  # fmt: skip
+SETTINGS = CameraSettings(0.02, 0.0, 8)
+PX_PER_MM = 12.0
+CARD = RigidTransform(np.eye(3), np.array([0, 0, 450.0]))
+
+
+def tilted(count: int, seed: int = 0) -> tuple[RigidTransform, ...]:
+    """Poses that both devices see whole."""
+    random = np.random.default_rng(seed)
+    tilts = np.radians(random.uniform(-25, 25, (count, 3)) * [1, 1, 0.3])
+    places = random.uniform((-14, -8, 430), (14, 8, 470), (count, 3))
+    return tuple(RigidTransform.from_vectors(t, p) for t, p in zip(tilts, places, strict=True))
+
+
+def nominal(poses: Sequence[RigidTransform]) -> Parameters:
+    return Parameters(
+        calibration=Calibration(CAMERA, PROJECTOR, PAIR, {}),
+        poses=tuple(poses),
+        white=1.0,
+        response=Curve(a=0.98, b=0.02, g=1.0),
+        ambient=0.01,
+        paper=TARGET.background,
+        ink=TARGET.foreground,
+        projector_blur=0.6,
+        projector_focus_mm=None,
+        projector_aperture_mm=10.0,
+        camera_focus_mm=None,
+        f_number=2.8,
+        vignetting=0.0,
+        black_level=0.01,
+        read_noise_e=2.5,
+        full_well_e=15000.0,
+        vibration_mm=0.0,
+    )
+
+
+def between(picture: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.float32]:
+    """Bilinear look-up, exact where OpenCV's knows 32 places between pixels; 0 outside."""
+    return np.asarray(map_coordinates(picture, [v, u], order=1), np.float32)
+
+
+class PlaneTwin:
+    """Implements `fpplab.simulation.matchable.Twin`."""
+
+    def __init__(self, parameters: Parameters, seed: int = 0) -> None:
+        self._now = parameters
+        self._random = np.random.default_rng(seed)
+        self._kept: dict[bytes, tuple[Floats, ...]] = {}
+        grey = (TARGET.image(PX_PER_MM) / 255.0 - TARGET.background) / (TARGET.foreground - TARGET.background)
+        # A rim of what is not board: nothing comes back from there.
+        self._print = cv2.GaussianBlur(np.pad(grey, 20).astype(np.float32), (0, 0), 2.0)
+        self._board = cv2.GaussianBlur(np.pad(np.ones_like(grey), 20).astype(np.float32), (0, 0), 2.0)
+
+    @property
+    def parameters(self) -> Parameters:
+        return self._now
+
+    @property
+    def target(self) -> Target:
+        return TARGET
+
+    def become(self, parameters: Parameters) -> None:
+        self._now = parameters
+
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+        return self._seen(self._now.poses[pose], patterns, settings, board=True)
+
+    def expected_at(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
+    ) -> Levels:
+        return self.expected(pose, patterns, settings)[:, *pixels]
+
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+        return self._seen(CARD, patterns, settings, board=False)
+
+    def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
+        expected = self.expected(pose, patterns, settings)
+        if self._now.vibration_mm:
+            expected = expected + self._shaken(pose, patterns, settings, expected)
+        return self._digitised(expected, settings)
+
+    def scan(
+        self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
+    ) -> list[Image]:
+        return self._digitised(self._seen(pose, patterns, settings, board=False), settings)
+
+    def mesh(self, item: str) -> trimesh.Trimesh:
+        return artefacts.make(item)
+
+    def save(self, folder: Path) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._now.calibration.save(folder / "calibration.yaml")
+        return folder / "rig.yaml"
+
+    def _shaken(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, expected: Levels
+    ) -> NDArray[np.float32]:
+        now, step = self._now, 0.02
+        by_axis = []
+        for axis in np.eye(3):
+            there = RigidTransform(now.poses[pose].rotation, now.poses[pose].translation + step * axis)
+            by_axis.append((self._seen(there, patterns, settings, board=True) - expected) / step)
+        shake = self._random.normal(0, now.vibration_mm, (len(patterns), 3)).astype(np.float32)
+        return np.einsum("na,anvu->nvu", shake, np.stack(by_axis))
+
+    def _digitised(self, expected: Levels, settings: CameraSettings) -> list[Image]:
+        now, full = self._now, full_scale(settings.bits)
+        per_electron = full * (1 - now.black_level) / (16 * now.full_well_e)
+        signal = np.maximum(expected - full * now.black_level, 0)
+        sigma = np.sqrt(per_electron * signal + (4 * per_electron * now.read_noise_e) ** 2)
+        noisy = expected + sigma * self._random.standard_normal(expected.shape)
+        return list(np.rint(noisy).clip(0, full).astype(np.uint8))
+
+    def _seen(
+        self, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings, board: bool
+    ) -> Levels:
+        now, full = self._now, full_scale(settings.bits)
+        width, height = now.calibration.camera.size
+        out = np.zeros((len(patterns), height, width), np.float32)
+        blur = self._blur_px(pose.translation[2], now.projector_focus_mm, now.projector_aperture_mm, 1300.0)
+        sigma = float(np.hypot(now.projector_blur, blur))
+        for x, y, u, v, fall in self._maps(pose):
+            if board:
+                column = (x + 0.5 * TARGET.size_mm[0]) * PX_PER_MM + 19.5
+                row = (y + 0.5 * TARGET.size_mm[1]) * PX_PER_MM + 19.5
+                ink, there = (between(picture, column, row) for picture in (self._print, self._board))
+                albedo = (now.paper * (there - ink) + now.ink * ink).astype(np.float32)
+            else:
+                albedo = np.full(x.shape, 0.9, np.float32)
+            for n, pattern in enumerate(patterns):
+                light = now.response.apply(pattern.image / 255.0).astype(np.float32)
+                light = cv2.GaussianBlur(light, (0, 0), sigma)
+                lit = between(light, u, v)
+                out[n] += 0.5 * albedo * (lit * fall.astype(np.float32) + now.ambient)
+        sharp = self._blur_px(
+            pose.translation[2], now.camera_focus_mm, 35.0 / now.f_number, CAMERA.matrix[0, 0]
+        )
+        for n in range(len(out)):
+            if sharp > 0.01:
+                out[n] = cv2.GaussianBlur(out[n], (0, 0), sharp)
+        falloff = (1 + self._slopes() ** 2) ** (-now.vignetting / 2)
+        levels = full * (now.black_level + (1 - now.black_level) * 0.8 * now.white * out * falloff)
+        return np.asarray(levels.clip(0, full), np.float32)
+
+    def _blur_px(self, z: float, focus: float | None, aperture: float, focal_px: float) -> float:
+        return 0.0 if focus is None else float(0.25 * aperture * abs(1 / z - 1 / focus) * focal_px)
+
+    def _slopes(self) -> Floats:
+        u, v = np.meshgrid(np.arange(CAMERA.size[0]), np.arange(CAMERA.size[1]))
+        return np.hypot((u - 230) / 1216, (v - 150) / 1216)
+
+    def _maps(self, pose: RigidTransform) -> list[tuple[Floats, ...]]:
+        """Board x, y, projector u, v and irradiance at the two samples of every pixel."""
+        now = self._now.calibration
+        key = np.concatenate(
+            [pose.matrix.ravel(), now.camera.matrix.ravel(), now.camera.distortion,
+             now.projector.matrix.ravel(),
+             now.projector.distortion, now.T_projector_camera.matrix.ravel()]
+        ).tobytes()  # fmt: skip
+        if key not in self._kept:
+            if len(self._kept) > 40:
+                self._kept.clear()
+            self._kept[key] = [self._map(pose, du, dv) for du, dv in ((-0.25, -0.25), (0.25, 0.25))]  # type: ignore[assignment]
+        return self._kept[key]  # type: ignore[return-value]
+
+    def _map(self, pose: RigidTransform, du: float, dv: float) -> tuple[Floats, ...]:
+        now = self._now.calibration
+        rays = _rays(now.camera, du, dv)
+        normal = pose.rotation[:, 2]
+        points = rays * ((normal @ pose.translation) / (rays @ normal))[..., None]
+        on_board = pose.inverse().apply(points)
+        at = now.T_projector_camera.apply(points)
+        pixel = now.projector.project(at)
+        distance = np.linalg.norm(at, axis=-1)
+        cosine = np.abs((points - now.projector_centre) @ normal) / distance
+        return (
+            on_board[..., 0],
+            on_board[..., 1],
+            pixel[..., 0],
+            pixel[..., 1],
+            cosine * (475 / distance) ** 2,
+        )
+
+
+_known_rays: dict[bytes, Floats] = {}
+
+
+def _rays(camera: Pinhole, du: float, dv: float) -> Floats:
+    """Of every pixel, (h, w, 3), kept from before for the same camera."""
+    key = np.concatenate([camera.matrix.ravel(), camera.distortion, [du, dv]]).tobytes()
+    if key not in _known_rays:
+        width, height = camera.size
+        u, v = np.meshgrid(np.arange(width) + du, np.arange(height) + dv)
+        slopes = camera.normalise(np.stack([u, v], axis=-1))
+        _known_rays[key] = np.concatenate([slopes, np.ones((height, width, 1))], axis=-1)
+    return _known_rays[key]
+
+
+def moved(parameters: Parameters, mm: float, degrees: float, seed: int = 0) -> Parameters:
+    """With every pose of the board off by so much, each in another direction."""
+    random = np.random.default_rng(seed)
+
+    def off(pose: RigidTransform) -> RigidTransform:
+        turn, shift = random.standard_normal((2, 3))
+        turn *= np.radians(degrees) / np.linalg.norm(turn)
+        shift *= mm / np.linalg.norm(shift)
+        turned = RigidTransform.from_vectors(turn, np.zeros(3)).rotation @ pose.rotation
+        return RigidTransform(turned, pose.translation + shift)
+
+    return replace(parameters, poses=tuple(off(pose) for pose in parameters.poses))
+
+
+def record(twin: PlaneTwin, plan: Plan, folder: Path) -> list[Session]:
+    """Every pose of a twin as a session, as a bench would leave it."""
+    size = twin.parameters.calibration.projector.size
+    rig = {"resolved": {"projector": {"size": list(size), "lattice": "square"}}}
+    patterns = make_patterns(plan, size, Lattice.SQUARE)
+    sessions = []
+    for pose in range(len(twin.parameters.poses)):
+        session = Session.create(folder / f"pose_{pose:02d}", plan, rig)
+        for index, image in enumerate(twin.frames(pose, patterns, SETTINGS)):
+            session.write(Frame(image, index, SETTINGS, 0.0, pattern_id=patterns[index].id))
+        sessions.append(session)
+    return sessions
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """A session without a disk: what `fpplab.matching` asks of one."""
+
+    plan: Plan
+    images: list[Image]
+    path: Path
+
+    @classmethod
+    def of(cls, twin: PlaneTwin, plan: Plan, pose: int) -> Remembered:
+        patterns = make_patterns(plan, PROJECTOR.size, Lattice.SQUARE)
+        return cls(plan, twin.frames(pose, patterns, SETTINGS), Path(f"pose_{pose:02d}"))
+
+    @property
+    def records(self) -> list[Any]:
+        return [SimpleNamespace(settings=SETTINGS) for _ in self.images]
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        return (*CAMERA.size, SETTINGS.bits)
+
+    def read(self, index: int, verify: bool = True) -> Image:
+        return self.images[index]
+
+    def projector(self) -> tuple[tuple[int, int], Lattice]:
+        return PROJECTOR.size, Lattice.SQUARE
