@@ -27,8 +27,8 @@ from benchmarks import Result
 from benchmarks.peak import peak_of
 from drivers.basler import BaslerCamera
 from drivers.basler.frames import POOL_BYTES
-from drivers.emulators.pylon import EmulatedPylon, Policy
-from fpplab.acquisition.acquire import unseen
+from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
+from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.sessions.frame_writer import recording
@@ -60,7 +60,7 @@ def run() -> list[Result]:
 
 @contextmanager
 def _camera() -> Iterator[tuple[BaslerCamera, EmulatedPylon]]:
-    bench = EmulatedPylon(SIZE, policy=Policy(exposure_s=SETTINGS.exposure_s))
+    bench = EmulatedPylon(SIZE, policy=PylonPolicy(exposure_s=SETTINGS.exposure_s))
     bench.start()
     try:
         with BaslerCamera("camera", {"serial": SERIAL}, SimpleNamespace(pylon=bench)) as camera:
@@ -132,7 +132,7 @@ def _record(camera: BaslerCamera, bench: EmulatedPylon, session: Session) -> Non
     camera.arm(FRAMES, "hardware")
     wire = threading.Thread(target=bench.pulse, args=(FRAMES,))
     wire.start()
-    with recording(session, unseen) as record:
+    with recording(session, ignore) as record:
         for _, _, name in PLAN.steps():
             frame = camera.read(TIMEOUT_S)
             record(frame.showing(name, frame.index))

@@ -31,7 +31,7 @@ from fpplab.characterisation import (
     finest_periods,
     observe,
 )
-from fpplab.characterisation.bundle import Model, fit
+from fpplab.characterisation.bundle import Model, adjust_bundle
 from fpplab.characterisation.zhang import apart, stereo
 from fpplab.cli import console
 from fpplab.core import config
@@ -46,7 +46,7 @@ from fpplab.pipeline import characterise_sessions, measure_response, take
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 from sim.devices import SimCamera
-from sim.light import Picture
+from sim.light import PatternLevels
 from sim.poses import plate_corners
 from sim.sensor import SensorModel
 from sim.world import World
@@ -88,7 +88,7 @@ def _characterisation(folder: Path) -> list[Result]:
             for pose in range(POOL):
                 if pose < POSES:
                     sessions.append(take(rig, plan, folder / f"pose_{pose:02d}", ("board", pose)))
-                view = View.of(rig, plan, target, pose)
+                view = BoardWindow.of(rig, plan, target, pose)
                 wanted = [r for r in range(REPEATS) if pose in chosen[r]]
                 for repeat, seen in zip(wanted, _in_parallel(pool, view.observe, wanted), strict=True):
                     repeats[repeat].append(seen)
@@ -133,7 +133,7 @@ def _in_parallel(pool: Pool, work: Any, items: Sequence[Any]) -> list[Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BoardWindow:
     """What reaches the part of the sensor on which the board of one pose lies, under every pattern.
 
     light: by image, (height, width) each. corner: its pixel (u, v) in the whole picture. first: number
@@ -141,7 +141,7 @@ class View:
     """
 
     name: str
-    light: list[Picture]
+    light: list[PatternLevels]
     corner: Floats
     first: int
     sensor: SensorModel
@@ -151,7 +151,7 @@ class View:
     target: Target
 
     @classmethod
-    def of(cls, rig: Rig, plan: Plan, target: Target, pose: int) -> View:
+    def of(cls, rig: Rig, plan: Plan, target: Target, pose: int) -> BoardWindow:
         """As the rig stands with the board in that pose."""
         assert isinstance(rig.camera, SimCamera)
         fixture, caps, bench = rig.need_fixture("the benchmark"), rig.projector.caps, rig.camera.bench
@@ -252,7 +252,7 @@ def _refinement(found: Characterisation, target: Target) -> Result:
     seconds = []
     for _ in range(3):
         begin = time.perf_counter()
-        fit(observations, start, Model(found.level, target.points()))
+        adjust_bundle(observations, start, Model(found.level, target.points()))
         seconds.append(time.perf_counter() - begin)
     return below("characterise_refinement", median(seconds), "s", MOST_SECONDS)
 

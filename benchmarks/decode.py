@@ -41,7 +41,7 @@ STRIPES, STEPS = (1, 8, 64), 12
 PLAN = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=STEPS) for s in STRIPES))
 REPEATS, BASELINE_REPEATS = 9, 3
 
-Frames = list[NDArray[np.uint8]]
+FrameStack = list[NDArray[np.uint8]]
 
 
 def run() -> list[Result]:
@@ -75,7 +75,7 @@ def _product(frames: Sequence[NDArray[np.uint8]]) -> None:
     decode(frames, PLAN, PROJECTOR)
 
 
-def plain_numpy(frames: Frames) -> tuple[Map, Map, Mask]:
+def plain_numpy(frames: FrameStack) -> tuple[Map, Map, Mask]:
     """Coordinate, modulation and mask as one writes them down in vectorised NumPy."""
     stack = np.stack(frames).astype(np.float32)
     shift = (TWO_PI * np.arange(STEPS) / STEPS).astype(np.float32)
@@ -116,18 +116,18 @@ def _in_turn(
     return Result(name, median(own), "s", median(other), median(other) / median(own))
 
 
-def _versus_numpy(frames: Frames) -> Result:
+def _versus_numpy(frames: FrameStack) -> Result:
     return _in_turn(
         lambda: _product(frames), lambda: _seconds(lambda: plain_numpy(frames)), "decode_vs_numpy"
     )
 
 
-def _versus_fringes(frames: Frames, paths: list[Path]) -> Result:
+def _versus_fringes(frames: FrameStack, paths: list[Path]) -> Result:
     with _FringesProcess(paths) as baseline:
         return _in_turn(lambda: _product(frames), baseline.seconds, "decode_vs_fringes")
 
 
-def _bandwidth(frames: Frames) -> Result:
+def _bandwidth(frames: FrameStack) -> Result:
     """GB of frames per second while decoding, beside plain reading of the same frames."""
     size = sum(f.nbytes for f in frames)
     result = _in_turn(lambda: _product(frames), lambda: _seconds(lambda: _read(frames)), "", REPEATS)
@@ -135,7 +135,7 @@ def _bandwidth(frames: Frames) -> Result:
     return Result("decode_bandwidth", value, "GB/s", machine, value / machine)
 
 
-def _read(frames: Frames) -> None:
+def _read(frames: FrameStack) -> None:
     """Touch every byte of every frame once, on all processors, as fast as the machine can."""
     words = [f.reshape(-1)[: f.size // 8 * 8].view(np.uint64) for f in frames]
     workers, n = os.cpu_count() or 1, len(words[0])

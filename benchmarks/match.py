@@ -27,7 +27,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
 from fpplab.matching.match import Limits
-from fpplab.matching.run import Outcome, Wanted, match_sessions, twin_of
+from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.pipeline import measure_response, take, take_poses
@@ -53,7 +53,7 @@ MOST_DELTA_UM, MOST_DELTA_PERCENT = 3.0, 10.0
 
 
 @dataclass(frozen=True)
-class Trial:
+class MatchBenchmarkSetup:
     """What is recorded and matched: rig and plan files, how many poses of the board, which artefacts.
 
     focus_moved_mm: how far, for a bench that is none.
@@ -74,17 +74,17 @@ class Trial:
         return min(FEW, self.poses)
 
 
-FULL = Trial()
+FULL = MatchBenchmarkSetup()
 
 
 def run() -> list[Result]:
     """All figures; the baselines are the targets. It takes some hour and a half on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         record(Path(folder))
-        return figures(Path(folder))
+        return match_figures(Path(folder))
 
 
-def record(folder: Path, trial: Trial = FULL) -> None:
+def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
     """Leave in `folder` what the hidden bench sees; sessions that are complete there are kept."""
     plan, scan_plan = Plan.load(trial.board_plan), Plan.load(trial.scan_plan)
     with Rig.load(trial.hidden) as rig:
@@ -111,12 +111,12 @@ def _refocused(world: World, further_mm: float) -> World:
     return world.model_copy(update={"camera": camera})
 
 
-def figures(folder: Path, trial: Trial = FULL) -> list[Result]:
+def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Result]:
     """All figures of the recording in `folder`; the twins are left there too, in place of earlier ones."""
     sessions = recorded_sessions([folder / BOARD])
     response = Response.load(folder / RESPONSE)
     scans = {item: Session.open(folder / SCANS / item) for item in trial.artefacts}
-    plain = Wanted(board=BOARD, card=CARD, response=response, limits=trial.limits)
+    plain = MatchingRequest(board=BOARD, card=CARD, response=response, limits=trial.limits)
     results = []
     with Rig.load(trial.hidden) as bench, Rig.load(trial.twin) as rig:
         truth = truth_of(bench, rig.bench.world)
@@ -134,7 +134,7 @@ def figures(folder: Path, trial: Trial = FULL) -> list[Result]:
     return results
 
 
-def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Wanted) -> Outcome:
+def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: MatchingRequest) -> MatchingResult:
     shutil.rmtree(out, ignore_errors=True)  # an earlier matching would go on
     with console.progress(f"Matching {out.name}") as report:
         return match_sessions(twin, sessions, twin.target, out, wanted, progress=report)
@@ -171,7 +171,7 @@ def perturbed(parameters: Parameters) -> Parameters:
     return replace(parameters, calibration=calibration, poses=tuple(off(pose) for pose in parameters.poses))
 
 
-def _convergence(name: str, found: Outcome, seconds: float) -> list[Result]:
+def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Result]:
     """How alike bench and twin became, and what it took: from recorded sessions to everything saved."""
     loss = found.matched.final.loss
     ssim = {"board": loss.similarity.board.mean(), "whole": loss.similarity.whole.mean()}
@@ -205,7 +205,7 @@ def errors(name: str, found: Parameters, truth: Parameters) -> list[Result]:
     ]  # fmt: skip
 
 
-def _judgement(name: str, found: Outcome) -> list[Result]:
+def _judgement(name: str, found: MatchingResult) -> list[Result]:
     """How differently bench and twin measure the artefacts, on average."""
     judged = [one.summary() for one in found.judgements]
     um = fmean(abs(one["delta_um"]) for one in judged)
@@ -216,7 +216,7 @@ def _judgement(name: str, found: Outcome) -> list[Result]:
     ]
 
 
-def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: Wanted) -> list[Result]:
+def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: MatchingRequest) -> list[Result]:
     """Twins that are not the bench's, and benches that are none."""
     world, few = rig.bench.world, sessions[:FEW]
     board = twin_of(rig, BOARD).target
@@ -234,7 +234,9 @@ def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: Wante
     ]
 
 
-def _refusal(name: str, twin: Twin, sessions: Sequence[Session], out: Path, wanted: Wanted) -> Result:
+def _refusal(
+    name: str, twin: Twin, sessions: Sequence[Session], out: Path, wanted: MatchingRequest
+) -> Result:
     """1 if it was refused."""
     refused = 0.0
     try:

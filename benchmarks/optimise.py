@@ -37,12 +37,12 @@ from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation import objectives
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
-from fpplab.optimisation.confirm import Confirmation, Measured
-from fpplab.optimisation.goal import What
+from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
+from fpplab.optimisation.goal import Goal
 from fpplab.optimisation.measuring import candidate_of
-from fpplab.optimisation.run import Confirmed, Found, calibrated, confirm_found, optimise
+from fpplab.optimisation.run import Confirmed, SearchResult, calibrated, confirm_found, run_search
 from fpplab.optimisation.scheduling import Cluster, Opener, OpenRig, Task
-from fpplab.optimisation.storage import Outcome
+from fpplab.optimisation.storage import ScoresOrReason
 from fpplab.optimisation.study import Gradient, Study
 from fpplab.patterns.fringes import make_patterns
 
@@ -59,7 +59,7 @@ WARM = 6
 
 
 @dataclass(frozen=True)
-class Trial:
+class OptimiseBenchmarkSetup:
     """What is searched: rig and study files, and how much is timed.
 
     search: the twin on which searches measure. wide: the rig of the baseline. epochs: of the gradient
@@ -82,16 +82,16 @@ class Trial:
     workers: int = os.cpu_count() or 1
 
 
-FULL = Trial()
+FULL = OptimiseBenchmarkSetup()
 
 
 def run() -> list[Result]:
     """All figures; the baselines are the targets. It takes an hour or two on two cores."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
-        return figures(Path(folder))
+        return optimise_figures(Path(folder))
 
 
-def figures(folder: Path, trial: Trial = FULL) -> list[Result]:
+def optimise_figures(folder: Path, trial: OptimiseBenchmarkSetup = FULL) -> list[Result]:
     """All figures. Searches go on where their journals in `folder` end; what is timed is done anew.
 
     Raises `DataError` when a search finds nothing that can be measured, and what measuring raises.
@@ -116,17 +116,19 @@ def _of_rig(rig: str, folder: Path) -> Path:
     return folder / Path(rig).stem
 
 
-def searched(what: What, rig: str, name: str, folder: Path, workers: int) -> Found:
+def searched(what: Goal, rig: str, name: str, folder: Path, workers: int) -> SearchResult:
     """What `fpplab optimise` finds; its plans and its journal stay in `folder`."""
     study = _characterised(rig, name, folder)
-    out = folder / (str(what) if what is What.PARETO else f"{what}.yaml")
+    out = folder / (str(what) if what is Goal.PARETO else f"{what}.yaml")
     with console.progress(f"Searching {what} on {rig}"):
-        found = optimise(what, rig, study, out, name, workers=workers)
+        found = run_search(what, rig, study, out, name, workers=workers)
     console.say(f"{what}: {len(found.trials)} candidates, {found.ended}")
     return found
 
 
-def on_both(trial: Trial, found: Found, folder: Path) -> list[tuple[Confirmed, Confirmed]]:
+def on_both(
+    trial: OptimiseBenchmarkSetup, found: SearchResult, folder: Path
+) -> list[tuple[Confirmed, Confirmed]]:
     """Every plan that is confirmed, on the twin and on the hidden bench: side by side by several workers."""
     rigs = (trial.twin, trial.hidden)
     if trial.workers == 1:
@@ -136,13 +138,13 @@ def on_both(trial: Trial, found: Found, folder: Path) -> list[tuple[Confirmed, C
         return list(zip(*(one.result() for one in both), strict=True))
 
 
-def _confirmed(rig: str, found: Found, folder: Path) -> tuple[Confirmed, ...]:
+def _confirmed(rig: str, found: SearchResult, folder: Path) -> tuple[Confirmed, ...]:
     with console.progress(f"Confirming on {rig}") as report:
         return confirm_found(rig, found, _of_rig(rig, folder), report)
 
 
-def _phases(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.PHASES, trial.search, trial.phases, folder, trial.workers)
+def _phases(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
+    found = searched(Goal.PHASES, trial.search, trial.phases, folder, trial.workers)
     ((twin, hidden),) = on_both(trial, found, folder)
     return [
         below("optimise_phases_images", found.optimum.candidate.images, "images", MOST_IMAGES),
@@ -158,8 +160,8 @@ def no_worse(name: str, found: Confirmation) -> Result:
     return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
 
 
-def _stripes(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.STRIPES, trial.search, trial.stripes, folder, trial.workers)
+def _stripes(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
+    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, trial.workers)
     ((twin, hidden),) = on_both(trial, found, folder)
     here, there = twin.confirmation, hidden.confirmation
     return [
@@ -170,15 +172,15 @@ def _stripes(folder: Path, trial: Trial) -> list[Result]:
     ]
 
 
-def wrong_percent(found: Measured) -> float:
+def wrong_percent(found: RepeatedFigures) -> float:
     """Of all points those that are a fringe or more off."""
     measured = [one for repeats in found.values() for one in repeats]
     points = sum(one.points for one in measured)
     return 100 * sum(one.wrong_orders * one.points for one in measured) / points
 
 
-def _baseline(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.BASELINE, trial.wide, trial.baseline, folder, trial.workers)
+def _baseline(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
+    found = searched(Goal.BASELINE, trial.wide, trial.baseline, folder, trial.workers)
     (moved,) = _confirmed(trial.wide, found, folder)
     least, most = (found.space.parameters[0].least, found.space.parameters[0].most)
     at = found.optimum.point[0]
@@ -190,15 +192,15 @@ def _baseline(folder: Path, trial: Trial) -> list[Result]:
     ]
 
 
-def gain_of(found: Found) -> float:
+def gain_of(found: SearchResult) -> float:
     """Of the optimum, as a share, with the seeds that chose nothing."""
     if found.gain is None:
         raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
     return found.gain.down_percent / 100.0
 
 
-def _pareto(folder: Path, trial: Trial) -> list[Result]:
-    found = searched(What.PARETO, trial.search, trial.pareto, folder, trial.workers)
+def _pareto(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
+    found = searched(Goal.PARETO, trial.search, trial.pareto, folder, trial.workers)
     counts = [one.candidate.images for one in found.front]
     within = [n for n in counts if IMAGES_OF_FRONT[0] <= n <= IMAGES_OF_FRONT[1]]
     apart = [deviation(twin, hidden) for twin, hidden in on_both(trial, found, folder)]
@@ -210,7 +212,7 @@ def _pareto(folder: Path, trial: Trial) -> list[Result]:
     ]
 
 
-def beside_singles(found: Found) -> float:
+def beside_singles(found: SearchResult) -> float:
     """The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
 
     Of those with as many images, among all that were measured and keep the limits: the search of a front
@@ -226,7 +228,7 @@ def beside_singles(found: Found) -> float:
     )
 
 
-def groups_changed(found: Found, trial: objectives.Trial) -> set[str]:
+def groups_changed(found: SearchResult, trial: objectives.MeasuredCandidate) -> set[str]:
     """In which groups of parameters a trial differs from the start."""
     values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
     return {parameter.group for parameter, value, begin in values if value != begin}
@@ -240,7 +242,7 @@ def deviation(twin: Confirmed, hidden: Confirmed) -> float:
     return abs(one.gain - other.gain) / float(np.hypot(one.uncertainty, other.uncertainty))
 
 
-def _speed(folder: Path, trial: Trial) -> list[Result]:
+def _speed(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     study = _characterised(trial.search, trial.gradient, folder)
     assert isinstance(study.method, Gradient)
     # Never down by so much, it ends after just so many epochs.
@@ -250,8 +252,8 @@ def _speed(folder: Path, trial: Trial) -> list[Result]:
     begin = time.perf_counter()
     with own_cache(out), console.progress(f"Gradient descent through {trial.epochs} epochs"):
         descent = study.model_copy(update={"method": whole})
-        found = optimise(
-            What.STRIPES, trial.search, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
+        found = run_search(
+            Goal.STRIPES, trial.search, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
         )
     seconds = time.perf_counter() - begin
     images = len(study.artefacts) * sum(one.candidate.images for one in found.trials if one.measured)
@@ -356,7 +358,7 @@ class _Mortal:
         self.evaluator.close()
 
 
-def _scale(folder: Path, trial: Trial) -> list[Result]:
+def _scale(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     """Two workers against one, where there are two cores; and two of which one is killed."""
     study = _characterised(trial.search, trial.stripes, folder)
     opener = OpenRig(trial.search, study)
@@ -381,9 +383,9 @@ def _others(like: Candidate, count: int) -> Iterable[Candidate]:
     )
 
 
-def _measured(opener: Opener, workers: int, tasks: Sequence[Task]) -> tuple[dict[int, Outcome], float]:
+def _measured(opener: Opener, workers: int, tasks: Sequence[Task]) -> tuple[dict[int, ScoresOrReason], float]:
     """Outcomes by place, and seconds for all but the first `WARM`."""
-    found: dict[int, Outcome] = {}
+    found: dict[int, ScoresOrReason] = {}
     cluster = Cluster(opener, workers)
     try:
         with console.progress(f"Measuring with {workers}") as report:

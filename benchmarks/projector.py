@@ -15,7 +15,7 @@ from drivers.clock import RealClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.index import FlashIndex, FlashPattern
 from drivers.dlp4500.sequence import SIZE
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Policy
+from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
 from fpplab.core import config
 from fpplab.patterns.fringes import uniform_patterns
 
@@ -30,7 +30,7 @@ def run() -> list[Result]:
     clock = RealClock()
     patterns = uniform_patterns(list(range(PATTERNS)), SIZE)
     dark = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
-    hid = EmulatedHid(Dlpc350(clock, [dark] * (PATTERNS // PER_IMAGE), Policy(mode_change_s=0.0)))
+    hid = EmulatedHid(Dlpc350(clock, [dark] * (PATTERNS // PER_IMAGE), Dlpc350Policy(mode_change_s=0.0)))
     listed = [FlashPattern.of(p, *divmod(i, PER_IMAGE)) for i, p in enumerate(patterns)]
     with tempfile.TemporaryDirectory() as folder:
         flash = Path(folder) / "flash.yaml"

@@ -19,14 +19,14 @@ import psutil
 
 from benchmarks import Result, below
 from benchmarks.peak import peak_of
-from fpplab.artefacts import Steps
+from fpplab.artefacts import StepsSizes
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from sim.devices import SimCamera, SimProjector, VirtualBench
-from sim.light import Picture, Show
+from sim.light import PatternLevels, Show
 from sim.world import World
 
 STRIPES, OTHERS, STEPS = (1, 8, 64), (1, 7, 50), 12
@@ -88,7 +88,7 @@ class _Rig:
                 report((i + 1) / len(patterns))
         return time.perf_counter() - start
 
-    def pictures(self, stripes: tuple[int, ...]) -> list[Picture]:
+    def pictures(self, stripes: tuple[int, ...]) -> list[PatternLevels]:
         """What reached the sensor in one image of `EVERY`: grey levels of 255, white at full scale."""
         patterns = self.patterns(stripes)
         return [
@@ -102,7 +102,7 @@ def _world(folder: Path, **render: Any) -> dict[str, Any]:
     data["camera"]["binning"] = render.pop("binning")
     part = folder / "stairs.stl"
     if not part.exists():
-        Steps((210.0, 150.0), (5.0, 10.0, 15.0, 20.0, 25.0)).mesh().export(part)
+        StepsSizes((210.0, 150.0), (5.0, 10.0, 15.0, 20.0, 25.0)).mesh().export(part)
     pose = {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]}
     data |= {"items": {"part": {"mesh": str(part), "pose": pose}}, "mounted": "part", "ambient": 0.0}
     data["render"] = render
@@ -114,7 +114,7 @@ def _paths(folder: Path, binning: int) -> list[Result]:
     with _Rig(folder, path="transport", **effort) as warm:
         warm.measure(STRIPES, "Compiling")  # what is compiled once must not be counted
     times: dict[str, float] = {}
-    seen: dict[str, list[Picture]] = {}
+    seen: dict[str, list[PatternLevels]] = {}
     with _Rig(folder, path="transport", **effort) as rig:
         times["transport"] = rig.measure(STRIPES, "Transport")
         seen["transport"] = rig.pictures(STRIPES)
@@ -136,7 +136,7 @@ def _speeds(times: dict[str, float]) -> list[Result]:
     ]
 
 
-def _agreements(seen: dict[str, list[Picture]], truth: list[Picture]) -> list[Result]:
+def _agreements(seen: dict[str, list[PatternLevels]], truth: list[PatternLevels]) -> list[Result]:
     errors = {way: np.abs(np.stack(pictures) - np.stack(truth)) for way, pictures in seen.items()}
     greatest = float(errors["linear"].max())
     rms = float(np.sqrt(np.mean(errors["transport"] ** 2)))

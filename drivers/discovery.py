@@ -39,7 +39,7 @@ RULES = "copy the udev rules of docs/hardware.md, and plug it in anew"
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundDevices:
     """Devices, and a sentence for everything that is missing."""
 
     devices: list[DeviceInfo]
@@ -68,10 +68,10 @@ class UsbDevice:
         return self.serial or f"at {self.place}"
 
 
-def find() -> Found:
+def find_devices() -> FoundDevices:
     """Every camera, projector and possible stage that this computer sees, and what hides others."""
     usb, missing = usb_devices()
-    found = Found([], missing)
+    found = FoundDevices([], missing)
     for kind, search in (("cameras", cameras), ("projectors", projectors), ("stages", stages)):
         try:
             part = search(usb)
@@ -124,14 +124,14 @@ def _may_use(node: Path) -> bool:
     return not node.exists() or os.access(node, os.R_OK | os.W_OK)
 
 
-def cameras(usb: Iterable[UsbDevice]) -> Found:
+def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
     """Basler cameras, the SDK's emulated ones among them."""
     from pypylon import pylon
 
     seen = pylon.TlFactory.GetInstance().EnumerateDevices()
     plugged = [device for device in usb if device.vendor == BASLER_VENDOR]
     speeds = {device.serial: device.speed for device in plugged if device.serial}
-    found = Found([], [])
+    found = FoundDevices([], [])
     for camera in seen:
         link = _link(camera.GetDeviceClass(), speeds.get(camera.GetSerialNumber()))
         found.devices.append(DeviceInfo("camera", camera.GetModelName(), camera.GetSerialNumber(), link))
@@ -149,12 +149,12 @@ def cameras(usb: Iterable[UsbDevice]) -> Found:
     return found
 
 
-def projectors(usb: Iterable[UsbDevice]) -> Found:
+def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
     """LightCrafters 4500 on USB; the controller shows two interfaces, of which one takes commands."""
     import hid
 
     plugged = [device for device in usb if device.ids == (DLP4500_VENDOR, DLP4500_PRODUCT)]
-    found = Found([], [])
+    found = FoundDevices([], [])
     for one in hid.enumerate(DLP4500_VENDOR, DLP4500_PRODUCT):
         if one["interface_number"] in (-1, 0):
             serial = one["serial_number"] or ""
@@ -171,14 +171,14 @@ def projectors(usb: Iterable[UsbDevice]) -> Found:
     return found
 
 
-def stages(usb: Iterable[UsbDevice]) -> Found:
+def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     """Serial ports that a motion controller may sit on."""
     from serial.tools import list_ports
 
     ports = [
         port for port in list_ports.comports() if port.hwid != "n/a"
     ]  # nothing behind it, on the mainboard
-    found = Found([], [])
+    found = FoundDevices([], [])
     for port in ports:
         ids = "" if port.vid is None else f" (USB {port.vid:04x}:{port.pid:04x})"
         link = f"serial {port.device}{ids}"

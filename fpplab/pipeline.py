@@ -6,7 +6,7 @@ of rig it runs on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Literal
@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acquisition.acquire import Observer, acquire, expose, unseen
-from fpplab.acquisition.synchronisation import judge, remedy
+from fpplab.acquisition.acquire import FrameObserver, acquire, expose
+from fpplab.acquisition.synchronisation import check_synchronisation, remedy
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
-    Level,
+    DistortionModel,
     Observation,
     characterise,
     finest_periods,
@@ -28,12 +28,13 @@ from fpplab.characterisation import (
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.conventions import Floats, Image, raw_per_grey
 from fpplab.core.errors import CalibrationError, DataError
+from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.response import Response
-from fpplab.patterns.response_fit import Greys, fit_greys, pixels_of_regions, statistics
+from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.filtering import filtered
 from fpplab.reconstruction.triangulation import triangulate
@@ -41,14 +42,8 @@ from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-Progress = Callable[[float], None]
-
 DECODED, CLOUD, CALIBRATION, REPORT = "decoded.npz", "cloud.ply", "calibration.yaml", "report.html"
 """Names of the results inside a session."""
-
-
-def nothing(share: float) -> None:
-    """A progress report that nobody reads."""
 
 
 def take(
@@ -59,8 +54,8 @@ def take(
     *,
     force: bool = False,
     complete_too: bool = False,
-    progress: Progress = nothing,
-    observe_frame: Observer = unseen,
+    progress: Progress = no_progress,
+    observe_frame: FrameObserver = ignore,
 ) -> Session:
     """Acquire the plan on an open rig into `out`, or complete the interrupted session there.
 
@@ -83,7 +78,7 @@ def take(
     return session
 
 
-def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
+def decode_session(session: Session, progress: Progress = no_progress) -> Decoded:
     """Projector coordinates of every camera pixel.
 
     Raises `DataError`, also when the frames are out of step with the plan, and `ConfigError`.
@@ -96,7 +91,7 @@ def decode_session(session: Session, progress: Progress = nothing) -> Decoded:
     return decoded
 
 
-def _frames(session: Session, progress: Progress = nothing) -> Sequence[Image]:
+def _frames(session: Session, progress: Progress = no_progress) -> Sequence[Image]:
     """All frames, of a plan that the session's projector can show."""
     session.plan.check_projector(session.projector()[0], session.path)
     return session.stack(progress=progress)
@@ -104,7 +99,7 @@ def _frames(session: Session, progress: Progress = nothing) -> Sequence[Image]:
 
 def _out_of_step(session: Session, frames: Sequence[Image]) -> str | None:
     """How the frames are out of step with the plan, and what to see to."""
-    verdict = judge(frames, session.plan, session.format[2])
+    verdict = check_synchronisation(frames, session.plan, session.format[2])
     return None if verdict.in_step else f"{verdict.words()}; {remedy(session.plan)}"
 
 
@@ -114,7 +109,11 @@ def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
 
 
 def reconstruct(
-    session: Session, calibration: Calibration, progress: Progress = nothing, *, filtering: bool | None = None
+    session: Session,
+    calibration: Calibration,
+    progress: Progress = no_progress,
+    *,
+    filtering: bool | None = None,
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and say how well each point is known.
 
@@ -144,7 +143,7 @@ def points_of(
 
 
 def finish_scan(
-    session: Session, calibration: Calibration, progress: Progress = nothing
+    session: Session, calibration: Calibration, progress: Progress = no_progress
 ) -> tuple[Decoded, Cloud]:
     """Reconstruct a complete session and leave every result in it."""
     decoded, cloud = reconstruct(session, calibration, progress)
@@ -171,7 +170,7 @@ def mean_of(frames: Sequence[Image], bits: int) -> NDArray[np.uint8]:
 
 
 def take_poses(
-    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = nothing
+    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = no_progress
 ) -> list[Session]:
     """One session per pose of a target that the rig's fixture holds; poses taken before are kept."""
 
@@ -192,9 +191,9 @@ def take_poses(
 def characterise_sessions(
     sessions: Sequence[Session],
     target: Target,
-    progress: Progress = nothing,
+    progress: Progress = no_progress,
     *,
-    level: Level | Literal["auto"] = "auto",
+    level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
     """Camera, projector and the pose between them from one session per pose of a target.
@@ -238,7 +237,7 @@ def _observe_session(session: Session, target: Target, periods: tuple[float, flo
 
 
 def measure_response(
-    rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = nothing
+    rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = no_progress
 ) -> tuple[Response, Floats]:
     """Show uniform greys and fit the response; also the levels fitted, (K, 2) of in and out in [0, 1].
 
@@ -258,7 +257,7 @@ def measure_response(
                 seen[repeat, i] = statistics(frame.image, frame.settings.bits)
                 progress((repeat + done / len(patterns)) / wanted.repeats)
     response = fit_greys(
-        Greys(
+        GreyLevelImages(
             shown=np.array(wanted.shown) / 255.0,
             seen=seen,
             dark=statistics(dark.image, dark.settings.bits),

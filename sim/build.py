@@ -10,7 +10,7 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.items import item_poses, item_shape, item_surface
-from sim.scene import Aperture, Lamp, Optics, Scene, Surface
+from sim.scene import Aperture, Lamp, PinholeOptics, RenderScene, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
 
@@ -38,7 +38,7 @@ class Setup:
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 
-def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
+def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]:
     """The scene with the item of `setup` in its pose, and the texture of its lamp. Raises `ConfigError`."""
     held = setup.held or item_poses(world, setup.item)[setup.pose]
     surface = item_surface(world, setup.item, held.moved(np.array(setup.shake_mm)))
@@ -46,7 +46,7 @@ def build_scene(world: World, setup: Setup) -> tuple[Scene, MirrorTexture]:
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
     lamp, texture = _lamp(world, setup.T_projector_camera(world), box)
     window = _window(camera, aperture, box)
-    return Scene(_optics(camera), aperture, lamp, (surface,), window), texture
+    return RenderScene(_optics(camera), aperture, lamp, (surface,), window), texture
 
 
 def is_lit_in_view(world: World, setup: Setup) -> bool:
@@ -58,8 +58,8 @@ def is_lit_in_view(world: World, setup: Setup) -> bool:
     return bool(np.any(seen & lit))
 
 
-def _optics(model: Pinhole) -> Optics:
-    return Optics(model.size, model.matrix, model.distortion)
+def _optics(model: Pinhole) -> PinholeOptics:
+    return PinholeOptics(model.size, model.matrix, model.distortion)
 
 
 def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tuple[Lamp, MirrorTexture]:

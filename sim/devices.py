@@ -39,17 +39,17 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.patterns.fringes import Pattern, quantise
-from fpplab.simulation.arrangeable import Studio
+from fpplab.simulation.arrangeable import Arrangeable
 from fpplab.simulation.matchable import Twin
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
-from sim.light import Light, Picture, Show
-from sim.scene import Effort, View
+from sim.light import Light, PatternLevels, Show
+from sim.scene import Effort, SubpixelView
 from sim.sensor import SensorModel
-from sim.studio import SimStudio
+from sim.studio import SimScenes
 from sim.timing import is_whole, plane_weights
 from sim.twin import SimTwin
-from sim.vibration import displaced, shaken
+from sim.vibration import displaced, with_vibration
 from sim.worker import START_S, Blender
 from sim.world import Binning, BoardItem, Subpixels, World
 
@@ -62,7 +62,7 @@ LEAST_EXPOSURE_S = {
 """By bit depth: the DLP LightCrafter 4500's, whose place the projector takes."""
 
 
-class BenchOptions(Document):
+class VirtualBenchOptions(Document):
     """The bench's section in a rig file.
 
     world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
@@ -91,12 +91,12 @@ class BenchOptions(Document):
 class VirtualBench:
     """What the devices share: the world, and how it stands at the moment.
 
-    Raises `ConfigError` for a wrong option (see `BenchOptions`) or world. Blender starts with the first
+    Raises `ConfigError` for a wrong option (see `VirtualBenchOptions`) or world. Blender starts with the first
     picture that needs it.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
-        chosen = config.validate(options, BenchOptions, "bench")
+        chosen = config.validate(options, VirtualBenchOptions, "bench")
         self.world = chosen.seen()
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
@@ -159,11 +159,11 @@ class VirtualBench:
         """Turn the projector towards the camera, in degrees from how the world has it."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
-    def studio(self) -> Studio:
+    def studio(self) -> Arrangeable:
         """Scenes of this world's devices with everything known about them; see `fpplab.dataset`."""
-        return SimStudio(self)
+        return SimScenes(self)
 
-    def irradiance(self, settings: CameraSettings, frame: int) -> Picture:
+    def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
         """What reaches the sensor during a frame, (height, width), 1 for white.
 
         frame: as `drawn`; how the item shakes and when the shutter opens follow from it and the seed.
@@ -176,7 +176,7 @@ class VirtualBench:
         shake, start = random.standard_normal(3), random.uniform()
         weights, step = self._row_weights(show, settings, start), self.world.vibration_mm
         if step and setup.item != "nothing" and not self.light.computes(setup):
-            return shaken(self.light, setup, self._displaced(setup), shake, show, weights)
+            return with_vibration(self.light, setup, self._displaced(setup), shake, show, weights)
         if step:  # no render to save
             x, y, z = (step * shake).tolist()
             setup = replace(setup, shake_mm=(x, y, z))
@@ -204,7 +204,7 @@ class VirtualBench:
         one = replace(scene, window=(0, 0, 1, 1))
         try:
             self.blender.render(
-                one, None, [View((0.0, 0.0))], Effort(device=self.world.render.device), START_S
+                one, None, [SubpixelView((0.0, 0.0))], Effort(device=self.world.render.device), START_S
             )
         except BaseException:
             self.blender.close()  # a bench that does not open is not closed

@@ -92,7 +92,7 @@ def _share_of_ground(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
 def board_target(name: str, item: BoardItem) -> Target:
     """What is printed on a board, and with what reflectances. Raises `ConfigError`."""
     with _named(f"items.{name}.target"):
-        path = config.find(item.target)
+        path = config.find_config(item.target)
         target = _target(path, path.stat().st_mtime_ns)
     own = {"background": item.reflectance, "foreground": item.ink}
     return target.model_copy(update={field: value for field, value in own.items() if value is not None})

@@ -15,7 +15,7 @@ from fpplab.core.conventions import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Optics:
+class PinholeOptics:
     """A pinhole with OpenCV's distortion.
 
     size: (width, height) in px. matrix: (3, 3) in px. distortion: (8,), k1 k2 p1 p2 k3 k4 k5 k6.
@@ -53,7 +53,7 @@ class Lamp:
     is linear in the diameter's square, as variances are.
     """
 
-    optics: Optics
+    optics: PinholeOptics
     T_camera_projector: Floats
     affine: Floats
     texture_shape: tuple[int, int]
@@ -129,14 +129,14 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RenderScene:
     """Camera, light and surfaces.
 
     window: (left, top, right, bottom) in px, the right and bottom ones excluded: the part of the image that
     holds the surfaces. The rest is black without being rendered.
     """
 
-    camera: Optics
+    camera: PinholeOptics
     aperture: Aperture
     lamp: Lamp
     surfaces: tuple[Surface, ...]
@@ -163,7 +163,7 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class View:
+class SubpixelView:
     """One point of every pixel and of the lens that a picture is taken through.
 
     shift: (u, v) from the pixel's centre in px. lens: on a disc of radius 1; turned about the axis by an
@@ -174,7 +174,7 @@ class View:
     lens: tuple[float, float] = (0.0, 0.0)
 
 
-class Refused(Exception):  # noqa: N818 - the world asks for what cannot be had
+class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot be had
     """What the world asks for and cannot be had, and what to change: one sentence."""
 
 

@@ -9,8 +9,8 @@ import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.dataset.scenes import Scene
-from fpplab.simulation.arrangeable import Truth
+from fpplab.dataset.scenes import DatasetScene
+from fpplab.simulation.arrangeable import SceneTruth
 from sim.items import item_poses, item_shape
 from sim.world import World
 
@@ -21,8 +21,8 @@ ITEM = "item"
 """What a scene's one item is called."""
 
 
-class SimStudio:
-    """A `fpplab.simulation.arrangeable.Studio` of the world that the bench stands in when it is made."""
+class SimScenes:
+    """A `fpplab.simulation.arrangeable.Arrangeable` of the world that the bench stands in when it is made."""
 
     def __init__(self, bench: VirtualBench) -> None:
         self._bench, self._nominal = bench, bench.world
@@ -38,7 +38,7 @@ class SimStudio:
             world.camera_model(), world.projector_model(), world.T_projector_camera(stage_mm), rms_px={}
         )
 
-    def arrange(self, scene: Scene) -> None:
+    def arrange(self, scene: DatasetScene) -> None:
         """Stand the scene's item before the devices, in its light. Raises `ConfigError`."""
         self._bench.become(_world_of(self._nominal, scene))
         self._bench.light.forget()  # no scene comes again
@@ -48,20 +48,20 @@ class SimStudio:
         """The world as it is arranged."""
         return config.plain(self._bench.world)
 
-    def truth(self) -> Truth:
+    def truth(self) -> SceneTruth:
         """The item's true surface, and the devices where the stage has put them."""
         world = self._bench.world
         vertices, faces = item_shape(world, ITEM)
         (pose,) = item_poses(world, ITEM)
         mesh = trimesh.Trimesh(pose.apply(vertices), faces, process=False)
-        return Truth(mesh, self.calibration(self._bench.setup.stage_mm))
+        return SceneTruth(mesh, self.calibration(self._bench.setup.stage_mm))
 
 
 _REPLACED = ("seed", "items", "mounted", "material", "materials", "ambient")
 """Parts of a world that every scene has its own of."""
 
 
-def _world_of(nominal: World, scene: Scene) -> World:
+def _world_of(nominal: World, scene: DatasetScene) -> World:
     """The nominal world with the scene in it. Raises `ConfigError` for what no world can have."""
     data = nominal.model_dump(mode="json")
     pose = scene.pose.model_dump(mode="json")

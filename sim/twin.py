@@ -17,20 +17,20 @@ import trimesh
 
 from fpplab.calibration.model import Calibration, CalibrationFile, PoseFile
 from fpplab.core import config
-from fpplab.core.conventions import Image, Pixels
+from fpplab.core.conventions import Image, PixelIndices
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import Levels, Parameters
+from fpplab.simulation.matchable import ExpectedLevels, Parameters
 from fpplab.targets import Target
 from sim.build import Setup
 from sim.items import board_target, item_mesh, item_poses
-from sim.light import Light, Picture, Show
+from sim.light import Light, PatternLevels, Show
 from sim.sensor import SensorModel
-from sim.vibration import displaced, shaken
+from sim.vibration import displaced, with_vibration
 from sim.worker import Blender
 from sim.world import ArtefactItem, BoardItem, MeshItem, World
 
@@ -68,20 +68,20 @@ class SimTwin:
         light.inherit(self._light)
         self._parameters, self._world, self._light = parameters, world, light
 
-    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """What the camera sees of the board on average, (n, h, w)."""
         return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
 
     def expected_at(
-        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
-    ) -> Levels:
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> ExpectedLevels:
         """What `expected` is at these pixels, (n, P)."""
         setup = Setup(self._board, held=self._parameters.poses[pose])
         irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
         self._settings = settings
         return SensorModel.of(self._world).expected(irradiance, settings)
 
-    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """What the camera sees of another item of the world on average, (n, h, w)."""
         self._world.item(item)
         return self._expected(Setup(item), patterns, settings)
@@ -106,7 +106,7 @@ class SimTwin:
             if step:
                 random = np.random.default_rng([self._world.seed, self._frames_taken + n])
                 shake = random.standard_normal(3)
-                pictures.append(shaken(self._light, still, moved, shake, Show(shown, n)))
+                pictures.append(with_vibration(self._light, still, moved, shake, Show(shown, n)))
             else:
                 pictures.append(self._irradiance(still, shown, n))
         counters = range(self._frames_taken, self._frames_taken + len(shown))
@@ -136,7 +136,9 @@ class SimTwin:
         write_text(path, config.to_yaml({"name": "Matched twin", "bench": bench, **devices}))
         return path
 
-    def _expected(self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def _expected(
+        self, setup: Setup, patterns: Sequence[Pattern], settings: CameraSettings
+    ) -> ExpectedLevels:
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
         width, height = self._world.camera.size
         levels = np.empty((len(shown), height, width), np.float32)
@@ -144,7 +146,7 @@ class SimTwin:
             level[:] = sensor.expected(self._irradiance(setup, shown, n), settings)
         return levels
 
-    def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> Picture:
+    def _irradiance(self, setup: Setup, patterns: tuple[Pattern, ...], n: int) -> PatternLevels:
         return self._light.irradiance(setup, Show(patterns, n))
 
 

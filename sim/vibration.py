@@ -14,7 +14,7 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 from sim.build import Setup
-from sim.light import Light, Picture, Show
+from sim.light import Light, PatternLevels, Show
 
 
 def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup, ...]:
@@ -25,14 +25,14 @@ def displaced(setup: Setup, pose: RigidTransform, step_mm: float) -> tuple[Setup
     return tuple(replace(setup, held=pose.moved(step_mm * axis)) for axis in np.eye(3))
 
 
-def shaken(
+def with_vibration(
     light: Light,
     still: Setup,
     moved: Sequence[Setup],
     steps: Floats,
     show: Show | None,
     row_weights: Floats | None = None,
-) -> Picture:
+) -> PatternLevels:
     """What `Light.irradiance` gives of the item displaced by `steps` (3,) times what `moved` is."""
     picture = np.float32(1 - steps.sum()) * light.irradiance(still, show, row_weights)
     for step, place in zip(steps.tolist(), moved, strict=True):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, TimeoutError
 from fpplab.core.system import BLENDER
-from sim.scene import Effort, Scene, View
+from sim.scene import Effort, RenderScene, SubpixelView
 
 START_S = 120.0
 STOP_S = 5.0
@@ -42,7 +42,7 @@ class Blender:
         self._memory = -1
         self._pixels = np.empty(0, np.float32)
         self._log: IO[bytes] | None = None
-        self._scene: Scene | None = None
+        self._scene: RenderScene | None = None
 
     @property
     def pid(self) -> int | None:
@@ -75,9 +75,9 @@ class Blender:
 
     def render(
         self,
-        scene: Scene,
+        scene: RenderScene,
         textures: NDArray[np.float32] | None,
-        views: list[View],
+        views: list[SubpixelView],
         effort: Effort,
         timeout_s: float,
     ) -> NDArray[np.float32]:

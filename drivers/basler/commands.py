@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 
 NAME = "camera"
 
-Serial = Annotated[
+CameraSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several cameras are connected.")
 ]
 SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="A .pfs file.")]
 
 
 @camera.command()
-def save(file: SettingsFile, serial: Serial = None, force: Force = False, json: Json = False) -> None:
+def save(
+    file: SettingsFile, serial: CameraSerialOption = None, force: Force = False, json: Json = False
+) -> None:
     """Write the camera's settings, as it was left with, into a .pfs file.
 
     A rig file that names it as `features` of its camera has them loaded first, whenever the rig is opened.
@@ -44,7 +46,7 @@ def save(file: SettingsFile, serial: Serial = None, force: Force = False, json: 
 
 
 @camera.command()
-def load(file: SettingsFile, serial: Serial = None, json: Json = False) -> None:
+def load(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
     """Set a camera to what a .pfs file holds, until it is switched off.
 
     A file that does not fit the camera is refused; half of it may be set by then.

@@ -12,27 +12,27 @@ from pypylon import pylon
 
 from fpplab.core.errors import CapabilityError, SettingError
 
-Feature = tuple[str, ...]
+FeatureNames = tuple[str, ...]
 US_PER_S = 1e6
 
 WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = ("Width",), ("Height",), ("OffsetX",), ("OffsetY",)
-PIXEL_FORMAT: Feature = ("PixelFormat",)
-PAYLOAD_BYTES: Feature = ("PayloadSize",)
-EXPOSURE_US: Feature = ("ExposureTime", "ExposureTimeAbs")
-GAIN_DB: Feature = ("Gain",)
-BLACK_LEVEL: Feature = ("BlackLevel",)
-SHUTTER: Feature = ("SensorShutterMode", "ShutterMode")
-READOUT_US: Feature = ("SensorReadoutTime", "ReadoutTimeAbs")
-TICKS_PER_S: Feature = ("GevTimestampTickFrequency",)
-TRIGGER_SELECTOR: Feature = ("TriggerSelector",)
-TRIGGER_MODE: Feature = ("TriggerMode",)
-TRIGGER_SOURCE: Feature = ("TriggerSource",)
-TRIGGER_EDGE: Feature = ("TriggerActivation",)
-TRIGGER_DELAY_US: Feature = ("TriggerDelay", "TriggerDelayAbs")
-LINE_SELECTOR: Feature = ("LineSelector",)
-LINE_MODE: Feature = ("LineMode",)
+PIXEL_FORMAT: FeatureNames = ("PixelFormat",)
+PAYLOAD_BYTES: FeatureNames = ("PayloadSize",)
+EXPOSURE_US: FeatureNames = ("ExposureTime", "ExposureTimeAbs")
+GAIN_DB: FeatureNames = ("Gain",)
+BLACK_LEVEL: FeatureNames = ("BlackLevel",)
+SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
+READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
+TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
+TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
+TRIGGER_MODE: FeatureNames = ("TriggerMode",)
+TRIGGER_SOURCE: FeatureNames = ("TriggerSource",)
+TRIGGER_EDGE: FeatureNames = ("TriggerActivation",)
+TRIGGER_DELAY_US: FeatureNames = ("TriggerDelay", "TriggerDelayAbs")
+LINE_SELECTOR: FeatureNames = ("LineSelector",)
+LINE_MODE: FeatureNames = ("LineMode",)
 
-RAW: tuple[tuple[Feature, object], ...] = (
+RAW: tuple[tuple[FeatureNames, object], ...] = (
     (("AcquisitionMode",), "Continuous"),
     (("AcquisitionFrameRateEnable",), False),
     (("ExposureMode",), "Timed"),
@@ -57,28 +57,28 @@ class Features:
     def __init__(self, device: str, camera: Any) -> None:
         self._device, self._camera = device, camera
 
-    def has(self, feature: Feature) -> bool:
+    def has(self, feature: FeatureNames) -> bool:
         """Whether the camera has it in its present mode."""
         return bool(self._node(feature).IsValid())
 
-    def read(self, feature: Feature) -> Any:
+    def read(self, feature: FeatureNames) -> Any:
         """Its value, or None where the camera does not tell."""
         node = self._node(feature)
         return node.GetValue() if node.IsReadable() else None
 
-    def limits(self, feature: Feature) -> tuple[float, float]:
+    def limits(self, feature: FeatureNames) -> tuple[float, float]:
         """The least and the greatest that it takes now. Raises `CapabilityError` when it is not there."""
         node = self._node(feature)
         if not node.IsReadable():
             raise CapabilityError(self._device, "caps", f"the camera has no {feature[0]}")
         return float(node.GetMin()), float(node.GetMax())
 
-    def choices(self, feature: Feature) -> tuple[str, ...]:
+    def choices(self, feature: FeatureNames) -> tuple[str, ...]:
         """What a choice can be set to now; nothing where the camera has no such choice."""
         node = self._node(feature)
         return tuple(node.GetSettableValues()) if node.IsWritable() else ()
 
-    def write(self, feature: Feature, value: Any, doing: str, within: float = 0.0) -> Any:
+    def write(self, feature: FeatureNames, value: Any, doing: str, within: float = 0.0) -> Any:
         """Set it and return what is read back.
 
         Raises `CapabilityError` where the camera has it not, `SettingError` for a value that it does not
@@ -106,13 +106,13 @@ class Features:
             )
         return back
 
-    def offer(self, feature: Feature, value: Any) -> None:
+    def offer(self, feature: FeatureNames, value: Any) -> None:
         """Set it where the camera can, and leave alone what it has not."""
         node = self._node(feature)
         if node.IsWritable() and not _refusal(node, value):
             node.SetValue(value)
 
-    def _node(self, feature: Feature) -> Any:
+    def _node(self, feature: FeatureNames) -> Any:
         node_map = self._camera.GetNodeMap()
         nodes = [node_map.GetNode(name) for name in feature]
         return next((node for node in nodes if node.IsValid()), nodes[0])

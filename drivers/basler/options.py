@@ -28,7 +28,7 @@ SHUTTERS = {
 }
 """The names of a choice in GenICam, those of SFNC 2 first."""
 
-Count = Annotated[int, Field(ge=0)]
+NotNegativeCount = Annotated[int, Field(ge=0)]
 
 
 class Line(Document):
@@ -44,7 +44,10 @@ class BaslerOptions(Document):
     here what it has."""
 
     serial: str
-    roi: tuple[Count, Count, Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None
+    roi: (
+        tuple[NotNegativeCount, NotNegativeCount, Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+        | None
+    ) = None
     black_level: float | None = None
     packed: bool = False
     shutter: Literal["rolling", "global_reset", "global"] | None = None

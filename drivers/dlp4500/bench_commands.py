@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.dlp4500.commands import NAME, Serial, connected
+from drivers.dlp4500.commands import NAME, ProjectorSerialOption, connect_projector
 from fpplab.cli import console
 from fpplab.cli.app import Json
 from fpplab.cli.projector import dlp4500
@@ -20,7 +20,7 @@ from fpplab.cli.projector import dlp4500
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller
 
-Level = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
+LedOption = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full.")]
 
 
 class Power(StrEnum):
@@ -37,13 +37,13 @@ def _board(serial: str | None) -> Iterator[Controller]:
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
 
-    with closing(connected(serial)) as link:
+    with closing(connect_projector(serial)) as link:
         link.drain()
         yield Controller(link, RealClock(), NAME)
 
 
 @dlp4500.command()
-def status(serial: Serial = None, json: Json = False) -> None:
+def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
     """Say what the projector is doing and what is wrong with it.
 
     Example: `fpplab dlp4500 status`
@@ -64,7 +64,7 @@ def status(serial: Serial = None, json: Json = False) -> None:
 @dlp4500.command()
 def power(
     state: Annotated[Power, typer.Argument(help="Wake it, put it to standby, or restart it.")],
-    serial: Serial = None,
+    serial: ProjectorSerialOption = None,
     json: Json = False,
 ) -> None:
     """Wake the projector, put it to standby, or restart it; it is dark in each case.
@@ -84,14 +84,14 @@ def power(
 
 @dlp4500.command()
 def led(
-    red: Level = 0,
-    green: Level = 0,
-    blue: Level = 0,
+    red: LedOption = 0,
+    green: LedOption = 0,
+    blue: LedOption = 0,
     inverted: Annotated[
         bool,
         typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off."),
     ] = True,
-    serial: Serial = None,
+    serial: ProjectorSerialOption = None,
     json: Json = False,
 ) -> None:
     """Switch the LEDs on by hand; those that are not named go off.
@@ -107,7 +107,7 @@ def led(
 @dlp4500.command("test-pattern")
 def show_test_pattern(
     name: Annotated[str, typer.Argument(help="solid, grid, checker …, or off.")],
-    serial: Serial = None,
+    serial: ProjectorSerialOption = None,
     json: Json = False,
 ) -> None:
     """Show one of the projector's own test patterns in white, or none with `off`.

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 NAME = "projector"
 
-Serial = Annotated[
+ProjectorSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
 ]
 
 
-def connected(serial: str | None) -> Link:
+def connect_projector(serial: str | None) -> Link:
     """A conversation with the projector of that serial number, or the only one. Raises `DeviceError`."""
     from drivers.clock import RealClock
     from drivers.dlp4500.transport import Link, connect, hidapi
@@ -90,7 +90,7 @@ def build(
 @dlp4500.command()
 def upload(
     firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
-    serial: Serial = None,
+    serial: ProjectorSerialOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
 ) -> None:
@@ -107,12 +107,12 @@ def upload(
     from drivers.clock import RealClock
     from drivers.dlp4500.flash.firmware import Firmware
     from drivers.dlp4500.flash.loader import programming
-    from drivers.dlp4500.flash.upload import check, perform, prepare, verify
+    from drivers.dlp4500.flash.upload import check_firmware, perform, prepare, verify_image_count
 
     built = Firmware.load(firmware)
-    check(built)
+    check_firmware(built)
     with console.stopwatch() as seconds:
-        with programming(lambda: connected(serial), RealClock(), NAME) as loader:
+        with programming(lambda: connect_projector(serial), RealClock(), NAME) as loader:
             work = prepare(built, loader)
             for sentence in work.words:
                 console.say(sentence)
@@ -120,8 +120,8 @@ def upload(
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
                 perform(built, loader, work, report)
-        with closing(connected(serial)) as link:
-            verify(built, link)
+        with closing(connect_projector(serial)) as link:
+            verify_image_count(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
 
 

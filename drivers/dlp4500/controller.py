@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.protocol import COLOURS, Mailbox, Mode, Run, Source
+from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
 from drivers.dlp4500.status import Status, objections
 from drivers.dlp4500.transport import Link
@@ -96,7 +96,7 @@ class Controller:
     def sleep(self) -> None:
         """Go to standby, from video mode as it must be."""
         self.go_dark()
-        self.show_mode(Mode.VIDEO)
+        self.show_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
         self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
 
@@ -180,11 +180,11 @@ class Controller:
         """The output that pulses once in a run; delay of its edge, -20.05 to 2.79 µs."""
         self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
 
-    def show_mode(self, mode: Mode) -> None:
+    def show_mode(self, mode: DisplayMode) -> None:
         """Video or pattern mode; waits for the change."""
         if self._mode() == mode:
             return
-        if mode is Mode.PATTERN:  # from a test pattern the USB link was lost on the way
+        if mode is DisplayMode.PATTERN:  # from a test pattern the USB link was lost on the way
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
         self._until(
@@ -196,7 +196,7 @@ class Controller:
 
         To be called before patterns from the video port are prepared. Raises `TimeoutError` without a signal.
         """
-        self.show_mode(Mode.VIDEO)
+        self.show_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
@@ -206,7 +206,7 @@ class Controller:
     def show_test_pattern(self, name: str) -> None:
         """One of `protocol.TEST_PATTERNS`, white on black, lit by the LEDs at their present currents."""
         self.go_dark()
-        self.show_mode(Mode.VIDEO)
+        self.show_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
         self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
         white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
@@ -255,7 +255,7 @@ class Controller:
 
         Raises `ProtocolError` with the validation's words.
         """
-        self.show_mode(Mode.PATTERN)
+        self.show_mode(DisplayMode.PATTERN)
         self.stop()
         self.link.write(protocol.PATTERN_SOURCE, source=program.source)
         self._configure(program)

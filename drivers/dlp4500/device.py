@@ -34,16 +34,16 @@ from fpplab.core.conventions import Lattice
 from fpplab.devices import DeviceInfo, Projector, ProjectorCaps
 from fpplab.patterns.fringes import Pattern
 
-Level = Annotated[int, Field(ge=0, le=255)]
+LedLevel = Annotated[int, Field(ge=0, le=255)]
 Delay = Annotated[float, Field(ge=-20.0, le=2.7)]
 
 
 class LedLevels(Document):
     """Brightness of each LED, 0 (off) to 255 (full); the board's own defaults."""
 
-    red: Level = 104
-    green: Level = 135
-    blue: Level = 130
+    red: LedLevel = 104
+    green: LedLevel = 135
+    blue: LedLevel = 130
 
 
 class TriggerOut(Document):

@@ -22,7 +22,7 @@ from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
 """How long the process may take to open the display, to put a frame up, and to end."""
 
-Frame = NDArray[np.uint8]
+VideoFrame = NDArray[np.uint8]
 """(height, width, 3): red, green, blue."""
 
 
@@ -37,7 +37,7 @@ class Display(Protocol):
     def open(self) -> None:
         """Take the display, and show black. Raises `DeviceError` when that cannot be."""
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: VideoFrame) -> None:
         """Put up one frame, uint8 (1140, 912, 3); returns when it is certainly on the wire, and stays.
 
         Raises `DeviceError`.
@@ -81,7 +81,7 @@ class SdlDisplay:
         self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
         try:
             self._process = context.Process(
-                target=screen.serve,
+                target=screen.serve_screen,
                 args=(theirs, self._memory.name, self._wanted, (width, height)),
                 name="display",
                 daemon=True,
@@ -91,7 +91,7 @@ class SdlDisplay:
             theirs.close()  # only theirs being open tells that the process lives
         self.vsync_s = self._answer("open", START_S)
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: VideoFrame) -> None:
         """Put up one frame, uint8 (height, width, 3); returns when it is on the wire.
 
         Raises `DeviceError` when it does not look as it should, `DisconnectedError` when the process has

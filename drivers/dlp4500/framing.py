@@ -36,7 +36,7 @@ class Header(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Message:
+class UsbMessage:
     """One request or one reply."""
 
     flags: int
@@ -62,9 +62,9 @@ class Message:
         ]
 
 
-def request(command: int, data: bytes, sequence: int, flags: int) -> Message:
+def request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
     """A request: `command` and its data."""
-    return Message(flags, sequence, struct.pack("<H", command) + data)
+    return UsbMessage(flags, sequence, struct.pack("<H", command) + data)
 
 
 def header(report: bytes) -> Header:
@@ -85,7 +85,7 @@ def further_reports(length: int) -> int:
     return max(0, -(-(length - FIRST_BYTES) // REPORT_BYTES))
 
 
-def joined(reports: Sequence[bytes]) -> Message:
+def joined(reports: Sequence[bytes]) -> UsbMessage:
     """The message that `reports`, all of it and no more, carry.
 
     Raises `ValueError` when their number or size is not what the header says.
@@ -93,4 +93,4 @@ def joined(reports: Sequence[bytes]) -> Message:
     flags, sequence, length = header(reports[0])
     if len(reports) != 1 + further_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
         raise ValueError(f"{len(reports)} reports for a payload of {length} bytes")
-    return Message(flags, sequence, b"".join(reports)[HEADER_BYTES : HEADER_BYTES + length])
+    return UsbMessage(flags, sequence, b"".join(reports)[HEADER_BYTES : HEADER_BYTES + length])

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from drivers.dlp4500.controller import Controller
-from drivers.dlp4500.index import FlashIndex, checksum
-from drivers.dlp4500.protocol import Mode
+from drivers.dlp4500.index import FlashIndex, index_checksum
+from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import (
     LEAST_EXPOSURE_US,
     PRELOADED_IMAGES,
@@ -29,7 +29,7 @@ class InFlash:
 
     def __init__(self, name: str, index_file: str, leds: tuple[str, ...]) -> None:
         self._name, self._file, self._leds = name, index_file, leds
-        self._index = config.load(index_file, FlashIndex)
+        self._index = config.load_document(index_file, FlashIndex)
 
     @property
     def depths(self) -> set[int]:
@@ -41,7 +41,7 @@ class InFlash:
         self._slots: list[Slot] = []
         self._load_us: dict[int, int] = {}
         self._played = self._forced_before = False
-        board.show_mode(Mode.PATTERN)
+        board.show_mode(DisplayMode.PATTERN)
         count = board.images_in_flash() or 256  # which the count cannot tell from 0
         last = max(pattern.image for pattern in self._index.patterns)
         if last >= count:
@@ -96,7 +96,7 @@ class InFlash:
             raise SettingError(self._name, "load", str(error), "change the plan") from error
 
     def _find(self, pattern: Pattern) -> Slot:
-        found = self._index.find(pattern.id, pattern.bit_depth, checksum(pattern.image))
+        found = self._index.find(pattern.id, pattern.bit_depth, index_checksum(pattern.image))
         if found is None:
             raise CapabilityError(
                 self._name,

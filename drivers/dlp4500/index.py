@@ -29,13 +29,13 @@ def shown_image(pattern: Pattern) -> NDArray[np.uint8]:
     return np.asarray(levels[pattern.image], np.uint8)
 
 
-def checksum(image: NDArray[np.uint8]) -> str:
+def index_checksum(image: NDArray[np.uint8]) -> str:
     """SHA-256 of grey levels, row by row."""
     return hashlib.sha256(image.tobytes()).hexdigest()
 
 
 class FlashPattern(Document):
-    """One pattern in flash: image and number say where, sha256 what (see `checksum`)."""
+    """One pattern in flash: image and number say where, sha256 what (see `index_checksum`)."""
 
     id: str
     image: Annotated[int, Field(ge=0, lt=MOST_VARIABLE_IMAGES)]
@@ -56,7 +56,7 @@ class FlashPattern(Document):
             image=image,
             number=number,
             bits=pattern.bit_depth,
-            sha256=checksum(shown_image(pattern)),
+            sha256=index_checksum(shown_image(pattern)),
         )
 
 

@@ -15,7 +15,7 @@ from drivers.clock import Clock
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.display import Display
 from drivers.dlp4500.packing import Planes, in_frames, packed
-from drivers.dlp4500.protocol import Mode
+from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.patterns.fringes import Pattern
@@ -47,7 +47,7 @@ class OnVideo:
         """Take the display, and follow its signal. Raises what `Display.open` and `select_video` do."""
         self._display.open()
         board.select_video()
-        board.show_mode(Mode.PATTERN)
+        board.show_mode(DisplayMode.PATTERN)
         self.load(board, ())
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Every command that runs a bench: its number, and the fields of its data as pure functions.
 
-A `Record` is fields of bits, lowest first, which is at once the order of bits in a byte and of bytes in a
+A `RegisterLayout` is fields of bits, lowest first, which is at once the order of bits in a byte and of bytes in a
 number: everything multi-byte is little-endian. Values are checked when packed and when unpacked, so that
 neither a wrong call nor a wrong answer passes.
 
@@ -17,7 +17,7 @@ Values = dict[str, int]
 
 
 @dataclass(frozen=True)
-class Field:
+class RegisterField:
     """One number. allowed: its values, by default all that the bits hold. minus: taken off on the wire.
 
     Without a name it is reserved: zero when packed, ignored when unpacked.
@@ -41,10 +41,10 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Record:
+class RegisterLayout:
     """Fields, from the lowest bit of the first byte on."""
 
-    fields: tuple[Field, ...] = ()
+    fields: tuple[RegisterField, ...] = ()
 
     @property
     def size(self) -> int:
@@ -52,7 +52,7 @@ class Record:
         return sum(field.bits for field in self.fields) // 8
 
     @property
-    def named(self) -> list[Field]:
+    def named(self) -> list[RegisterField]:
         """The fields that are not reserved."""
         return [field for field in self.fields if field.name]
 
@@ -95,7 +95,7 @@ class Raw:
             raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
 
 
-Layout = Record | Raw
+Layout = RegisterLayout | Raw
 
 
 @dataclass(frozen=True)
@@ -109,28 +109,28 @@ class Command:
     number: int
     written: Layout | None = None
     returned: Layout | None = None
-    selector: Record = Record()
+    selector: RegisterLayout = RegisterLayout()
     acknowledged: bool = True
 
 
-def _record(*fields: Field) -> Record:
-    return Record(fields)
+def _record(*fields: RegisterField) -> RegisterLayout:
+    return RegisterLayout(fields)
 
 
-def _gap(bits: int) -> Field:
-    return Field("", bits)
+def _gap(bits: int) -> RegisterField:
+    return RegisterField("", bits)
 
 
-def _flag(name: str) -> Record:
-    return _record(Field(name, 1), _gap(7))
+def _flag(name: str) -> RegisterLayout:
+    return _record(RegisterField(name, 1), _gap(7))
 
 
-def _bytes(*names: str) -> Record:
-    return Record(tuple(Field(name, 8) for name in names))
+def _bytes(*names: str) -> RegisterLayout:
+    return RegisterLayout(tuple(RegisterField(name, 8) for name in names))
 
 
-def _words(*names: str) -> Record:
-    return Record(tuple(Field(name, 16) for name in names))
+def _words(*names: str) -> RegisterLayout:
+    return RegisterLayout(tuple(RegisterField(name, 16) for name in names))
 
 
 _TABLE: dict[int, Command] = {}
@@ -151,7 +151,7 @@ def _told(name: str, number: int, layout: Layout) -> Command:
     return _known(Command(name, number, None, layout))
 
 
-class Mode(IntEnum):
+class DisplayMode(IntEnum):
     """Display modes."""
 
     VIDEO = 0
@@ -192,7 +192,7 @@ class Mailbox(IntEnum):
     VARIABLE = 3
 
 
-class Trigger(IntEnum):
+class PatternTrigger(IntEnum):
     """What starts one pattern of a sequence."""
 
     INTERNAL = 0
@@ -210,58 +210,86 @@ HARDWARE_STATUS = _told(
     "hardware status",
     0x1A0A,
     _record(
-        Field("initialised", 1),
+        RegisterField("initialised", 1),
         _gap(1),
-        Field("reset_controller_error", 1),
-        Field("forced_swap_error", 1),
+        RegisterField("reset_controller_error", 1),
+        RegisterField("forced_swap_error", 1),
         _gap(2),
-        Field("sequencer_aborted", 1),
-        Field("sequencer_error", 1),
+        RegisterField("sequencer_aborted", 1),
+        RegisterField("sequencer_error", 1),
     ),
 )
 SYSTEM_STATUS = _told("system status", 0x1A0B, _flag("memory_test_passed"))
 MAIN_STATUS = _told(
     "main status",
     0x1A0C,
-    _record(Field("parked", 1), Field("running", 1), Field("frozen", 1), Field("gamma", 1), _gap(4)),
+    _record(
+        RegisterField("parked", 1),
+        RegisterField("running", 1),
+        RegisterField("frozen", 1),
+        RegisterField("gamma", 1),
+        _gap(4),
+    ),
 )
 PARTS = ("application", "api", "software_config", "sequence_config")
 VERSION = _told(
     "version",
     0x0205,
-    Record(
+    RegisterLayout(
         tuple(
             field
             for part in PARTS
-            for field in (Field(f"{part}_patch", 16), Field(f"{part}_minor", 8), Field(f"{part}_major", 8))
+            for field in (
+                RegisterField(f"{part}_patch", 16),
+                RegisterField(f"{part}_minor", 8),
+                RegisterField(f"{part}_major", 8),
+            )
         )
     ),
 )
 FIRMWARE_TAG = _told("firmware tag", 0x1AFF, Raw(1, 32))
 IMAGES_IN_FLASH = _told("images in flash", 0x1A42, _bytes("count"))
 POWER = _known(
-    Command("power", 0x0200, _record(Field("standby", 8, range(2))), _record(Field("standby", 2), _gap(6)))
+    Command(
+        "power",
+        0x0200,
+        _record(RegisterField("standby", 8, range(2))),
+        _record(RegisterField("standby", 2), _gap(6)),
+    )
 )
-SOFTWARE_RESET = _known(Command("software reset", 0x0802, Record(), acknowledged=False))
+SOFTWARE_RESET = _known(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
 MEMORY = _known(
-    Command("memory", 0x1A16, None, _record(Field("value", 32)), selector=_record(Field("address", 32)))
+    Command(
+        "memory",
+        0x1A16,
+        None,
+        _record(RegisterField("value", 32)),
+        selector=_record(RegisterField("address", 32)),
+    )
 )
 
 # --- display mode and video input
 
-DISPLAY_MODE = _register("display mode", 0x1A1B, _record(Field("mode", 8, range(2))))
+DISPLAY_MODE = _register("display mode", 0x1A1B, _record(RegisterField("mode", 8, range(2))))
 INPUT_SOURCE = _register(
-    "input source", 0x1A00, _record(Field("source", 3, range(4)), Field("width", 3, range(6)), _gap(2))
+    "input source",
+    0x1A00,
+    _record(RegisterField("source", 3, range(4)), RegisterField("width", 3, range(6)), _gap(2)),
 )
-PIXEL_FORMAT = _register("pixel format", 0x1A02, _record(Field("format", 3, range(3)), _gap(5)))
-PORT_CLOCK = _register("port clock", 0x1A03, _record(Field("clock", 3, range(3)), _gap(5)))
+PIXEL_FORMAT = _register("pixel format", 0x1A02, _record(RegisterField("format", 3, range(3)), _gap(5)))
+PORT_CLOCK = _register("port clock", 0x1A03, _record(RegisterField("clock", 3, range(3)), _gap(5)))
 CHANNEL_SWAP = _register(
-    "channel swap", 0x1A37, _record(Field("swap", 3, range(6)), _gap(4), Field("port", 1))
+    "channel swap", 0x1A37, _record(RegisterField("swap", 3, range(6)), _gap(4), RegisterField("port", 1))
 )
 FPD_MODE = _register(
     "FPD mode",
     0x1A04,
-    _record(Field("field", 3, range(3)), Field("polarity_swap", 1), _gap(2), Field("pixel_map", 2)),
+    _record(
+        RegisterField("field", 3, range(3)),
+        RegisterField("polarity_swap", 1),
+        _gap(2),
+        RegisterField("pixel_map", 2),
+    ),
 )
 LONG_AXIS_FLIP = _register("long-axis flip", 0x1008, _flag("on"))
 SHORT_AXIS_FLIP = _register("short-axis flip", 0x1009, _flag("on"))
@@ -286,13 +314,15 @@ TEST_PATTERNS = (
     "colour-bars",
     "step-bars",
 )
-TEST_PATTERN = _register("test pattern", 0x1203, _record(Field("pattern", 8, range(len(TEST_PATTERNS)))))
+TEST_PATTERN = _register(
+    "test pattern", 0x1203, _record(RegisterField("pattern", 8, range(len(TEST_PATTERNS))))
+)
 TEST_PATTERN_COLOURS = _register(
     "test pattern colours",
     0x1204,
-    Record(
+    RegisterLayout(
         tuple(
-            Field(f"{ground}_{colour}", 16, range(1024))
+            RegisterField(f"{ground}_{colour}", 16, range(1024))
             for ground in ("front", "back")
             for colour in ("red", "green", "blue")
         )
@@ -300,41 +330,43 @@ TEST_PATTERN_COLOURS = _register(
 )
 LOAD_IMAGE = _register("load flash image", 0x1A39, _bytes("index"))
 IMAGE_LOAD_TIMING = _known(
-    Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(Field("ticks", 32)))
+    Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
 TICKS_PER_MS = 18667
 VIDEO_SIGNAL = _told(
     "video signal",
     0x071C,
-    Record(
+    RegisterLayout(
         (
-            Field("lock", 2),
+            RegisterField("lock", 2),
             _gap(6),
-            Field("horizontal_resolution", 16),
-            Field("vertical_resolution", 16),
+            RegisterField("horizontal_resolution", 16),
+            RegisterField("vertical_resolution", 16),
             _gap(8),
-            Field("horizontal_sync_polarity", 8),
-            Field("vertical_sync_polarity", 8),
-            Field("pixel_clock", 32),
-            Field("horizontal_frequency", 16),
-            Field("vertical_frequency", 16),
-            Field("total_pixels", 16),
-            Field("total_lines", 16),
-            Field("active_pixels", 16),
-            Field("active_lines", 16),
-            Field("first_pixel", 16),
-            Field("first_line", 16),
+            RegisterField("horizontal_sync_polarity", 8),
+            RegisterField("vertical_sync_polarity", 8),
+            RegisterField("pixel_clock", 32),
+            RegisterField("horizontal_frequency", 16),
+            RegisterField("vertical_frequency", 16),
+            RegisterField("total_pixels", 16),
+            RegisterField("total_lines", 16),
+            RegisterField("active_pixels", 16),
+            RegisterField("active_lines", 16),
+            RegisterField("first_pixel", 16),
+            RegisterField("first_line", 16),
         )
     ),
 )
 LOCKED = 2
-GAMMA = _register("gamma", 0x1A0E, _record(Field("table", 1), _gap(6), Field("on", 1)))
+GAMMA = _register("gamma", 0x1A0E, _record(RegisterField("table", 1), _gap(6), RegisterField("on", 1)))
 
 # --- LEDs
 
 COLOURS = ("red", "green", "blue")
 LED_ENABLE = _register(
-    "LED enable", 0x1A07, _record(*(Field(c, 1) for c in COLOURS), Field("sequenced", 1), _gap(4))
+    "LED enable",
+    0x1A07,
+    _record(*(RegisterField(c, 1) for c in COLOURS), RegisterField("sequenced", 1), _gap(4)),
 )
 LED_CURRENT = _register("LED current", 0x0B01, _bytes(*COLOURS))
 LED_POLARITY = _register("LED polarity", 0x1A05, _flag("inverted"))
@@ -351,66 +383,72 @@ TRIGGER_OUT_1 = _register(
     "trigger output 1",
     0x1A1D,
     _record(
-        Field("inverted", 8, range(2)),
-        Field("rising", 8, range(MOST_TRIGGER_DELAY + 1)),
-        Field("falling", 8, range(MOST_TRIGGER_DELAY + 1)),
+        RegisterField("inverted", 8, range(2)),
+        RegisterField("rising", 8, range(MOST_TRIGGER_DELAY + 1)),
+        RegisterField("falling", 8, range(MOST_TRIGGER_DELAY + 1)),
     ),
 )
 TRIGGER_OUT_2 = _register(
     "trigger output 2",
     0x1A1E,
-    _record(Field("inverted", 8, range(2)), Field("rising", 8, range(MOST_TRIGGER_DELAY + 1))),
+    _record(
+        RegisterField("inverted", 8, range(2)), RegisterField("rising", 8, range(MOST_TRIGGER_DELAY + 1))
+    ),
 )
-TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(Field("delay", 32, range(1 << 19))))
-TRIGGER_IN_2 = _register("trigger input 2", 0x1A36, _record(Field("falling", 8, range(2))))
+TRIGGER_IN_1 = _register("trigger input 1", 0x1A35, _record(RegisterField("delay", 32, range(1 << 19))))
+TRIGGER_IN_2 = _register("trigger input 2", 0x1A36, _record(RegisterField("falling", 8, range(2))))
 
 # --- pattern sequence
 
-PATTERN_SOURCE = _register("pattern source", 0x1A22, _record(Field("source", 8, (0, 3))))
-TRIGGER_MODE = _register("trigger mode", 0x1A23, _record(Field("mode", 8, range(5))))
-SEQUENCE = _register("sequence", 0x1A24, _record(Field("run", 2, range(3)), _gap(6)))
-EXPOSURE = _register("exposure", 0x1A29, _record(Field("exposure_us", 32), Field("period_us", 32)))
+PATTERN_SOURCE = _register("pattern source", 0x1A22, _record(RegisterField("source", 8, (0, 3))))
+TRIGGER_MODE = _register("trigger mode", 0x1A23, _record(RegisterField("mode", 8, range(5))))
+SEQUENCE = _register("sequence", 0x1A24, _record(RegisterField("run", 2, range(3)), _gap(6)))
+EXPOSURE = _register(
+    "exposure", 0x1A29, _record(RegisterField("exposure_us", 32), RegisterField("period_us", 32))
+)
 INVERT = _register("invert data", 0x1A30, _flag("on"))
 PATTERN_CONFIG = _register(
     "pattern configuration",
     0x1A31,
     _record(
-        Field("entries", 8, range(1, MOST_ENTRIES + 1), minus=1),
-        Field("repeat", 8, range(2)),
-        Field("patterns", 8, range(1, 257), minus=1),
-        Field("images", 8, range(1, MOST_IMAGES + 1), minus=1),
+        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), minus=1),
+        RegisterField("repeat", 8, range(2)),
+        RegisterField("patterns", 8, range(1, 257), minus=1),
+        RegisterField("images", 8, range(1, MOST_IMAGES + 1), minus=1),
     ),
 )
 VARIABLE_CONFIG = _register(
     "variable-exposure configuration",
     0x1A40,
     _record(
-        Field("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        Field("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        Field("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), minus=1),
-        Field("repeat", 8, range(2)),
+        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
+        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
+        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), minus=1),
+        RegisterField("repeat", 8, range(2)),
     ),
 )
-MAILBOX_ADDRESS = _register("mailbox address", 0x1A32, _record(Field("address", 8, range(MOST_ENTRIES))))
-MAILBOX = _register("mailbox", 0x1A33, _record(Field("table", 8, range(4))))
+MAILBOX_ADDRESS = _register(
+    "mailbox address", 0x1A32, _record(RegisterField("address", 8, range(MOST_ENTRIES)))
+)
+MAILBOX = _register("mailbox", 0x1A33, _record(RegisterField("table", 8, range(4))))
 MAILBOX_DATA = _register("mailbox data", 0x1A34, Raw(1, 3 * MOST_ENTRIES))
 VARIABLE_ADDRESS = _register(
-    "variable-exposure address", 0x1A3F, _record(Field("address", 16, range(MOST_VARIABLE_ENTRIES)))
+    "variable-exposure address", 0x1A3F, _record(RegisterField("address", 16, range(MOST_VARIABLE_ENTRIES)))
 )
 
 _ENTRY_BITS = (
-    Field("trigger", 2),
-    Field("pattern", 6),
-    Field("depth", 4),
-    *(Field(colour, 1) for colour in COLOURS),
+    RegisterField("trigger", 2),
+    RegisterField("pattern", 6),
+    RegisterField("depth", 4),
+    *(RegisterField(colour, 1) for colour in COLOURS),
     _gap(1),
-    Field("invert", 1),
-    Field("black_after", 1),
-    Field("swap", 1),
-    Field("share_trigger", 1),
+    RegisterField("invert", 1),
+    RegisterField("black_after", 1),
+    RegisterField("swap", 1),
+    RegisterField("share_trigger", 1),
     _gap(4),
 )
-ENTRY = Record(_ENTRY_BITS)
+ENTRY = RegisterLayout(_ENTRY_BITS)
 """One entry of the pattern table, 3 bytes.
 
 Unlike a command's, the fields take whatever the bits hold: what is wrong with them the validation says.
@@ -418,16 +456,16 @@ Unlike a command's, the fields take whatever the bits hold: what is wrong with t
 VARIABLE_DATA = _register(
     "variable-exposure data",
     0x1A3E,
-    _record(*_ENTRY_BITS, _gap(8), Field("exposure_us", 32), Field("period_us", 32)),
+    _record(*_ENTRY_BITS, _gap(8), RegisterField("exposure_us", 32), RegisterField("period_us", 32)),
 )
 VALIDATION = _record(
-    Field("exposure_invalid", 1),
-    Field("pattern_invalid", 1),
-    Field("trigger_overlap", 1),
-    Field("black_missing", 1),
-    Field("gap_too_short", 1),
+    RegisterField("exposure_invalid", 1),
+    RegisterField("pattern_invalid", 1),
+    RegisterField("trigger_overlap", 1),
+    RegisterField("black_missing", 1),
+    RegisterField("gap_too_short", 1),
     _gap(2),
-    Field("busy", 1),
+    RegisterField("busy", 1),
 )
 VALIDATE = _known(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 

@@ -52,7 +52,7 @@ class ScreenError(Exception):
         self.failure = Failure(found, remedy)
 
 
-def serve(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
+def serve_screen(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
     """Have the display until the connection ends; answers are its period in s, or a `Failure`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # what an interruption means is decided by the other process
     memory = SharedMemory(memory_name)

@@ -20,8 +20,8 @@ from drivers.dlp4500.protocol import (
     MOST_IMAGES,
     MOST_VARIABLE_ENTRIES,
     MOST_VARIABLE_IMAGES,
+    PatternTrigger,
     Source,
-    Trigger,
     TriggerMode,
     Values,
 )
@@ -89,7 +89,7 @@ class Entry:
     pattern: int
     depth: int
     leds: tuple[str, ...] = COLOURS
-    trigger: Trigger = Trigger.INTERNAL
+    trigger: PatternTrigger = PatternTrigger.INTERNAL
     invert: bool = False
     black_after: bool = False
     swap: bool = False
@@ -177,7 +177,7 @@ def flash_program(
     program = Program(
         Source.FLASH, tuple(entries), tuple(images), exposure_us, period_us(exposure_us, least), repeat
     )
-    check(program)
+    check_sequence(program)
     return program
 
 
@@ -202,10 +202,10 @@ def video_program(
             )
         for k, slot in enumerate(frame):
             planes(slot.bits, slot.number)
-            trigger = Trigger.NONE if k else Trigger.RISING
+            trigger = PatternTrigger.NONE if k else PatternTrigger.RISING
             entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
     program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)
-    check(program)
+    check_sequence(program)
     return program
 
 
@@ -214,14 +214,14 @@ def period_us(exposure_us: int, least_us: int = 0) -> int:
     return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + LEAST_GAP_US)
 
 
-def check(program: Program) -> None:
+def check_sequence(program: Program) -> None:
     """Raise `ValueError` for what the controller cannot show as it is meant."""
     entries, exposure, period = program.entries, program.exposure_us, program.period_us
     if not 1 <= len(entries) <= MOST_VARIABLE_ENTRIES:
         raise ValueError(f"{len(entries)} patterns: 1 to {MOST_VARIABLE_ENTRIES}")
     if len(program.images) > MOST_VARIABLE_IMAGES:
         raise ValueError(f"{len(program.images)} changes of image: at most {MOST_VARIABLE_IMAGES}")
-    if entries[0].trigger is Trigger.NONE or not entries[0].swap:
+    if entries[0].trigger is PatternTrigger.NONE or not entries[0].swap:
         raise ValueError("the first pattern needs a trigger and a new image")
     least = max(LEAST_EXPOSURE_US[entry.depth] for entry in entries)
     if not least <= exposure <= MOST_EXPOSURE_US:

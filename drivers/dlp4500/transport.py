@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 from drivers.clock import Clock
 from drivers.dlp4500 import framing
-from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, Message
-from drivers.dlp4500.protocol import Command, Raw, Record, Values
+from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
+from drivers.dlp4500.protocol import Command, Raw, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, SettingError, TimeoutError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
@@ -133,7 +133,7 @@ class Link:
         """Ask for the fields of a command; errors as `write`, and `ProtocolError` for impossible values."""
         data = self._asked(command, selector)
         try:
-            assert isinstance(command.returned, Record)
+            assert isinstance(command.returned, RegisterLayout)
             return command.returned.unpack(data)
         except ValueError as error:
             raise self._nonsense(command.name, str(error)) from error
@@ -166,14 +166,14 @@ class Link:
             raise self._nonsense(command.name, "an empty answer")
         return reply.payload
 
-    def _packed(self, command: Command, layout: Record | Raw | None, values: Values) -> bytes:
-        assert isinstance(layout, Record)
+    def _packed(self, command: Command, layout: RegisterLayout | Raw | None, values: Values) -> bytes:
+        assert isinstance(layout, RegisterLayout)
         try:
             return layout.pack(values)
         except ValueError as error:
             raise SettingError(self.name, command.name, str(error)) from error
 
-    def _exchange(self, command: Command, data: bytes, flags: int) -> Message | None:
+    def _exchange(self, command: Command, data: bytes, flags: int) -> UsbMessage | None:
         if not self._checks_echo:
             self.drain()
         sequence = self.requests % 256
@@ -197,7 +197,7 @@ class Link:
         if sent < 0:
             raise self._gone(operation)
 
-    def _reply(self, operation: str, flags: int, sequence: int) -> Message:
+    def _reply(self, operation: str, flags: int, sequence: int) -> UsbMessage:
         deadline = self._clock.now() + self._timeout_s
         for _ in range(MOST_STALE):
             report = self._awaited(operation, deadline)
@@ -215,10 +215,10 @@ class Link:
             return True
         return head.sequence == sequence and head.flags & ~framing.ERROR == flags
 
-    def _whole(self, operation: str, head: Header, first: bytes, deadline: float) -> Message:
+    def _whole(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
         """The answer that `first` begins; acknowledgements and refusals are one report, whatever they say."""
         if not head.flags & READ or head.flags & framing.ERROR:
-            return Message(head.flags, head.sequence)
+            return UsbMessage(head.flags, head.sequence)
         rest = [self._awaited(operation, deadline) for _ in range(framing.further_reports(head.length))]
         return framing.joined([first, *rest])
 

@@ -29,15 +29,15 @@ from drivers.emulators.dlpc350 import (
     Dlpc350,
     EmulatedDisplay,
     EmulatedHid,
-    Fault,
     FlashedDlpc350,
-    Light,
+    ProjectedLight,
     Pulse,
+    UsbFault,
 )
-from drivers.emulators.exposure import BenchClock, Collected, Shutter, mean
+from drivers.emulators.exposure import BenchClock, Collected, EmulatedShutter, mean
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
-from drivers.emulators.optics import Greys, Optics
+from drivers.emulators.optics import GreyImage, RigInPlaceOfOptics
 from drivers.emulators.terminal import Terminal
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -51,7 +51,7 @@ STAGE_TIMES_FASTER = 100.0
 STAGE_DIGITS = 4
 """Of the carriage's position in mm that count: a tenth of a micrometre."""
 
-Count = Annotated[int, Field(ge=0)]
+FaultCount = Annotated[int, Field(ge=0)]
 
 
 class Faults(Document):
@@ -63,23 +63,23 @@ class Faults(Document):
     exposures.
     """
 
-    missed: tuple[Count, ...] = ()
-    doubled: tuple[Count, ...] = ()
+    missed: tuple[FaultCount, ...] = ()
+    doubled: tuple[FaultCount, ...] = ()
     extra: bool = False
-    dropped: tuple[Count, ...] = ()
-    late: tuple[Count, ...] = ()
-    unplug_projector: Count | None = None
-    unplug_camera: Count | None = None
+    dropped: tuple[FaultCount, ...] = ()
+    late: tuple[FaultCount, ...] = ()
+    unplug_projector: FaultCount | None = None
+    unplug_camera: FaultCount | None = None
 
-    def of_replies(self) -> dict[int, Fault]:
+    def of_replies(self) -> dict[int, UsbFault]:
         """As the emulated wire takes them."""
-        faults = dict.fromkeys(self.dropped, Fault.DROP) | dict.fromkeys(self.late, Fault.LATE)
+        faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
-            faults[self.unplug_projector] = Fault.UNPLUG_BEFORE
+            faults[self.unplug_projector] = UsbFault.UNPLUG_BEFORE
         return faults
 
 
-class BenchOptions(Document):
+class EmulatedBenchOptions(Document):
     """The bench's section in a rig file.
 
     optics: the rig file that gives the pictures. firmware: what is in the projector's flash, from
@@ -100,7 +100,7 @@ class EmulatedBench:
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
-        chosen = config.validate(options, BenchOptions, "bench")
+        chosen = config.validate(options, EmulatedBenchOptions, "bench")
         self.faults = chosen.faults
         self._options = chosen
         self._stack = ExitStack()
@@ -113,9 +113,9 @@ class EmulatedBench:
         with ExitStack() as stack:
             self.inner = stack.enter_context(inner)
             self._check_optics()
-            self.optics = Optics(self.inner)
+            self.optics = RigInPlaceOfOptics(self.inner)
             self._make_projector()
-            self.shutter, self._exposures = Shutter(self.clock), 0
+            self.shutter, self._exposures = EmulatedShutter(self.clock), 0
             self.pylon = BenchPylon(self.optics.size, self.shutter, self._seen)
             self.pylon.start()
             stack.callback(self.pylon.close)
@@ -178,14 +178,16 @@ class EmulatedBench:
                 carriage_mm = self.grbl.drive.carriage_mm
             self.optics.place(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
 
-    def _together(self, light: Light | None) -> Iterator[Greys]:
+    def _together(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
         """The patterns of equal kind that are in flash, or in the same video frame."""
         if light is None or light.image is None:
             return
         stored = any(light.content is image for image in self.controller.images)
         for content in self.controller.images if stored else [light.content]:
             for number in numbers(light.depth):
-                alike = Light(content, light.depth, number, light.inverted, light.levels, light.image)
+                alike = ProjectedLight(
+                    content, light.depth, number, light.inverted, light.levels, light.image
+                )
                 greys = mean([(alike, 1.0)])
                 assert greys is not None
                 yield greys

@@ -11,7 +11,7 @@ from pypylon import genicam, pylon
 
 from drivers.basler.features import TRIGGER_DELAY_US, TRIGGER_EDGE, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
 from drivers.basler.options import EDGES
-from drivers.emulators.exposure import Collected, Shutter
+from drivers.emulators.exposure import Collected, EmulatedShutter
 from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
@@ -21,14 +21,14 @@ LEAST_SENSOR = (1024, 1040)
 LINE = "Line1"
 """Where the trigger cable ends."""
 
-Picture = Callable[[CameraSettings, Collected], Image]
+CameraResponse = Callable[[CameraSettings, Collected], Image]
 """What a camera with these settings makes of light."""
 
 
 class BenchPylon(EmulatedPylon):
     """pylon whose one camera looks at the bench. size: of the pictures; beyond them the sensor is dark."""
 
-    def __init__(self, size: tuple[int, int], shutter: Shutter, picture: Picture) -> None:
+    def __init__(self, size: tuple[int, int], shutter: EmulatedShutter, picture: CameraResponse) -> None:
         sensor = (max(size[0], LEAST_SENSOR[0]), max(size[1], LEAST_SENSOR[1]))
         super().__init__(sensor, lambda settings: self.read_out(settings, shutter.now(settings)))
         self.shutter, self._picture = shutter, picture

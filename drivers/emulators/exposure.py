@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.clock import SteppedClock
-from drivers.emulators.dlpc350 import Dlpc350, Light
+from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
 from fpplab.devices import CameraSettings
 
 NEVER = float("inf")
@@ -20,7 +20,7 @@ REMEMBERED_S = 1.0
 ROUNDING_S = 1e-7
 """A shutter that closes this late, by rounding alone, is closed in time for the next pulse."""
 
-Collected = list[tuple[Light, float]]
+Collected = list[tuple[ProjectedLight, float]]
 """What a shutter saw: each light, and the share of the exposure in which it was on; the rest was dark."""
 
 
@@ -28,7 +28,7 @@ Collected = list[tuple[Light, float]]
 class Stretch:
     """What left the lens from one moment to another; None in the dark."""
 
-    light: Light | None
+    light: ProjectedLight | None
     begin_s: float
     end_s: float
 
@@ -77,7 +77,7 @@ class Exposure:
     end_s: float
 
 
-class Shutter:
+class EmulatedShutter:
     """Opened by pulses; while it is open it takes no notice of them. Each exposure waits to be read out."""
 
     def __init__(self, clock: BenchClock) -> None:
@@ -142,7 +142,7 @@ class Shutter:
         return found
 
 
-def _alike(a: Light | None, b: Light | None) -> bool:
+def _alike(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
     """Whether both light the scene alike; frames of a video port come as ever new arrays."""
     if a is None or b is None:
         return a is b

@@ -13,13 +13,13 @@ from fpplab.devices import CameraSettings, Projector
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
-Greys = NDArray[np.uint8]
+GreyImage = NDArray[np.uint8]
 TOGETHER = 128
 """Patterns given to the projector at once, at most."""
 PATIENCE_S = 60.0
 
 
-class Optics:
+class RigInPlaceOfOptics:
     """A rig in place of light, lens and sensor, used as any program would.
 
     Its projector needs 8 bits; mirrors that it has not are left out, evenly.
@@ -47,7 +47,7 @@ class Optics:
         self._stage_mm = stage_mm
 
     def picture(
-        self, settings: CameraSettings, greys: Greys | None, others: Callable[[], Iterable[Greys]]
+        self, settings: CameraSettings, greys: GreyImage | None, others: Callable[[], Iterable[GreyImage]]
     ) -> Image:
         """What the camera sees in this light, or in the dark: raw integers of `settings.bits` [v, u].
 
@@ -80,7 +80,7 @@ class Slides:
         self._loaded: dict[bytes, Pattern] = {}
         self._places: dict[bytes, int] = {}
 
-    def show(self, greys: Greys, others: Callable[[], Iterable[Greys]]) -> None:
+    def show(self, greys: GreyImage, others: Callable[[], Iterable[GreyImage]]) -> None:
         """Show grey levels, uint8 (height, width) of any size.
 
         others: asked when they are not loaded, for more to be loaded with them: a twin computes faster what
@@ -93,13 +93,13 @@ class Slides:
             self._load(images if len(images) <= self._most else {key: fitted})
         self._projector.show(self._places[key])
 
-    def _load(self, images: dict[bytes, Greys]) -> None:
+    def _load(self, images: dict[bytes, GreyImage]) -> None:
         self._loaded = {key: self._loaded.get(key) or _pattern(key, image) for key, image in images.items()}
         self._places = {}
         self._projector.load(list(self._loaded.values()))
         self._places = {key: place for place, key in enumerate(self._loaded)}
 
-    def _fitted(self, greys: Greys) -> Greys:
+    def _fitted(self, greys: GreyImage) -> GreyImage:
         (height, width), (columns, rows) = greys.shape, self._size
         if (width, height) == self._size:
             return greys
@@ -107,11 +107,11 @@ class Slides:
         return np.asarray(greys[places], np.uint8)
 
 
-def _key(image: Greys) -> bytes:
+def _key(image: GreyImage) -> bytes:
     return hashlib.blake2b(image.tobytes(), digest_size=16).digest()
 
 
-def _pattern(key: bytes, image: Greys) -> Pattern:
+def _pattern(key: bytes, image: GreyImage) -> Pattern:
     own = image.copy()
     own.flags.writeable = False
     return Pattern(key.hex(), own)

@@ -6,7 +6,7 @@ that has the camera, a cable that is pulled, frames that are lost on the way. Se
 0815-0001, …
 
 The emulator reads a file at the end of each exposure: two names of one file, which is replaced as a whole,
-are the light on the sensor now. What it cannot do, and its behaviour that no camera documents, is `Policy`.
+are the light on the sensor now. What it cannot do, and its behaviour that no camera documents, is `PylonPolicy`.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ SWITCH = "PYLON_CAMEMU"
 """How many cameras pylon emulates: read by pylon at every enumeration."""
 READY_MS = 5000
 
-Scene = Callable[[CameraSettings], Image]
+SceneSource = Callable[[CameraSettings], Image]
 """What the sensor sees under some settings: raw integers of `settings.bits`, the whole sensor [v, u]."""
 
 
 @dataclass(frozen=True)
-class Policy:
+class PylonPolicy:
     """Behaviour of the emulated bench that is chosen, not documented.
 
     exclusive: a camera that is open cannot be opened again, as reported of real ones; pylon's emulator
@@ -68,8 +68,8 @@ class EmulatedPylon(Pylon):
     def __init__(
         self,
         size: tuple[int, int] = (1024, 1040),
-        scene: Scene | None = None,
-        policy: Policy = Policy(),
+        scene: SceneSource | None = None,
+        policy: PylonPolicy = PylonPolicy(),
         cameras: int = 1,
     ) -> None:
         self.size, self.scene, self.policy, self._cameras = size, scene, policy, cameras
@@ -79,7 +79,7 @@ class EmulatedPylon(Pylon):
         """Switch the emulation on."""
         self._before = os.environ.get(SWITCH)
         self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-")
-        self.light = Light(Path(self._folder.name))
+        self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
 
     def close(self) -> None:
@@ -238,7 +238,7 @@ class EmulatedCamera:
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
 
-class Light:
+class EmulatedSensorImage:
     """The picture on the sensor, as the file that the emulator reads at the end of an exposure."""
 
     def __init__(self, place: Path) -> None:

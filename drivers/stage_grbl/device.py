@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 from serial.tools import list_ports
 
-from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, Report
+from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, StatusReport
 from drivers.stage_grbl.wire import ANSWER_S, START_S, GrblWire, RestartedError
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -248,12 +248,12 @@ class GrblStage(Stage):
             pass  # in homing and in alarm it tells nothing, or the bad news again; a reset it obeys
         wire.reset(doing, START_S)
 
-    def _status(self, wire: GrblWire, doing: str) -> Report:
+    def _status(self, wire: GrblWire, doing: str) -> StatusReport:
         report = wire.status(doing)
         self._offset = report.offset or self._offset
         return report
 
-    def _at_rest(self, doing: str) -> Report:
+    def _at_rest(self, doing: str) -> StatusReport:
         """A report of a stage that stands where it was left, or a `DeviceError`."""
         report = self._status(self._open_wire, doing)
         if report.state != "Idle":
@@ -271,7 +271,7 @@ class GrblStage(Stage):
             )
         return report
 
-    def _check_switch(self, doing: str, report: Report) -> None:
+    def _check_switch(self, doing: str, report: StatusReport) -> None:
         if self._options.axis in report.pins:
             at_mm = self._stage_mm(self._machine_mm(doing, report))
             raise DeviceError(
@@ -281,7 +281,7 @@ class GrblStage(Stage):
                 "see what holds it up, then close, open and home it again",
             )
 
-    def _machine_mm(self, doing: str, report: Report) -> float:
+    def _machine_mm(self, doing: str, report: StatusReport) -> float:
         """Position of a report on the machine's own axis; work positions are put back."""
         unit_mm = self._open_mechanics.unit_mm
         if report.machine is not None:
@@ -307,6 +307,6 @@ class GrblStage(Stage):
         return self._mechanics
 
 
-def _moves(report: Report) -> bool:
+def _moves(report: StatusReport) -> bool:
     """Whether it is still to come to rest after a hold; `Hold:0` is at rest."""
     return report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1)

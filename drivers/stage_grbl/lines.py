@@ -78,7 +78,7 @@ class Ok:
 
 
 @dataclass(frozen=True)
-class Refused:
+class GrblError:
     """The line sent was not executed; see `ERRORS`."""
 
     code: int
@@ -99,7 +99,7 @@ class Welcome:
 
 
 @dataclass(frozen=True)
-class Report:
+class StatusReport:
     """Answer to `?`: the machine's position or the work's; the offset between them is told only at times."""
 
     state: str
@@ -125,7 +125,7 @@ class Told:
     text: str
 
 
-Message = Ok | Refused | Alarm | Welcome | Report | Setting | Told
+GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | Told
 
 _WELCOME = re.compile(r"Grbl (\d\S*) \[.*\]")
 _STATE = re.compile(r"([A-Z][a-z]+)(?::(\d))?")
@@ -134,14 +134,14 @@ _NUMBERS = re.compile(r"-?\d+\.\d+(?:,-?\d+\.\d+){2,}")
 _TOLD = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
 
 
-def parse(line: str) -> Message:
+def parse_line(line: str) -> GrblMessage:
     """The meaning of one line without its line end.
 
     Raises `ValueError` for a line that the protocol does not know.
     """
     if line == "ok":
         return Ok()
-    for beginning, kind in (("error:", Refused), ("ALARM:", Alarm)):
+    for beginning, kind in (("error:", GrblError), ("ALARM:", Alarm)):
         if line.startswith(beginning) and line.removeprefix(beginning).isdecimal():
             return kind(int(line.removeprefix(beginning)))
     if found := _WELCOME.fullmatch(line):
@@ -155,13 +155,13 @@ def parse(line: str) -> Message:
     raise ValueError(f"{line!r} is not a line of GRBL 1.1")
 
 
-def _report(inside: str) -> Report:
+def _report(inside: str) -> StatusReport:
     head, *rest = inside.split("|")
     state = _STATE.fullmatch(head)
     fields = dict(field.partition(":")[::2] for field in rest)
     if state is None or state[1] not in STATES or not rest or rest[0][:5] not in ("MPos:", "WPos:"):
         raise ValueError(f"'<{inside}>' is not a report of GRBL 1.1")
-    return Report(
+    return StatusReport(
         state[1],
         int(state[2]) if state[2] else None,
         _axes(fields.get("MPos")),

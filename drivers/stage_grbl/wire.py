@@ -15,15 +15,15 @@ from drivers.stage_grbl.lines import (
     RESET,
     STATUS,
     Alarm,
-    Message,
+    GrblError,
+    GrblMessage,
     Ok,
-    Refused,
-    Report,
     Setting,
+    StatusReport,
     Welcome,
     alarm_in_words,
     error_in_words,
-    parse,
+    parse_line,
 )
 from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
 
@@ -46,8 +46,8 @@ class GrblWire:
         """Raises `DeviceError` when the port cannot be opened, or another program holds it."""
         self._name, self._port = name, port
         self._received = bytearray()
-        self._answers: deque[Ok | Refused] = deque()
-        self._report: Report | None = None
+        self._answers: deque[Ok | GrblError] = deque()
+        self._report: StatusReport | None = None
         self._settings: dict[int, float] = {}
         try:
             self._serial = serial.Serial(port, BAUD, timeout=0, write_timeout=ANSWER_S, exclusive=True)
@@ -66,7 +66,7 @@ class GrblWire:
         deadline = time.monotonic() + timeout_s
         while (line := self._line(doing, deadline)) is not None:
             try:
-                message = parse(line)
+                message = parse_line(line)
             except ValueError:
                 continue  # half a line from before the reset
             if isinstance(message, Welcome):
@@ -107,11 +107,11 @@ class GrblWire:
             if not self._take_one(doing, deadline):
                 return False
         answer = self._answers.popleft()
-        if isinstance(answer, Refused):
+        if isinstance(answer, GrblError):
             raise DeviceError(self._name, doing, f"refused '{line}': {error_in_words(answer.code)}")
         return True
 
-    def status(self, doing: str) -> Report:
+    def status(self, doing: str) -> StatusReport:
         """What the controller does, and where it is. It does not tell during homing."""
         self._report = None
         self._write(doing, STATUS)
@@ -140,7 +140,7 @@ class GrblWire:
         if line is None:
             return False
         try:
-            message = parse(line)
+            message = parse_line(line)
         except ValueError as error:
             raise ProtocolError(
                 self._name, doing, str(error), "see to the cable, and close other programs that use the port"
@@ -148,11 +148,11 @@ class GrblWire:
         self._keep(doing, message)
         return True
 
-    def _keep(self, doing: str, message: Message) -> None:
+    def _keep(self, doing: str, message: GrblMessage) -> None:
         match message:
-            case Ok() | Refused():
+            case Ok() | GrblError():
                 self._answers.append(message)
-            case Report():
+            case StatusReport():
                 self._report = message
             case Setting(number, value):
                 self._settings[number] = value

@@ -18,7 +18,7 @@ STILL = 1e-12
 """Relative step at which the fit of a sphere ends."""
 
 
-class Feature(Protocol):
+class FittedFeature(Protocol):
     """A fitted shape."""
 
     def distances(self, points: Floats) -> Floats:
@@ -95,7 +95,7 @@ def fit_plane(points: Floats) -> Plane:
     return Plane(middle, np.asarray(-normal if normal @ middle > 0.0 else normal))
 
 
-F = TypeVar("F", bound=Feature)
+F = TypeVar("F", bound=FittedFeature)
 
 
 def fit_without_worst(
@@ -122,6 +122,6 @@ def fit_without_worst(
     return feature, keep
 
 
-def span(values: Floats) -> float:
+def peak_to_peak(values: Floats) -> float:
     """Greatest minus least."""
     return float(values.max() - values.min())

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from fpplab.acceptance.fitting import Plane, fit_plane
-from fpplab.acceptance.standard import Evaluation
+from fpplab.acceptance.standard import EvaluationRules
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.core.errors import DataError
@@ -91,7 +91,7 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
     return centres
 
 
-def sphere_cap(points: Floats, centre: Floats, radius: float, rule: Evaluation, source: str) -> Cap:
+def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRules, source: str) -> Cap:
     """The points (N, 3) whose ray meets the sphere's cap inside its edge.
 
     A ray that passes the centre at the distance d meets the sphere at the angle of incidence
@@ -218,7 +218,7 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
 
 
 def plane_face(
-    points: Floats, plane: Plane, size: tuple[float, float], rule: Evaluation, source: str
+    points: Floats, plane: Plane, size: tuple[float, float], rule: EvaluationRules, source: str
 ) -> Face:
     """The points (N, 3) whose ray meets the plane at least `edge_mm` inside the edge of what was measured.
 

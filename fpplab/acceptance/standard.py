@@ -61,7 +61,7 @@ class PlaneStandard(Document):
     flatness_um: Micrometres = 0.0
 
 
-class Evaluation(Document):
+class EvaluationRules(Document):
     """Which points count.
 
     cap_deg: greatest angle of incidence of the camera's ray on a sphere. edge_mm: width left out along
@@ -106,7 +106,7 @@ class Standard(Document):
     name: Name
     ball_bar: BallBarStandard | None = None
     plane: PlaneStandard | None = None
-    evaluation: Evaluation = Evaluation()
+    evaluation: EvaluationRules = EvaluationRules()
     mpe_um: Permissible = Permissible()
     items: StandardItems = StandardItems()
 
@@ -129,7 +129,7 @@ class Standard(Document):
     @classmethod
     def load(cls, name: str | Path) -> Standard:
         """Read by path, or by name among those that come with fpplab. Raises `ConfigError`."""
-        return config.load(config.find(name), cls)
+        return config.load_document(config.find_config(name), cls)
 
     def permitted_um(self, quantity: str) -> float | None:
         """The maximum permissible error, None where none is stated."""

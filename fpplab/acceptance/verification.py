@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst, span
+from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst, peak_to_peak
 from fpplab.acceptance.segmentation import find_plane, find_spheres, normals_of, plane_face, sphere_cap
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.clouds import Cloud
@@ -40,7 +40,7 @@ Clouds = Iterable[tuple[str, Cloud]]
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredFeature:
     """One feature's points that count, (K, 3), their camera pixels (K, 2) or None, and how they lie.
 
     distances: (K,) in mm, signed, from the fit. kept: (K,), all but the farthest.
@@ -52,13 +52,13 @@ class Measured:
     kept: Mask
 
     @classmethod
-    def of(cls, cloud: Cloud, index: NDArray[np.intp], distances: Floats, kept: Mask) -> Measured:
+    def of(cls, cloud: Cloud, index: NDArray[np.intp], distances: Floats, kept: Mask) -> MeasuredFeature:
         pixels = None if cloud.pixels is None else cloud.pixels[index]
         return cls(cloud.points[index], pixels, distances, kept)
 
     @property
     def span_um(self) -> float:
-        return 1e3 * span(self.distances[self.kept])
+        return 1e3 * peak_to_peak(self.distances[self.kept])
 
     @property
     def rms_um(self) -> float:
@@ -81,7 +81,7 @@ class SphereTest:
     sphere: Sphere
     calibrated_mm: float
     solid_angle_sr: float
-    measured: Measured
+    measured: MeasuredFeature
 
     @property
     def form_um(self) -> float:
@@ -131,7 +131,7 @@ class PlaneTest:
     source: str
     plane: Plane
     area_mm2: float
-    measured: Measured
+    measured: MeasuredFeature
 
     @property
     def flatness_um(self) -> float:
@@ -149,7 +149,7 @@ class PlaneTest:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class AcceptanceJudgement:
     """A quantity over all positions: the error of greatest size, and whether it is permitted.
 
     passed: None where no maximum permissible error was stated.
@@ -193,11 +193,11 @@ class Acceptance:
         }
         return {name: values[name] for name in QUANTITIES if values[name]}
 
-    def judgements(self) -> dict[str, Judgement]:
+    def judgements(self) -> dict[str, AcceptanceJudgement]:
         """By quantity, those that were measured."""
         standard = self.standard
         return {
-            name: Judgement(
+            name: AcceptanceJudgement(
                 max(values, key=abs), standard.permitted_um(name), standard.known_to_um(name), len(values)
             )
             for name, values in self.errors_um().items()
@@ -288,16 +288,16 @@ def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
     face = plane_face(points, found, known.size_mm, standard.evaluation, source)
     plane, kept = fit_without_worst(points[face.index], fit_plane)
     distances = plane.distances(points[face.index])
-    return PlaneTest(source, plane, face.area_mm2, Measured.of(cloud, face.index, distances, kept))
+    return PlaneTest(source, plane, face.area_mm2, MeasuredFeature.of(cloud, face.index, distances, kept))
 
 
 def _fit(
     points: Floats, cloud: Cloud, centre: Floats, radius: float, standard: Standard, source: str
-) -> tuple[Sphere, float, Measured]:
+) -> tuple[Sphere, float, MeasuredFeature]:
     cap = sphere_cap(points, centre, radius, standard.evaluation, source)
     sphere, kept = fit_without_worst(points[cap.index], fit_sphere)
     distances = sphere.distances(points[cap.index])
-    return sphere, cap.solid_angle_sr, Measured.of(cloud, cap.index, distances, kept)
+    return sphere, cap.solid_angle_sr, MeasuredFeature.of(cloud, cap.index, distances, kept)
 
 
 S = TypeVar("S")

@@ -11,9 +11,10 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
-from fpplab.acquisition.synchronisation import judge, provable, remedy
+from fpplab.acquisition.synchronisation import check_synchronisation, provable, remedy
 from fpplab.core.conventions import Image
 from fpplab.core.errors import CapabilityError, SyncError
+from fpplab.core.progress import ignore
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
@@ -26,15 +27,11 @@ PATIENCE_S = 10.0
 
 UNENDED = "after the last pattern came no black and then white"
 
-Observer = Callable[[Frame], None]
+FrameObserver = Callable[[Frame], None]
 """Sees each frame once it is on disk: a progress bar, a viewer."""
 
 
-def unseen(frame: Frame) -> None:
-    """An observer that does not look."""
-
-
-def acquire(rig: Rig, plan: Plan, session: Session, observe: Observer = unseen) -> None:
+def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:
     """Take every image of the plan that the session lacks.
 
     The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`; `SyncError` once
@@ -74,7 +71,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
         frames = [shot.image for shot in shots]
     if ends and not _ended([float(frame.mean()) for frame in frames]):
         raise SyncError(rig.camera.name, "capture", UNENDED, remedy(plan))
-    verdict = judge(frames[: plan.images], plan, settings.bits)
+    verdict = check_synchronisation(frames[: plan.images], plan, settings.bits)
     if not verdict.in_step:
         raise SyncError(rig.camera.name, "capture", verdict.words(), remedy(plan))
     return frames[: plan.images]
@@ -92,7 +89,7 @@ def _ended(brightness: Sequence[float]) -> bool:
 
 
 def _prove(rig: Rig, session: Session) -> None:
-    verdict = judge(session.stack(verify=False), session.plan, session.format[2])
+    verdict = check_synchronisation(session.stack(verify=False), session.plan, session.format[2])
     if not verdict.in_step:
         raise _out_of_step(rig, session, verdict.words())
 

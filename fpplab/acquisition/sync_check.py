@@ -8,7 +8,7 @@ stands out, and the faults of `synchronisation` fit the levels that were seen or
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
-from fpplab.acquisition.synchronisation import Cause, Fault, faults, remedy
+from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceError, TimeoutError
+from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
@@ -39,8 +40,6 @@ FOLLOWS = 0.015
 SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Settling times that are tried, in s."""
 PIXELS = 20_000
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What `check` found.
+    """What `check_rig` found.
 
     shown: (K,) greys of 255 in the order shown. settle_s: what a stepped plan needs, where the plan's
     was too short and another served.
@@ -99,7 +98,7 @@ def marker() -> NDArray[np.int64]:
     return np.asarray(np.rint(np.array(ORDER) * 255 / (len(ORDER) - 1)), np.int64)
 
 
-def slips(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[Fault, ...] | None:
+def slips(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
     """The faults under which the levels seen follow the greys: () when in step, None when nothing does.
 
     levels: (K,), NaN where no frame came. Of faults that fit, those that explain the most frames. Greys do
@@ -127,7 +126,7 @@ def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | N
     )
 
 
-def check(rig: Rig, plan: Plan, item: str, progress: Progress) -> Checked:
+def check_rig(rig: Rig, plan: Plan, item: str, progress: Progress) -> Checked:
     """Open a rig, show it the marker, stepped and where it can triggered, and name what is wrong.
 
     The plan gives exposure and settling time. What a device raises is a finding too.
@@ -212,7 +211,7 @@ def _of_light(run: Seen) -> list[Finding]:
     return []
 
 
-def _of_display(slipped: tuple[Fault, ...] | None, settle_s: float, needed: float | None) -> Finding:
+def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None) -> Finding:
     if needed is not None:
         return Finding(
             "the display is slower than the plan waits",
@@ -226,7 +225,7 @@ def _of_display(slipped: tuple[Fault, ...] | None, settle_s: float, needed: floa
     )
 
 
-def _of_trigger(slipped: tuple[Fault, ...] | None, run: Seen, advice: str) -> list[Finding]:
+def _of_trigger(slipped: tuple[SyncFault, ...] | None, run: Seen, advice: str) -> list[Finding]:
     lost = int(np.isnan(run.levels).sum())
     if slipped == () and not lost:
         return []
@@ -240,7 +239,7 @@ def _of_device(error: DeviceError) -> Finding:
     return Finding(f"{error.device}: {error.operation}: {error.found}", type(error).__name__, error.remedy)
 
 
-def _words(slipped: tuple[Fault, ...] | None) -> str:
+def _words(slipped: tuple[SyncFault, ...] | None) -> str:
     return "; or ".join(f.words() for f in slipped) if slipped else "the levels do not follow the greys"
 
 

@@ -57,7 +57,7 @@ class Cause(StrEnum):
 
 
 @dataclass(frozen=True)
-class Fault:
+class SyncFault:
     """One way to be out of step. frame: where it begins, from 0."""
 
     cause: Cause
@@ -97,15 +97,15 @@ class Fault:
         }[self.cause]
 
 
-def faults(frames: int) -> Iterator[Fault]:
+def faults(frames: int) -> Iterator[SyncFault]:
     """Every fault that is looked for in so many frames."""
-    yield Fault(Cause.LATE)
-    yield Fault(Cause.EARLY)
+    yield SyncFault(Cause.LATE)
+    yield SyncFault(Cause.EARLY)
     # A trigger missed at the last frame is a foreign last frame; one doubled at the first is a late row.
-    yield from (Fault(Cause.MISSED, k) for k in range(1, frames - 1))
-    yield from (Fault(Cause.DOUBLED, k) for k in range(1, frames))
-    yield from (Fault(Cause.FOREIGN, k) for k in range(frames))
-    yield from (Fault(Cause.SWAPPED, k) for k in range(frames - 1))
+    yield from (SyncFault(Cause.MISSED, k) for k in range(1, frames - 1))
+    yield from (SyncFault(Cause.DOUBLED, k) for k in range(1, frames))
+    yield from (SyncFault(Cause.FOREIGN, k) for k in range(frames))
+    yield from (SyncFault(Cause.SWAPPED, k) for k in range(frames - 1))
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Verdict:
     misfit: RMS of what frames in step would leave besides noise, as a share of the modulation.
     """
 
-    causes: tuple[Fault, ...] = ()
+    causes: tuple[SyncFault, ...] = ()
     fits: bool = True
     provable: bool = True
     misfit: float = 0.0
@@ -155,7 +155,7 @@ class Moments:
     alike: Floats
 
 
-def judge(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int = 8) -> Verdict:
+def check_synchronisation(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int = 8) -> Verdict:
     """Whether frame k shows pattern k.
 
     frames: all of the plan, in order, (height, width) each, memory-mapped or not; bits: their depth.
@@ -254,7 +254,7 @@ class _Spaces:
 
 
 @lru_cache(maxsize=8)
-def _spaces(plan: Plan, harmonics: int, named: tuple[Fault, ...] = ()) -> _Spaces:
+def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _Spaces:
     """Of frames in step, and then of the faults named."""
     count = plan.images
     shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]

@@ -94,7 +94,7 @@ class Pillars:
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepsSizes:
     """A staircase that rises along x; lengths in mm, heights of the treads from the base."""
 
     footprint: tuple[float, float] = (90.0, 70.0)
@@ -119,15 +119,15 @@ class Steps:
         return _body([*parts, _strip(_upright(outline, half), _upright(outline, -half))])
 
 
-_BUILDERS: dict[str, Callable[..., Pyramid | Pillars | Steps | BallBar]] = {
+_BUILDERS: dict[str, Callable[..., Pyramid | Pillars | StepsSizes | BallBar]] = {
     "pyramid": Pyramid,
     "pillars": Pillars,
-    "steps": Steps,
+    "steps": StepsSizes,
 }
 NAMES = tuple(_BUILDERS)
 """What a measurement is compared with."""
 
-_STANDARDS: dict[str, Callable[..., Pyramid | Pillars | Steps | BallBar]] = {"ball_bar": BallBar}
+_STANDARDS: dict[str, Callable[..., Pyramid | Pillars | StepsSizes | BallBar]] = {"ball_bar": BallBar}
 STANDARDS = tuple(_STANDARDS)
 """What an acceptance test measures."""
 
@@ -157,7 +157,7 @@ def usual_sizes(name: str) -> dict[str, Lengths]:
     return asdict(_builder(name)())
 
 
-def _builder(name: str) -> Callable[..., Pyramid | Pillars | Steps | BallBar]:
+def _builder(name: str) -> Callable[..., Pyramid | Pillars | StepsSizes | BallBar]:
     known = _BUILDERS | _STANDARDS
     if name not in known:
         raise ConfigError(f"there is no artefact '{name}'; there are {', '.join(known)}")

@@ -117,7 +117,7 @@ class Calibration:
     @classmethod
     def load(cls, path: Path) -> Calibration:
         """Read a calibration file. Raises `ConfigError`."""
-        return config.load(path, CalibrationFile).calibration()
+        return config.load_document(path, CalibrationFile).calibration()
 
 
 def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source: Path | str) -> None:
@@ -128,7 +128,7 @@ def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source:
         )
 
 
-Pixels = Annotated[int, Field(ge=2, le=100_000)]
+PixelCount = Annotated[int, Field(ge=2, le=100_000)]
 Focal = Annotated[float, Field(gt=0, le=1e6)]
 Centre = Annotated[float, Field(ge=-1e5, le=1e5)]
 Coefficient = Annotated[float, Field(ge=-100, le=100)]
@@ -151,7 +151,7 @@ Distortion = Annotated[tuple[Coefficient, ...], AfterValidator(_five_or_eight)]
 class PinholeFile(Document):
     """One device in a calibration file."""
 
-    size: tuple[Pixels, Pixels]
+    size: tuple[PixelCount, PixelCount]
     focal_px: tuple[Focal, Focal]
     centre_px: tuple[Centre, Centre]
     distortion: Distortion

@@ -1,16 +1,16 @@
 """Poses of a board -> camera, projector, and the pose between them."""
 
-from fpplab.characterisation.bundle import Level
+from fpplab.characterisation.bundle import DistortionModel
 from fpplab.characterisation.fitting import characterise
 from fpplab.characterisation.observation import Observation, finest_periods, observe
-from fpplab.characterisation.result import Characterisation, Rejected, Trial
+from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
 
 __all__ = [
     "Characterisation",
-    "Level",
+    "DistortionModel",
+    "ModelTrial",
     "Observation",
     "Rejected",
-    "Trial",
     "characterise",
     "finest_periods",
     "observe",

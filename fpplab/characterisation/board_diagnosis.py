@@ -8,7 +8,7 @@ import numpy as np
 
 from fpplab.characterisation.descriptions import described_otherwise
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.zhang import Size, rms, zhang
+from fpplab.characterisation.zhang import ImageSize, rms, zhang
 from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
 from fpplab.targets.detection import Detection, apply_homography, homography
@@ -21,7 +21,7 @@ LIKELY_PX = 3.0
 
 
 def misdescribed(
-    observations: Sequence[Observation], target: Target, size: Size, rms_px: float = np.inf
+    observations: Sequence[Observation], target: Target, size: ImageSize, rms_px: float = np.inf
 ) -> str | None:
     """What is wrong with a board's description, when another makes the camera fit far better.
 
@@ -52,7 +52,7 @@ def _off_plane(observations: Sequence[Observation], target: Target) -> float:
     return rms(errors)
 
 
-def _camera_rms(observations: Sequence[Observation], target: Target, size: Size) -> float:
+def _camera_rms(observations: Sequence[Observation], target: Target, size: ImageSize) -> float:
     """RMS in px of the camera by itself; infinite when the poses do not determine it."""
     points = target.points()
     try:

@@ -43,7 +43,7 @@ ROUNDS = 3
 """How often the noise is judged anew; it settles at the second."""
 
 
-class Level(StrEnum):
+class DistortionModel(StrEnum):
     """How much of the distortion is free, in both devices alike; the rest is held at zero."""
 
     K1 = "k1"
@@ -89,12 +89,12 @@ class Model:
     deviation; None takes the board as exact.
     """
 
-    level: Level
+    level: DistortionModel
     drawn: Floats
     board_sigma_mm: float | None = None
 
 
-def fit(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
+def adjust_bundle(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
     """The best solution near `start`. Raises `CalibrationError` when there is none."""
     problem = Problem(tuple(observations), model, 1.0)
     vector = problem.pack(start)
@@ -109,7 +109,7 @@ def fit(observations: Sequence[Observation], start: Solution, model: Model) -> S
 
 
 def uncertainty(observations: Sequence[Observation], best: Solution, model: Model) -> Uncertainty:
-    """Of the devices and of the pose between them, at the solution that `fit` found for that model.
+    """Of the devices and of the pose between them, at the solution that `adjust_bundle` found for that model.
 
     The covariance is marginal: that the poses and the board are only known so well is in it.
     Raises `CalibrationError` when the poses do not determine the parameters.

@@ -16,10 +16,17 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
 from fpplab.characterisation.board_diagnosis import misdescribed
-from fpplab.characterisation.bundle import Level, Model, Solution, fit, fit_pose, uncertainty
+from fpplab.characterisation.bundle import (
+    DistortionModel,
+    Model,
+    Solution,
+    adjust_bundle,
+    fit_pose,
+    uncertainty,
+)
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.result import Characterisation, Rejected, Trial
-from fpplab.characterisation.zhang import Size, apart, matrix_of, refuse_mirrors, rms, stereo, transform
+from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
+from fpplab.characterisation.zhang import ImageSize, apart, matrix_of, refuse_mirrors, rms, stereo, transform
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole
@@ -28,7 +35,7 @@ from fpplab.targets import Target
 LEAST_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
 
-SIMPLEST = next(iter(Level))
+SIMPLEST = next(iter(DistortionModel))
 """More distortion needs evidence: poses that it predicts better."""
 
 LEAST_GAIN = 0.02
@@ -56,12 +63,12 @@ Residuals = tuple[Floats, Floats]
 def characterise(
     observations: Sequence[Observation],
     target: Target,
-    camera_size: Size,
-    projector_size: Size,
+    camera_size: ImageSize,
+    projector_size: ImageSize,
     lattice: Lattice = Lattice.SQUARE,
     *,
     left_out: Mapping[str, str] | None = None,
-    level: Level | Literal["auto"] = "auto",
+    level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
     """Both devices and the pose between them, from what `observe` made of each pose.
@@ -79,7 +86,7 @@ def characterise(
     described or one of the devices sees it mirrored.
     """
     missing = dict(left_out or {})
-    most = Level.K3 if level == "auto" else level
+    most = DistortionModel.K3 if level == "auto" else level
     model = Model(most, target.points(), _board_sigma(target, refine_board))
     kept, start, apart_px = _settled(observations, target, model, (camera_size, projector_size), missing)
     kept, start, rejected = _without_outliers(kept, start, model)
@@ -124,7 +131,7 @@ def _board_sigma(target: Target, refine: bool | None) -> float | None:
 
 
 def _settled(
-    observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[Size, Size],
+    observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
     missing: dict[str, str],
 ) -> tuple[list[Observation], Solution, dict[str, float]]:  # fmt: skip
     """The poses that belong together, their joint fit, and the RMS of the steps before it.
@@ -138,7 +145,7 @@ def _settled(
         odd = outliers.odd_pose(kept, start, 5.0)
         if odd is None:
             pair, apart_px["stereo"] = stereo(kept, start, sizes[0])
-            start = fit(kept, replace(start, T_projector_camera=pair), model)
+            start = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
             odd = outliers.odd_pose(kept, start, 1.0)
         if odd is None:
             return kept, start, apart_px
@@ -150,7 +157,7 @@ def _settled(
 
 
 def _started(
-    observations: Sequence[Observation], target: Target, sizes: tuple[Size, Size]
+    observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize]
 ) -> tuple[Solution, dict[str, float]]:
     """Both devices apart; a poor fit that another description of the board would mend is refused."""
     try:
@@ -175,28 +182,28 @@ def _without_outliers(
         if not found:
             return observations, solution, rejected
         rejected += found
-        solution = fit(observations, solution, model)
+        solution = adjust_bundle(observations, solution, model)
 
 
-def _candidates(level: Level | Literal["auto"], few: bool) -> tuple[Level, ...]:
+def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[DistortionModel, ...]:
     """The levels to try, the simplest first; `auto` has no choice when the poses are few."""
     if level == "auto":
-        return (SIMPLEST,) if few else tuple(Level)
+        return (SIMPLEST,) if few else tuple(DistortionModel)
     return (level,)
 
 
 def _tried(
-    observations: Sequence[Observation], settled: Solution, model: Model, level: Level
-) -> tuple[Trial, Solution, list[Residuals] | None]:
+    observations: Sequence[Observation], settled: Solution, model: Model, level: DistortionModel
+) -> tuple[ModelTrial, Solution, list[Residuals] | None]:
     """What a level reaches, its fit, and its residuals in each pose when that was left out.
 
     settled: the fit of `model`, from which that of another level starts.
     """
     own = replace(model, level=level)
-    solution = settled if level is model.level else fit(observations, settled, own)
+    solution = settled if level is model.level else adjust_bundle(observations, settled, own)
     fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
     held = _leave_one_out(observations, solution, own)
-    return Trial(level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
+    return ModelTrial(level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
 
 
 def _leave_one_out(
@@ -208,13 +215,15 @@ def _leave_one_out(
     held_out = []
     for held, observation in enumerate(observations):
         others = [o for i, o in enumerate(observations) if i != held]
-        trained = fit(others, replace(solution, poses=np.delete(solution.poses, held, axis=0)), model)
+        trained = adjust_bundle(
+            others, replace(solution, poses=np.delete(solution.poses, held, axis=0)), model
+        )
         pose = fit_pose(observation, trained, solution.poses[held])
         held_out.append(replace(trained, poses=pose[None]).residuals(0, observation))
     return held_out
 
 
-def _chosen(tried: Sequence[tuple[Trial, Solution, list[Residuals] | None]]) -> int:
+def _chosen(tried: Sequence[tuple[ModelTrial, Solution, list[Residuals] | None]]) -> int:
     """Which to take, simplest first in `tried`; poses are compared one by one, for some are always worse."""
     if len(tried) == 1:
         return 0

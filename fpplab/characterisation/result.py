@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation.bundle import Level
+from fpplab.characterisation.bundle import DistortionModel
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.zhang import rms
 from fpplab.core.conventions import Floats
@@ -26,14 +26,14 @@ class Rejected:
 
 
 @dataclass(frozen=True)
-class Trial:
+class ModelTrial:
     """What one level of the model reaches: RMS in px by device.
 
     fitted_px: of `camera`, `projector` and `joint`. held_out_px: the same, in poses that the devices were
     not fitted to; None with too few poses.
     """
 
-    level: Level
+    level: DistortionModel
     fitted_px: dict[str, float]
     held_out_px: dict[str, float] | None
 
@@ -62,8 +62,8 @@ class Characterisation:
     board: Floats
     left_out: dict[str, str]
     sigma: dict[str, float]
-    level: Level = Level.TANGENTIAL
-    trials: tuple[Trial, ...] = ()
+    level: DistortionModel = DistortionModel.TANGENTIAL
+    trials: tuple[ModelTrial, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     warnings: tuple[str, ...] = ()
     drawn: Floats | None = None
@@ -116,11 +116,11 @@ def _both(figures: dict[str, float] | None) -> dict[str, float | None]:
     return {f"{device}_px": (figures or {}).get(device) for device in ("camera", "projector")}
 
 
-def _terms(level: Level) -> str:
+def _terms(level: DistortionModel) -> str:
     return f"{level}: distortion {' '.join(level.terms[4:])}"
 
 
-def _errors(trial: Trial) -> str:
+def _errors(trial: ModelTrial) -> str:
     fitted = " / ".join(f"{trial.fitted_px[d]:.3f}" for d in ("camera", "projector"))
     if trial.held_out_px is None:
         return f"camera / projector {fitted} px fitted"

@@ -19,12 +19,12 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
-Size = tuple[int, int]
-Pixels = list[Floats]
+ImageSize = tuple[int, int]
+BoardPixels = list[Floats]
 
 
 def apart(
-    observations: Sequence[Observation], board: Floats, camera_size: Size, projector_size: Size
+    observations: Sequence[Observation], board: Floats, camera_size: ImageSize, projector_size: ImageSize
 ) -> tuple[Solution, Floats, dict[str, float]]:
     """Each device by itself, and a first pose between them that the most poses agree on.
 
@@ -67,7 +67,9 @@ def _from_behind(pose: Floats) -> bool:
     return bool(away @ pose[3:] < 0)
 
 
-def zhang(device: str, boards: Pixels, pixels: Pixels, size: Size) -> tuple[float, Floats, Floats]:
+def zhang(
+    device: str, boards: BoardPixels, pixels: BoardPixels, size: ImageSize
+) -> tuple[float, Floats, Floats]:
     """Zhang's method from several guesses of the principal point: RMS, intrinsics (12,), poses (M, 6).
 
     A projector's lens is often shifted so far that its principal point lies at the picture's edge,
@@ -86,7 +88,7 @@ def zhang(device: str, boards: Pixels, pixels: Pixels, size: Size) -> tuple[floa
 
 
 def _zhang_from(
-    guess: tuple[float, float], boards: Pixels, pixels: Pixels, size: Size
+    guess: tuple[float, float], boards: BoardPixels, pixels: BoardPixels, size: ImageSize
 ) -> tuple[float, Floats, Floats] | None:
     flat = [b.astype(np.float32) for b in boards]
     seen = [p.astype(np.float32) for p in pixels]
@@ -112,7 +114,7 @@ def _zhang_from(
     return (float(rms), intrinsics, poses) if sound and poses[:, 5].min() > 0 else None
 
 
-def stereo(observations: Sequence[Observation], start: Solution, size: Size) -> tuple[Floats, float]:
+def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize) -> tuple[Floats, float]:
     """The best T_projector_camera (6,) with both devices held, and the RMS of both together."""
     rms, *_, rotation, translation, _, _ = cv2.stereoCalibrate(
         [start.board[o.ids].astype(np.float32) for o in observations],

@@ -30,7 +30,7 @@ for _commands in (
 
 def main() -> None:
     """Entry point: run the command and leave with its exit code."""
-    console.run(app, as_json="--json" in sys.argv)
+    console.run_program(app, as_json="--json" in sys.argv)
 
 
 __all__ = ["app", "main"]

@@ -41,5 +41,5 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
 RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
 PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
-CalibrationFile = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
+CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
 Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]

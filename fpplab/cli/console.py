@@ -14,27 +14,26 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBars
 from rich.table import Table
 
 from fpplab.core.errors import Cancelled, DataError, FppError
-
-Report = Callable[[float], None]
-"""Told how much of a piece of work is done, 0 … 1."""
+from fpplab.core.progress import Progress, no_progress
 
 stderr = Console(stderr=True, highlight=False)
 stdout = Console(highlight=False, soft_wrap=True)
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Report]:
+def progress(what: str) -> Iterator[Progress]:
     """A progress bar on stderr while the work lasts; one line where stderr is no terminal."""
     if not stderr.is_terminal:
         say(f"{what} …")
-        yield lambda share: None
+        yield no_progress
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True) as bars:
+    with ProgressBars(*columns, console=stderr, transient=True) as bars:
         task = bars.add_task(what, total=1.0)
         yield lambda share: bars.update(task, completed=share)
 
@@ -92,7 +91,7 @@ class Answered(SystemExit):
     """Ends a command that has given its whole answer, with an exit code that is part of it."""
 
 
-def run(command: Callable[[], object], as_json: bool) -> NoReturn:
+def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     """Run a program's whole command and leave with the exit code of its fault, or 0.
 
     A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json);

@@ -41,9 +41,9 @@ def dataset(
     need_simulation(devices, rig)
     with console.stopwatch() as seconds, devices as bench:
         from fpplab.dataset import Dataset
-        from fpplab.dataset.making import Maker, Wanted
+        from fpplab.dataset.making import DatasetRequest, Maker
 
-        maker = Maker(bench, Wanted(wanted_plan, ranges, count, seed, shard_size))
+        maker = Maker(bench, DatasetRequest(wanted_plan, ranges, count, seed, shard_size))
         with console.progress("Making samples") as report:
             card = maker.make(out, report)
         result = {

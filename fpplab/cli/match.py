@@ -52,14 +52,14 @@ def match(
     """
     from fpplab.devices.rig import Rig
     from fpplab.matching.record import EPOCHS
-    from fpplab.matching.run import Wanted, match_sessions, twin_of
+    from fpplab.matching.run import MatchingRequest, match_sessions, twin_of
     from fpplab.pipeline import REPORT
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
     _make_way(out, force, EPOCHS, REPORT)
     sessions = recorded_sessions(reference)
-    wanted = Wanted(
+    wanted = MatchingRequest(
         board=item,
         response=_response(gamma),
         scans=_scans(scan or []),
@@ -71,7 +71,7 @@ def match(
         known = twin_of(rig, item)
         board = Target.load(target) if target else known.target
 
-        from fpplab.matching.record import Epoch
+        from fpplab.matching.record import MatchingEpoch
         from fpplab.report.matching import write_matching_report
         from fpplab.report.viewer import Viewer
 
@@ -79,7 +79,7 @@ def match(
         if viewer and viewer.fault is None:
             console.say(f"Watch it at {viewer.where}")
 
-        def observe(epoch: Epoch) -> None:
+        def observe(epoch: MatchingEpoch) -> None:
             loss = epoch.loss
             console.say(
                 f"epoch {epoch.epoch}, {epoch.step}: loss {loss['loss']:.4f}, over the board "

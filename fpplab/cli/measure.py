@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import CalibrationFile, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.app import CalibrationOption, Force, Json, Out, PlanName, RigName, app
 from fpplab.core.errors import ConfigError, DataError
 
 
@@ -44,7 +44,7 @@ def import_(
 @app.command()
 def scan(
     rig: RigName,
-    calibration: CalibrationFile,
+    calibration: CalibrationOption,
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     item: Annotated[
@@ -81,7 +81,7 @@ def scan(
             bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once.
-        from fpplab.acquisition.acquire import unseen
+        from fpplab.core.progress import ignore
         from fpplab.pipeline import CLOUD, REPORT, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
@@ -95,7 +95,7 @@ def scan(
             viewer.plan(wanted, caps.size, caps.lattice)
             viewer.calibration(known)
         mount = (item, pose) if item else None
-        observe = viewer.frame if viewer else unseen
+        observe = viewer.frame if viewer else ignore
         with console.progress("Scanning") as report:
             session = take(
                 bench,
@@ -155,7 +155,7 @@ def decode(
 @app.command()
 def reconstruct(
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
-    calibration: CalibrationFile,
+    calibration: CalibrationOption,
     out: Out,
     filtering: Annotated[
         bool | None,

@@ -11,16 +11,16 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, RigName, app
 from fpplab.core.errors import ConfigError
-from fpplab.optimisation.goal import What
+from fpplab.optimisation.goal import Goal
 
 if TYPE_CHECKING:
-    from fpplab.optimisation.candidate_runner import Epoch
+    from fpplab.optimisation.candidate_runner import SearchEpoch
     from fpplab.optimisation.study import Study
 
 
 @app.command()
 def optimise(
-    what: Annotated[What, typer.Argument(help="What to search.")],
+    what: Annotated[Goal, typer.Argument(help="What to search.")],
     rig: RigName,
     out: Annotated[
         Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
@@ -84,13 +84,13 @@ def optimise(
         if viewer and viewer.fault is None:
             console.say(f"Watch it at {viewer.where}")
 
-        def observe(epoch: Epoch) -> None:
+        def observe(epoch: SearchEpoch) -> None:
             console.say(_words(epoch))
             if viewer:
                 viewer.search(epoch)
 
         with console.progress("Searching") as report:
-            found = run.optimise(
+            found = run.run_search(
                 what,
                 rig,
                 wanted,
@@ -133,12 +133,12 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
     return study.model_copy(update=changed)
 
 
-def _make_way(what: What, out: Path, force: bool) -> None:
+def _make_way(what: Goal, out: Path, force: bool) -> None:
     """A search that ended is not overwritten; one that did not goes on."""
     from fpplab.core.files import need_suffix
     from fpplab.optimisation.run import journal_of, plans_of
 
-    if what is not What.PARETO:
+    if what is not Goal.PARETO:
         need_suffix(out, ".yaml")
     elif out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
@@ -150,7 +150,7 @@ def _make_way(what: What, out: Path, force: bool) -> None:
             path.unlink(missing_ok=True)
 
 
-def _words(epoch: Epoch) -> str:
+def _words(epoch: SearchEpoch) -> str:
     best = epoch.best.figures
     return (
         f"epoch {epoch.number}, {epoch.step}: {epoch.measured} candidates; best {best.images} images, "

@@ -75,7 +75,7 @@ def check(
         refuse_existing(out, force)
     wanted, bench = Plan.load(plan), Rig.load(rig)
     with console.progress("Checking") as report:
-        found = sync_check.check(bench, wanted, item, report)
+        found = sync_check.check_rig(bench, wanted, item, report)
     if out and found.runs:
         drawn = figures.marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))
@@ -123,7 +123,7 @@ def gamma(
     """
     from fpplab.core.files import refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
-    from fpplab.patterns.phase_error import judge
+    from fpplab.patterns.phase_error import judge_response
     from fpplab.patterns.plan import GreyLevels, Plan
     from fpplab.pipeline import measure_response
 
@@ -141,7 +141,7 @@ def gamma(
             bench.fixture.mount(item)
         exposure = wanted.exposure_s if exposure_s is None else exposure_s
         response, _ = measure_response(bench, exposure, greys, report)
-        judgement = judge(response, wanted, bench.projector.caps.size)
+        judgement = judge_response(response, wanted, bench.projector.caps.size)
 
     from fpplab.report.figures import response_fit
 
@@ -208,7 +208,7 @@ def characterise(
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`
     """
-    from fpplab.characterisation import Level
+    from fpplab.characterisation import DistortionModel
     from fpplab.core.files import refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -238,7 +238,9 @@ def characterise(
     else:
         recorded = recorded_sessions(sessions or [])
     with console.progress("Characterising") as report:
-        level: Level | Literal["auto"] = "auto" if model is ModelName.AUTO else Level(model)
+        level: DistortionModel | Literal["auto"] = (
+            "auto" if model is ModelName.AUTO else DistortionModel(model)
+        )
         result = characterise_sessions(recorded, board, report, level=level, refine_board=refine_board)
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")

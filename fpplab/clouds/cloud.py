@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 
-Points = NDArray[np.float32]
+CloudPoints = NDArray[np.float32]
 
 _SIGMAS = ("sigma_noise_mm", "sigma_calibration_mm", "sigma_form_mm")
 
@@ -45,15 +45,15 @@ class Cloud:
     Raises `DataError` when the parts do not fit together.
     """
 
-    points: Points
+    points: CloudPoints
     pixels: NDArray[np.int32] | None = None
     size: tuple[int, int] | None = None
-    normals: Points | None = None
+    normals: CloudPoints | None = None
     colour: NDArray[np.uint8] | None = None
-    sigma_noise_mm: Points | None = None
-    sigma_calibration_mm: Points | None = None
-    sigma_form_mm: Points | None = None
-    epipolar_px: Points | None = None
+    sigma_noise_mm: CloudPoints | None = None
+    sigma_calibration_mm: CloudPoints | None = None
+    sigma_form_mm: CloudPoints | None = None
+    epipolar_px: CloudPoints | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -77,7 +77,7 @@ class Cloud:
         return len(self.points)
 
     @property
-    def sigma_mm(self) -> Points | None:
+    def sigma_mm(self) -> CloudPoints | None:
         """Noise and calibration together, float32 (N,): root mean square distance from the true point.
 
         None where one of them is not known.
@@ -101,7 +101,7 @@ class Cloud:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
         return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_noise_mm)
 
-    def grid_mesh(self) -> tuple[Points, NDArray[np.int32]]:
+    def grid_mesh(self) -> tuple[CloudPoints, NDArray[np.int32]]:
         """The surface over the pixel grid, cut at jumps: vertices (N, 3), faces (M, 3) facing the camera.
 
         The rule that cuts is that of `fpplab.clouds.pixelgrid`. Raises `DataError` without pixels.
@@ -109,7 +109,7 @@ class Cloud:
         return self.points, self.grid().faces()
 
 
-def local_quadric_distance(cloud: Cloud, window: int = 15) -> Points:
+def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
     """Signed distances (N,) in mm along the normal of each point from a quadric fitted to its pixel window.
 
     A figure of roughness where the truth is not known. window: odd, in px. NaN where less than
@@ -260,11 +260,11 @@ def _read_ply(path: Path) -> Cloud:
     )
 
 
-def _columns(table: ply.Table, names: tuple[str, ...], dtype: Any) -> NDArray[Any] | None:
+def _columns(table: ply.VertexTable, names: tuple[str, ...], dtype: Any) -> NDArray[Any] | None:
     if not set(names) <= set(table.dtype.names or ()):
         return None
     return np.asarray(np.stack([table[name] for name in names], axis=1), dtype)
 
 
-def _column(table: ply.Table, name: str) -> Points | None:
+def _column(table: ply.VertexTable, name: str) -> CloudPoints | None:
     return np.asarray(table[name], np.float32) if name in (table.dtype.names or ()) else None

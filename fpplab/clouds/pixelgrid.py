@@ -30,8 +30,8 @@ _LINE = 1e-3
 """Squared correlation of the neighbours' places, short of 1 by this, from which they lie on a line."""
 _TERMS = 6
 
-Points = NDArray[np.float32]
-Pixels = NDArray[np.int32]
+GridPoints = NDArray[np.float32]
+PixelColumnsRows = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class PixelGrid:
     relative step.
     """
 
-    index: Pixels
+    index: PixelColumnsRows
     a: Map
     b: Map
     w: Map
@@ -52,7 +52,11 @@ class PixelGrid:
 
     @classmethod
     def of(
-        cls, points: Points, pixels: Pixels, size: tuple[int, int], sigma_mm: Points | None = None
+        cls,
+        points: GridPoints,
+        pixels: PixelColumnsRows,
+        size: tuple[int, int],
+        sigma_mm: GridPoints | None = None,
     ) -> PixelGrid:
         """From points (N, 3) in the camera's frame at pixels (N, 2) as (u, v); no sigma means no noise."""
         shape = size[1], size[0]
@@ -63,13 +67,13 @@ class PixelGrid:
         _scatter(points, pixels, sigma, NOISE_SIGMAS / np.sqrt(2.0), index, a, b, w, noise)
         return cls(index, a, b, w, noise, len(points))
 
-    def normals(self) -> Points:
+    def normals(self) -> GridPoints:
         """Unit normals (N, 3) facing the camera, (0, 0, 0) where the neighbours span no plane."""
         found = np.zeros((self.count, 3), np.float32)
         _normals(self.index, self.a, self.b, self.w, self.noise, found)
         return found
 
-    def faces(self) -> Pixels:
+    def faces(self) -> PixelColumnsRows:
         """Triangles (M, 3) over neighbouring pixels, none across a jump, front side towards the camera.
 
         Each square of four pixels is cut along the diagonal with the smaller step in depth; a
@@ -82,7 +86,7 @@ class PixelGrid:
         _faces(*planes, False, np.cumsum(counts) - counts, found)
         return found
 
-    def quadric_distances(self, window: int) -> Points:
+    def quadric_distances(self, window: int) -> GridPoints:
         """Signed distances (N,) in mm along the normal from the quadric fitted to each point's window.
 
         The quadric is that of 1/z over the pixels; positive is towards the camera. NaN where less
@@ -112,11 +116,11 @@ def _quadric_design(window: int) -> Floats:
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _scatter(
-    points: Points,
-    pixels: Pixels,
-    sigma: Points,
+    points: GridPoints,
+    pixels: PixelColumnsRows,
+    sigma: GridPoints,
     weight: float,
-    index: Pixels,
+    index: PixelColumnsRows,
     a: Map,
     b: Map,
     w: Map,
@@ -132,12 +136,12 @@ def _scatter(
 
 
 @njit(inline="always")
-def connected(da: float, db: float, dw: float, w: float, noise: float) -> bool:
+def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _normals(index: Pixels, a: Map, b: Map, w: Map, noise: Map, found: Points) -> None:
+def _normals(index: PixelColumnsRows, a: Map, b: Map, w: Map, noise: Map, found: GridPoints) -> None:
     height, width = index.shape
     for v in prange(height):
         for u in range(width):
@@ -152,7 +156,7 @@ def _normals(index: Pixels, a: Map, b: Map, w: Map, noise: Map, found: Points) -
                         continue
                     da, db, dw = a[y, x] - a0, b[y, x] - b0, w[y, x] - w0
                     # False where there is no point.
-                    if connected(da, db, dw, w0, noise0 + noise[y, x]):
+                    if is_continuous(da, db, dw, w0, noise0 + noise[y, x]):
                         n += 1.0
                         sa, sb, sw = sa + da, sb + db, sw + dw
                         saa, sab, sbb = saa + da * da, sab + da * db, sbb + db * db
@@ -172,14 +176,14 @@ def _normals(index: Pixels, a: Map, b: Map, w: Map, noise: Map, found: Points) -
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _faces(
-    index: Pixels,
+    index: PixelColumnsRows,
     a: Map,
     b: Map,
     w: Map,
     noise: Map,
     counting: bool,
     starts: NDArray[np.int64],
-    found: Pixels,
+    found: PixelColumnsRows,
 ) -> None:
     """Counts the faces of each row into `starts`, or fills `found` from there."""
     height, width = index.shape
@@ -202,7 +206,7 @@ def _faces(
                 for e in range(3):
                     p, q = triangle[e], triangle[(e + 1) % 3]
                     y0, x0, y1, x1 = v + p // 2, u + p % 2, v + q // 2, u + q % 2
-                    whole &= connected(
+                    whole &= is_continuous(
                         a[y1, x1] - a[y0, x0],
                         b[y1, x1] - b[y0, x0],
                         w[y1, x1] - w[y0, x0],
@@ -220,7 +224,7 @@ def _faces(
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _quadric(
-    index: Pixels,
+    index: PixelColumnsRows,
     a: Map,
     b: Map,
     w: Map,
@@ -228,7 +232,7 @@ def _quadric(
     design: Floats,
     inverse: Floats,
     slope_per_pixel: tuple[float, float],
-    found: Points,
+    found: GridPoints,
 ) -> None:
     height, width = index.shape
     count = len(design)
@@ -246,7 +250,7 @@ def _quadric(
                 values[k] = np.nan
                 if 0 <= y < height and 0 <= x < width:
                     da, db, dw = a[y, x] - a[v, u], b[y, x] - b[v, u], w[y, x] - w[v, u]
-                    if connected(da, db, dw, w[v, u], noise[v, u] + noise[y, x]):
+                    if is_continuous(da, db, dw, w[v, u], noise[v, u] + noise[y, x]):
                         values[k] = w[y, x]
                         n += 1
             if 2 * n < count:

@@ -18,11 +18,11 @@ _NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _LONGEST_LINE = 1 << 12
 
-Table = NDArray[Any]
+VertexTable = NDArray[Any]
 """A structured array, one record per vertex."""
 
 
-def write(table: Table, comments: list[str], stream: BinaryIO) -> None:
+def write(table: VertexTable, comments: list[str], stream: BinaryIO) -> None:
     """Write the vertices as little-endian binary; fields of type u1, i4 and f4."""
     kinds = {name: table.dtype[name].str[1:] for name in table.dtype.names or ()}
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
@@ -33,7 +33,7 @@ def write(table: Table, comments: list[str], stream: BinaryIO) -> None:
     stream.write(np.ascontiguousarray(table.astype(little, copy=False)).view(np.uint8).data)
 
 
-def read(path: Path) -> tuple[Table, list[str]]:
+def read(path: Path) -> tuple[VertexTable, list[str]]:
     """The vertices of a PLY of any byte order, and its comments. Raises `OSError`, `ValueError`."""
     with path.open("rb") as stream:
         order, count, kinds, comments = _header(stream)

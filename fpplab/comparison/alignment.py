@@ -67,7 +67,7 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     """
     random = np.random.default_rng(seed)
     fine, coarse = (_thinned(points, n, random) for n in (FINE_POINTS, COARSE_POINTS))
-    target = Target(mesh)
+    target = AlignmentMesh(mesh)
     best = refine(coarse, target, RigidTransform.identity(), COARSE_ROUNDS)
     if target.misfit(coarse, best[0], WHOLE) > SURE * target.size:
         starts = _axis_poses(coarse, mesh, random)
@@ -85,7 +85,7 @@ def align_mesh(points: Floats, mesh: trimesh.Trimesh, seed: int = 0) -> Alignmen
     return Alignment(pose.inverse(), rms_um, best[1] + rounds)
 
 
-class Target:
+class AlignmentMesh:
     """The mesh as planes to approach; poses here are `T_mesh_camera`."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
@@ -148,7 +148,7 @@ def _thinned(points: Floats, count: int, random: np.random.Generator) -> Floats:
 
 
 def refine(
-    points: Floats, target: Target, pose: RigidTransform, rounds: int, reach: float = 1e-9
+    points: Floats, target: AlignmentMesh, pose: RigidTransform, rounds: int, reach: float = 1e-9
 ) -> tuple[RigidTransform, int]:
     """`T_mesh_camera` from a pose near it, for points (N, 3) in mm, and the rounds it took.
 

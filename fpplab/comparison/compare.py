@@ -26,7 +26,7 @@ from fpplab.clouds.pixelgrid import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, align_mesh
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
-from fpplab.comparison.visibility import Shape
+from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
 
@@ -119,7 +119,7 @@ def compare(
     alignment = align_mesh(points, mesh, seed) if align else None
     if alignment is not None:
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
-    shape = Shape(mesh)
+    shape = RayTracedShape(mesh)
     samples, visible_share = visible_samples(mesh, shape, calibration, density, seed)
     counted = np.ones(len(points), np.bool_) if calibration is None else _looks_at(shape, points)
     if not counted.any():
@@ -163,7 +163,7 @@ def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
 
 def visible_samples(
     mesh: trimesh.Trimesh,
-    shape: Shape,
+    shape: RayTracedShape,
     calibration: Calibration | None,
     density: float,
     seed: int,
@@ -199,7 +199,7 @@ def visible_samples(
     return samples[seen], float(np.mean(seen) * area.sum() / mesh.area)
 
 
-def _looks_at(shape: Shape, points: Floats) -> Mask:
+def _looks_at(shape: RayTracedShape, points: Floats) -> Mask:
     """Which points (N, 3) lie on a ray of the camera that meets the true shape."""
     directions = points / np.linalg.norm(points, axis=1)[:, None]
     return np.isfinite(shape.depth(np.zeros(3), directions))

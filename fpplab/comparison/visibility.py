@@ -14,7 +14,7 @@ OCCLUDED_MM = 0.02
 """A surface this much nearer hides a point; less is the rounding of single-precision rays."""
 
 
-class Shape:
+class RayTracedShape:
     """A mesh in mm in the camera's frame, ready for rays."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:

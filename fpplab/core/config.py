@@ -63,7 +63,7 @@ for _class in (_Loader, _Dumper):
     )
 
 
-def parse(text: str, source: Path | str) -> Any:
+def parse_yaml(text: str, source: Path | str) -> Any:
     """Plain data from YAML text.
 
     Raises `ConfigError` naming `source` and the line when the text is not YAML.
@@ -91,13 +91,13 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def load(path: Path | str, model: type[D]) -> D:
+def load_document(path: Path | str, model: type[D]) -> D:
     """Read one YAML file as `model`.
 
     Raises `ConfigError` with file, field, value and allowed range.
     """
     path = Path(path)
-    return validate(parse(read_text(path), path), model, path)
+    return validate(parse_yaml(read_text(path), path), model, path)
 
 
 def validate(data: Any, model: type[D], source: Path | str) -> D:
@@ -162,7 +162,7 @@ def _shown(value: Any) -> str:
 
 
 def dump(document: Document) -> str:
-    """The document as YAML text that `load` reads back."""
+    """The document as YAML text that `load_document` reads back."""
     return to_yaml(plain(document))
 
 
@@ -177,13 +177,13 @@ def to_yaml(data: Any) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
-def beside(name: str, folder: Path) -> str:
+def resolve_beside(name: str, folder: Path) -> str:
     """What a file in `folder` calls `name`: absolute if something of that name is there, else as it is."""
     near = folder / name
     return str(near.resolve()) if name and near.exists() else name
 
 
-def find(name: str | Path) -> Path:
+def find_config(name: str | Path) -> Path:
     """A configuration by path, or by name among the ones that come with fpplab.
 
     Looks at the path itself, then in the installed package, then beside the

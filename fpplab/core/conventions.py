@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 Map = NDArray[np.float32]
 """A per-pixel quantity of the camera, indexed [v, u], NaN where it is not known."""
 Mask = NDArray[np.bool_]
-Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
+PixelIndices = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns (P,) of some pixels of an image."""
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 """Raw integers of a camera or grey levels of a projector, indexed [v, u]."""

@@ -11,11 +11,11 @@ from fpplab.dataset.fields import FRAMES, Arrays
 from fpplab.dataset.labels import Labels
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode, wrapped_phase
-from fpplab.simulation.arrangeable import Truth
+from fpplab.simulation.arrangeable import SceneTruth
 
 
 def arrays_of(
-    frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: Truth, labels: Labels
+    frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
 ) -> Arrays:
     """Every field of a sample from its frames and what is true of it."""
     devices = truth.calibration

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpplab.comparison.visibility import Shape
+from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.reconstruction.triangulation import camera_rays
-from fpplab.simulation.arrangeable import Truth
+from fpplab.simulation.arrangeable import SceneTruth
 
 GRAZING = 0.01
 """Cosine of incidence below which a surface counts as unseen: rays are traced in single precision, and the
@@ -32,9 +32,9 @@ class Labels:
     v: Map
 
 
-def labels_of(truth: Truth) -> Labels:
+def labels_of(truth: SceneTruth) -> Labels:
     """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
-    devices, shape = truth.calibration, Shape(truth.mesh)
+    devices, shape = truth.calibration, RayTracedShape(truth.mesh)
     rays = camera_rays(devices.camera)
     size, rays = rays.shape[:2], rays.reshape(-1, 3)
     faces = shape.first(np.zeros(3), rays)
@@ -62,7 +62,7 @@ def labels_of(truth: Truth) -> Labels:
     )
 
 
-def _lit(truth: Truth, shape: Shape, points: Floats, normals: Floats) -> Mask:
+def _lit(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floats) -> Mask:
     """Which points of the surface (N, 3) the projector's light reaches."""
     devices, lamp = truth.calibration, truth.calibration.projector_centre
     facing = np.einsum("ij,ij->i", normals, lamp - points) > 0

@@ -74,7 +74,7 @@ class Dataset:
     @cached_property
     def plan(self) -> Plan:
         """What was projected; the exposure is each sample's own."""
-        return config.load(self.folder / PLAN, Plan)
+        return config.load_document(self.folder / PLAN, Plan)
 
     def check(self) -> None:
         """Compare every file with its checksum. Raises `DataError` that names the first damaged one."""

@@ -12,22 +12,22 @@ from fpplab.acquisition.acquire import expose
 from fpplab.core import config
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
+from fpplab.core.progress import Progress, no_progress
 from fpplab.dataset.arrays import arrays_of
 from fpplab.dataset.card import begin, fields_of, make_card, split_of
 from fpplab.dataset.fields import Arrays, letters_of
 from fpplab.dataset.labels import labels_of
-from fpplab.dataset.scenes import Scene, Scenes, draw, draw_stage
+from fpplab.dataset.scenes import DatasetScene, Scenes, draw, draw_stage
 from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
-from fpplab.pipeline import Progress, nothing
-from fpplab.simulation.arrangeable import Studio
+from fpplab.simulation.arrangeable import Arrangeable
 
 
 @dataclass(frozen=True)
-class Wanted:
+class DatasetRequest:
     """What a data set follows from beside the rig: nothing else changes a sample.
 
     samples, shard_size: at least 1. seed: at least 0.
@@ -50,13 +50,13 @@ class Maker:
     Raises `ConfigError` for a plan or for scenes that the rig cannot have.
     """
 
-    def __init__(self, rig: Rig, wanted: Wanted) -> None:
+    def __init__(self, rig: Rig, wanted: DatasetRequest) -> None:
         check_unwrapping(wanted.plan, "plan")
         caps = rig.projector.caps
         self._patterns = make_patterns(wanted.plan, caps.size, caps.lattice)
         _check_ranges(rig, wanted.scenes)
         self._rig, self._wanted = rig, wanted
-        self._studio: Studio = rig.bench.studio()
+        self._studio: Arrangeable = rig.bench.studio()
         self._fields = fields_of(rig.file.camera.bits)
         self._letters = letters_of(wanted.plan, rig.camera.caps.size)
         if rig.stage is not None:
@@ -76,7 +76,7 @@ class Maker:
         }
         return make_card(asked, self._fields, self._letters, wanted.scenes.licence)
 
-    def make(self, folder: Path, progress: Progress = nothing) -> dict[str, Any]:
+    def make(self, folder: Path, progress: Progress = no_progress) -> dict[str, Any]:
         """Make every shard that is missing in `folder`, and return the card.
 
         Shards that are there are checked; one that another process is at is left to it. An interrupted data
@@ -121,12 +121,12 @@ class Maker:
         }
         return arrays, record
 
-    def _scene(self, index: int) -> Scene:
+    def _scene(self, index: int) -> DatasetScene:
         wanted = self._wanted
         stage_mm = draw_stage(wanted.scenes, wanted.seed, index)
         return draw(wanted.scenes, wanted.seed, index, self._studio.calibration(stage_mm), stage_mm)
 
-    def _frames(self, scene: Scene) -> list[Image]:
+    def _frames(self, scene: DatasetScene) -> list[Image]:
         rig, plan = self._rig, self._wanted.plan
         if rig.stage is not None:
             rig.stage.move_to(scene.stage_mm)

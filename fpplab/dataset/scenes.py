@@ -96,8 +96,8 @@ class Scenes(Document):
 
         Boards are looked for beside it first. Raises `ConfigError`, also for items that are not there.
         """
-        found = config.find(path)
-        scenes = config.load(found, cls)
+        found = config.find_config(path)
+        scenes = config.load_document(found, cls)
         for name in scenes.artefacts:
             artefacts.make(name)
         targets = tuple(_target(name, found.parent) for name in scenes.targets)
@@ -109,15 +109,15 @@ class Scenes(Document):
 def _target(name: str, folder: Path) -> str:
     """The file of that name in `folder`, if it is there; but one that comes with fpplab keeps its bare name,
     by which it is found wherever the data set is taken."""
-    near = config.beside(name, folder)
+    near = config.resolve_beside(name, folder)
     try:
-        shipped = config.find(Path(name).name)
+        shipped = config.find_config(Path(name).name)
     except ConfigError:
         return near
     return shipped.name if Path(near).exists() and shipped.samefile(near) else near
 
 
-class Scene(Document):
+class DatasetScene(Document):
     """One scene, as drawn: an artefact with its lengths in mm, or the board of a target file; its pose
     T_camera_item; the rest as in `Scenes`. seed: of its noise."""
 
@@ -147,7 +147,7 @@ _DRAWN = (
 """Numbers that are drawn evenly from the range of the same name."""
 
 
-def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: float) -> Scene:
+def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: float) -> DatasetScene:
     """Scene `index` of a data set.
 
     devices: where they stand with the stage at `stage_mm`, see `draw_stage`.
@@ -164,7 +164,7 @@ def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: 
         what = {"target": item}
         half = 0.5 * np.array([*_board_size(item), 0.0])
         box = _box(np.stack([-half, half]))
-    return Scene.model_validate(
+    return DatasetScene.model_validate(
         {
             **what,
             **{name: float(random.uniform(*getattr(scenes, name))) for name in _DRAWN},

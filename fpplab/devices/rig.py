@@ -32,7 +32,7 @@ Mounted = tuple[str, int]
 """An item and its pose, in a fixture's words."""
 
 
-class Section(Document):
+class DeviceSection(Document):
     """One device of a rig file; keys beyond these are the backend's own options."""
 
     model_config = ConfigDict(extra="allow")
@@ -45,7 +45,7 @@ class Section(Document):
         return dict(self.model_extra or {})
 
 
-class CameraSection(Section):
+class CameraSection(DeviceSection):
     """The camera and its standing settings."""
 
     bits: Literal[8, 10, 12, 16] = 8
@@ -57,10 +57,10 @@ class RigFile(Document):
 
     name: str
     camera: CameraSection
-    projector: Section
-    bench: Section | None = None
-    stage: Section | None = None
-    fixture: Section | None = None
+    projector: DeviceSection
+    bench: DeviceSection | None = None
+    stage: DeviceSection | None = None
+    fixture: DeviceSection | None = None
 
 
 class Rig:
@@ -85,8 +85,8 @@ class Rig:
     @classmethod
     def load(cls, path: Path | str) -> Rig:
         """Read a rig file, by path or by the name of one that comes with fpplab."""
-        found = config.find(path)
-        return cls(config.load(found, RigFile), found.parent, found)
+        found = config.find_config(path)
+        return cls(config.load_document(found, RigFile), found.parent, found)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -165,7 +165,9 @@ class Rig:
         stack.callback(bench.close)
         return bench
 
-    def _device(self, stack: ExitStack, name: str, kind: type[Dev], section: Section, bench: Any) -> Dev:
+    def _device(
+        self, stack: ExitStack, name: str, kind: type[Dev], section: DeviceSection, bench: Any
+    ) -> Dev:
         backend = load_backend(section.backend, self._source, name)
         if not (isinstance(backend, type) and issubclass(backend, kind)):
             raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
@@ -179,9 +181,9 @@ class Rig:
         except ConfigError as error:
             raise ConfigError(f"{self._source}: {error}") from error
 
-    def _options(self, section: Section) -> dict[str, Any]:
+    def _options(self, section: DeviceSection) -> dict[str, Any]:
         return {
-            key: config.beside(value, self._folder) if isinstance(value, str) else value
+            key: config.resolve_beside(value, self._folder) if isinstance(value, str) else value
             for key, value in section.options.items()
         }
 

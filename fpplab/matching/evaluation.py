@@ -11,21 +11,22 @@ import numpy as np
 from fpplab.characterisation import Characterisation, Observation, characterise, finest_periods, observe
 from fpplab.core.conventions import Image
 from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, no_progress
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from fpplab.matching.reference import Bench
+from fpplab.matching.reference import Reference
 from fpplab.phase import decode
-from fpplab.pipeline import Progress, mean_of, nothing
+from fpplab.pipeline import mean_of
 from fpplab.simulation.matchable import Twin
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class TwinEvaluation:
     """The loss, and the characterisation of the twin's own frames where it was made."""
 
     loss: Loss
     characterisation: Characterisation | None
 
-    def of_poses(self, bench: Bench) -> dict[str, dict[str, float]]:
+    def of_poses(self, bench: Reference) -> dict[str, dict[str, float]]:
         """By name of pose: its images' mean SSIM, and the bench's less the twin's RMS reprojection error in
         px where the board was found in the twin's frames.
         """
@@ -56,13 +57,13 @@ def _rms_of_poses(found: Characterisation) -> dict[str, float]:
 
 
 def evaluate(
-    bench: Bench,
+    bench: Reference,
     twin: Twin,
     weights: Weights,
     epsilon_v: float | None = None,
     images: Sequence[int] | None = None,
-    progress: Progress = nothing,
-) -> Evaluation:
+    progress: Progress = no_progress,
+) -> TwinEvaluation:
     """Compare the twin's frames with the bench's, pose by pose.
 
     epsilon_v: the twin's RMS in px where it is known; otherwise all its frames are taken and characterised.
@@ -90,13 +91,13 @@ def evaluate(
     found = _characterised(bench, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v
     assert own is not None
-    return Evaluation(Loss(weights, bench.epsilon_r, own, similarity), found)
+    return TwinEvaluation(Loss(weights, bench.epsilon_r, own, similarity), found)
 
 
 class _Compared:
     """The SSIM of one image, for a pool of threads."""
 
-    def __init__(self, bench: Bench, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
+    def __init__(self, bench: Reference, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
         now = twin.parameters
         self._board = board_mask(now.calibration.camera, now.poses[pose], bench.target)
         self._bench, self._pose, self._frames = bench, pose, frames
@@ -106,7 +107,7 @@ class _Compared:
         return ssim(real, self._frames[index], self._bench.full_scale, self._board)
 
 
-def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation:
+def _observed(bench: Reference, pose: int, frames: Sequence[Image]) -> Observation:
     """The board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
     plan, (size, _) = bench.plan, bench.projector
     chosen = [frames[image] for image in plan.finest_images]
@@ -117,7 +118,7 @@ def _observed(bench: Bench, pose: int, frames: Sequence[Image]) -> Observation:
 
 
 def _characterised(
-    bench: Bench, seen: Sequence[Observation], left_out: Mapping[str, str]
+    bench: Reference, seen: Sequence[Observation], left_out: Mapping[str, str]
 ) -> Characterisation:
     found, (size, lattice) = bench.characterisation, bench.projector
     width, height, _ = bench.sessions[0].format

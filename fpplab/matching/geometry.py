@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation import Characterisation
-from fpplab.characterisation.bundle import Level, Model, Solution, fit, vectors_of
+from fpplab.characterisation.bundle import DistortionModel, Model, Solution, adjust_bundle, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
-from fpplab.core.conventions import Floats, Pixels
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
-from fpplab.matching.reference import Bench
-from fpplab.simulation.matchable import Levels, Parameters, Twin
+from fpplab.matching.reference import Reference
+from fpplab.simulation.matchable import ExpectedLevels, Parameters, Twin
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
 """By how much board and projector's picture are moved to see what changes: less than any detail of either."""
@@ -70,10 +70,12 @@ def by_reprojection(parameters: Parameters, found: Characterisation) -> Paramete
     Raises `CalibrationError` when there is none.
     """
     model = Model(found.level, found.board)
-    return with_solution(parameters, fit(found.observations, solution_of(parameters, found.board), model))
+    return with_solution(
+        parameters, adjust_bundle(found.observations, solution_of(parameters, found.board), model)
+    )
 
 
-def by_images(bench: Bench, twin: Twin, level: Level) -> Parameters:
+def by_images(bench: Reference, twin: Twin, level: DistortionModel) -> Parameters:
     """The twin's parameters after one Gauss-Newton step of the geometry on the images' residuals.
 
     level: which terms of the distortion are free. What light and sharpness still lack must not be taken for
@@ -103,7 +105,7 @@ def by_images(bench: Bench, twin: Twin, level: Level) -> Parameters:
 
 
 def _shaken(
-    bench: Bench, twin: Twin, start: Parameters, view: View, image: int, slopes: Floats
+    bench: Reference, twin: Twin, start: Parameters, view: PoseResidual, image: int, slopes: Floats
 ) -> tuple[Floats, Floats]:
     """By how much the board was displaced (3,) in mm while one image was taken, and what that leaves (P,).
 
@@ -157,7 +159,7 @@ def _turned(pose: Floats, move: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PoseResidual:
     """Some pixels of some images of one pose.
 
     expected, residual: (n, P), what the twin sees and the bench less that, where the levels are `clear`.
@@ -167,7 +169,7 @@ class View:
 
     pose: int
     images: tuple[int, ...]
-    pixels: Pixels
+    pixels: PixelIndices
     clear: NDArray[np.bool_]
     expected: Floats
     residual: Floats
@@ -185,13 +187,13 @@ class View:
             yield np.column_stack([geometric, *other])
 
 
-def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
+def _look(bench: Reference, twin: Twin, start: Parameters, pose: int) -> PoseResidual:
     images = bench.finest_spread
     looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
     pixels = thinned(looked_at, PIXELS)
     seen, patterns = bench.frames(pose, images)[:, *pixels], bench.shown(images)
 
-    def picked(levels: Levels) -> Floats:
+    def picked(levels: ExpectedLevels) -> Floats:
         return np.asarray(levels[:, *pixels], np.float64)
 
     def seen_from(there: Parameters) -> Floats:
@@ -206,7 +208,7 @@ def _look(bench: Bench, twin: Twin, start: Parameters, pose: int) -> View:
     # Where there is no light there is no noise either, and rounding errors are all the same.
     dark = start.black_level * bench.full_scale + 1.0
     clear = (seen < bench.full_scale) & (here < bench.full_scale) & (here > dark)
-    return View(
+    return PoseResidual(
         pose,
         tuple(images),
         pixels,

@@ -15,15 +15,16 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
+from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.fringes import make_patterns
 from fpplab.phase import decode
-from fpplab.pipeline import Progress, mean_of, nothing, points_of, reconstruct
+from fpplab.pipeline import mean_of, points_of, reconstruct
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class ArtefactJudgement:
     """One artefact, measured by both and compared with its true shape."""
 
     item: str
@@ -61,13 +62,13 @@ def _surface(found: Comparison) -> float:
     return found.surface_smcd_um
 
 
-def judge(
+def judge_artefacts(
     twin: Twin,
     scans: Mapping[str, Session],
     bench_calibration: Calibration,
     twin_calibration: Calibration,
-    progress: Progress = nothing,
-) -> list[Judgement]:
+    progress: Progress = no_progress,
+) -> list[ArtefactJudgement]:
     """Compare bench and twin on recorded scans by item.
 
     bench_calibration, twin_calibration: what each found of itself. Raises `DataError` when an item's true
@@ -82,13 +83,13 @@ def judge(
 
 def _judged(
     twin: Twin, item: str, session: Session, bench_calibration: Calibration, twin_calibration: Calibration
-) -> Judgement:
+) -> ArtefactJudgement:
     mesh = twin.mesh(item)
     _, cloud = reconstruct(session, bench_calibration)
     stands = align_mesh(cloud.points.astype(float), mesh).transform
     own = _scanned(twin, item, session, stands, twin_calibration)
     placed = mesh.copy().apply_transform(stands.matrix)
-    return Judgement(
+    return ArtefactJudgement(
         item,
         compare(cloud, placed, bench_calibration, align=True),
         compare(own, placed, twin_calibration, align=True),

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Pixels
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
-from fpplab.matching.reference import Bench
+from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import Parameters, Twin
 
@@ -88,12 +88,12 @@ class Sample:
 
     pose: int
     images: tuple[int, ...]
-    pixels: Pixels
+    pixels: PixelIndices
     seen: Floats
 
 
 def samples(
-    bench: Bench, parameters: Parameters, poses: Sequence[int], images: Sequence[int]
+    bench: Reference, parameters: Parameters, poses: Sequence[int], images: Sequence[int]
 ) -> list[Sample]:
     """Of the board and its edge in some images of some poses."""
 
@@ -106,27 +106,27 @@ def samples(
     return [one(pose) for pose in poses]
 
 
-def residuals(bench: Bench, twin: Twin, looked: Sequence[Sample]) -> Floats:
+def light_residuals(bench: Reference, twin: Twin, looked: Sequence[Sample]) -> Floats:
     """The bench less the twin as it stands, in raw levels, 0 where either is saturated: (all pixels,)."""
     return np.concatenate([_residual(bench, twin, sample).ravel() for sample in looked])
 
 
-def _residual(bench: Bench, twin: Twin, sample: Sample) -> Floats:
+def _residual(bench: Reference, twin: Twin, sample: Sample) -> Floats:
     patterns = bench.shown(sample.images)
     here = twin.expected_at(sample.pose, patterns, bench.settings, sample.pixels).astype(np.float64)
     clear = (sample.seen < bench.full_scale) & (here < bench.full_scale)
     return np.where(clear, sample.seen - here, 0.0)
 
 
-def difference(bench: Bench, twin: Twin, looked: Sequence[Sample]) -> float:
+def difference(bench: Reference, twin: Twin, looked: Sequence[Sample]) -> float:
     """Mean square of the residuals, in raw levels squared."""
-    return float(np.mean(residuals(bench, twin, looked) ** 2))
+    return float(np.mean(light_residuals(bench, twin, looked) ** 2))
 
 
-def fit(bench: Bench, twin: Twin, names: Sequence[str], looked: Sequence[Sample]) -> Parameters:
+def fit_light(bench: Reference, twin: Twin, names: Sequence[str], looked: Sequence[Sample]) -> Parameters:
     """The twin's parameters with the named knobs turned to where the images differ least, all else held."""
     best = twin.parameters
-    left = residuals(bench, twin, looked)
+    left = light_residuals(bench, twin, looked)
     for _ in range(ROUNDS):
         gained, best, left = _round(bench, twin, names, looked, best, left)
         if gained < SETTLED:
@@ -136,7 +136,12 @@ def fit(bench: Bench, twin: Twin, names: Sequence[str], looked: Sequence[Sample]
 
 
 def _round(
-    bench: Bench, twin: Twin, names: Sequence[str], looked: Sequence[Sample], start: Parameters, left: Floats
+    bench: Reference,
+    twin: Twin,
+    names: Sequence[str],
+    looked: Sequence[Sample],
+    start: Parameters,
+    left: Floats,
 ) -> tuple[float, Parameters, Floats]:
     """One step: the relative gain, the parameters and what they leave."""
     weight, _ = soft_weights(left)
@@ -147,7 +152,7 @@ def _round(
         value = knob.read(start)
         by = knob.step if value + knob.step <= knob.most else -knob.step
         twin.become(knob.set(start, value + by))
-        slopes.append((left - residuals(bench, twin, looked)) / by)
+        slopes.append((left - light_residuals(bench, twin, looked)) / by)
     matrix = np.stack(slopes, axis=1)
     scale = np.sqrt(np.sum(weight[:, None] * matrix**2, axis=0))
     scale[scale == 0] = 1.0
@@ -162,7 +167,12 @@ def _round(
 
 
 def _tries(
-    bench: Bench, twin: Twin, names: Sequence[str], looked: Sequence[Sample], start: Parameters, step: Floats
+    bench: Reference,
+    twin: Twin,
+    names: Sequence[str],
+    looked: Sequence[Sample],
+    start: Parameters,
+    step: Floats,
 ) -> Iterator[tuple[Parameters, Floats]]:
     """The step, and shorter ones."""
     for halving in range(HALVINGS):
@@ -171,11 +181,16 @@ def _tries(
             knob = KNOBS[name]
             tried = knob.turned(tried, knob.read(start) + by / 2**halving)
         twin.become(tried)
-        yield tried, residuals(bench, twin, looked)
+        yield tried, light_residuals(bench, twin, looked)
 
 
 def coarse_focus(
-    bench: Bench, twin: Twin, looked: Sequence[Sample], focus: str, aperture: str, apertures: Sequence[float]
+    bench: Reference,
+    twin: Twin,
+    looked: Sequence[Sample],
+    focus: str,
+    aperture: str,
+    apertures: Sequence[float],
 ) -> Parameters:
     """The best of a grid of focus and aperture, or the twin as it is: where a fit of both can start.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.config import Document
-from fpplab.core.conventions import Floats, Mask, Pixels
+from fpplab.core.conventions import Floats, Mask, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
@@ -126,7 +126,7 @@ def board_mask(
     return np.asarray(area, np.bool_)
 
 
-def thinned(area: Mask, most: int) -> Pixels:
+def thinned(area: Mask, most: int) -> PixelIndices:
     """An area's pixels, evenly thinned to about `most`."""
     v, u = np.nonzero(area)
     thin = max(1, int(np.sqrt(len(u) / most)))

@@ -15,13 +15,13 @@ import numpy as np
 
 from fpplab.core.config import Document
 from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.matching import geometry, light, noise
-from fpplab.matching.evaluation import Evaluation, evaluate
+from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.light import Sample
 from fpplab.matching.loss import Weights
-from fpplab.matching.record import Epoch, ParametersFile, Record
-from fpplab.matching.reference import Bench
-from fpplab.pipeline import Progress, nothing
+from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
+from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import Parameters, Twin
 
 SAMPLED_POSES = 6
@@ -57,7 +57,7 @@ class Limits(Document):
 class Context:
     """What every step is given: where the images are looked at, and what is free."""
 
-    bench: Bench
+    bench: Reference
     twin: Twin
     looked: list[Sample]
     white: str
@@ -67,7 +67,7 @@ class Context:
         return (self.white, "ink", "ambient", "black_level", *response, *more)
 
     def fit(self, *names: str) -> Parameters:
-        return light.fit(self.bench, self.twin, names, self.looked)
+        return light.fit_light(self.bench, self.twin, names, self.looked)
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ class Matched:
     """
 
     parameters: Parameters
-    epochs: tuple[Epoch, ...]
-    final: Evaluation
+    epochs: tuple[MatchingEpoch, ...]
+    final: TwinEvaluation
     explained: dict[str, float]
     unexplained: float
     ended: str
@@ -150,12 +150,12 @@ class Matched:
 class _State:
     at: Context
     weights: Weights
-    record: Record
-    epochs: list[Epoch]
+    record: MatchingRecord
+    epochs: list[MatchingEpoch]
     started: float
 
     @property
-    def best(self) -> Epoch:
+    def best(self) -> MatchingEpoch:
         return _best(self.epochs)
 
     @property
@@ -163,23 +163,19 @@ class _State:
         return time.monotonic() - self.started
 
 
-Observer = Callable[[Epoch], None]
+EpochObserver = Callable[[MatchingEpoch], None]
 
 
-def unseen(epoch: Epoch) -> None:
-    """Nobody looks."""
-
-
-def match(
-    bench: Bench,
+def match_twin(
+    bench: Reference,
     twin: Twin,
     start: Parameters,
-    record: Record,
+    record: MatchingRecord,
     weights: Weights,
     limits: Limits,
     *,
-    progress: Progress = nothing,
-    observe: Observer = unseen,
+    progress: Progress = no_progress,
+    observe: EpochObserver = ignore,
 ) -> Matched:
     """Match `twin` to `bench` from `start`, or go on where the record ends.
 
@@ -205,12 +201,12 @@ def match(
     return Matched(twin.parameters, tuple(state.epochs), final, explained, left, ended)
 
 
-def _best(epochs: Sequence[Epoch]) -> Epoch:
+def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
     """The last that was accepted."""
     return next(epoch for epoch in reversed(epochs) if epoch.accepted)
 
 
-def shares(epochs: Sequence[Epoch]) -> dict[str, float]:
+def shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
     """Of what each step of `EXPLAINS` but noise found before it, the share of the mean square it took away.
 
     Shadows need relief: a flat board has none, so nothing of its images is theirs.
@@ -225,7 +221,7 @@ def shares(epochs: Sequence[Epoch]) -> dict[str, float]:
     return found
 
 
-def _looked(bench: Bench, parameters: Parameters) -> list[Sample]:
+def _looked(bench: Reference, parameters: Parameters) -> list[Sample]:
     images = sorted({*bench.one_of_each_set, *bench.finest})
     return light.samples(bench, parameters, bench.spread_poses(SAMPLED_POSES), images)
 
@@ -236,7 +232,7 @@ def _steps() -> Iterator[Step]:
         yield from AGAIN
 
 
-def _run(state: _State, limits: Limits, progress: Progress, observe: Observer) -> str:
+def _run(state: _State, limits: Limits, progress: Progress, observe: EpochObserver) -> str:
     """Step until one of the limits; says which."""
     idle = 0
     for number, step in enumerate(_steps(), 1):
@@ -257,7 +253,7 @@ def _run(state: _State, limits: Limits, progress: Progress, observe: Observer) -
     raise AssertionError("the steps have no end")
 
 
-def _take(state: _State, step: Step, observe: Observer) -> None:
+def _take(state: _State, step: Step, observe: EpochObserver) -> None:
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
     tried = step.propose(state.at)
@@ -269,7 +265,7 @@ def _take(state: _State, step: Step, observe: Observer) -> None:
     _note(state, step.name, found, difference, _accepted(best, found, difference), observe)
 
 
-def _accepted(best: Epoch, found: Evaluation, difference: float) -> bool:
+def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
     """By the loss over the board; where that is a tie, by the images' mean difference."""
     gain = best.loss["loss_board"] - found.loss.board
     if abs(gain) > TIE:
@@ -295,11 +291,11 @@ def _noise(state: _State) -> float:
 
 
 def _note(
-    state: _State, name: str, found: Evaluation, difference: float, accepted: bool, observe: Observer
+    state: _State, name: str, found: TwinEvaluation, difference: float, accepted: bool, observe: EpochObserver
 ) -> None:
     if not np.isfinite(found.loss.board):
         raise CalibrationError(f"the step '{name}' led to no image that can be compared")
-    epoch = Epoch(
+    epoch = MatchingEpoch(
         epoch=len(state.epochs),
         step=name,
         accepted=accepted,

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Image, Pixels
+from fpplab.core.conventions import Floats, Image, PixelIndices
 from fpplab.matching.loss import board_mask, thinned
-from fpplab.matching.reference import Bench
+from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import Parameters, Twin
 
 STEP_MM = 0.02
@@ -42,7 +42,7 @@ class Noise:
     vibration_mm: float
 
 
-def match_noise(bench: Bench, twin: Twin, poses: Sequence[int]) -> Parameters:
+def match_noise(bench: Reference, twin: Twin, poses: Sequence[int]) -> Parameters:
     """The twin's parameters with the bench's noise, found alike in frames of both.
 
     Read noise is changed only where it shows beside rounding. Leaves the twin as it is.
@@ -68,12 +68,12 @@ def match_noise(bench: Bench, twin: Twin, poses: Sequence[int]) -> Parameters:
 class _View:
     """Pixels of a pose; levels expected (n, P), and by displacement in mm (n, P, 3)."""
 
-    pixels: Pixels
+    pixels: PixelIndices
     expected: Floats
     slopes: Floats
 
     @classmethod
-    def of(cls, bench: Bench, twin: Twin, now: Parameters, pose: int, images: Sequence[int]) -> _View:
+    def of(cls, bench: Reference, twin: Twin, now: Parameters, pose: int, images: Sequence[int]) -> _View:
         pixels = thinned(board_mask(now.calibration.camera, now.poses[pose], bench.target), PIXELS)
 
         def expected(parameters: Parameters) -> Floats:
@@ -103,7 +103,7 @@ class _View:
         return np.array(shifts), np.array(variances), np.array(rest)
 
 
-def _noise(bench: Bench, views: Sequence[_View], poses: Sequence[Sequence[Image]]) -> Noise:
+def _noise(bench: Reference, views: Sequence[_View], poses: Sequence[Sequence[Image]]) -> Noise:
     squares, weights, levels, variances = 0.0, 0.0, [], []
     for view, frames in zip(views, poses, strict=True):
         shifts, variance, rest = view.taken_apart(frames)

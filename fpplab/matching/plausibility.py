@@ -11,7 +11,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.matching.loss import Loss, board_mask
-from fpplab.matching.reference import Bench
+from fpplab.matching.reference import Reference
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
@@ -93,7 +93,7 @@ def check_near(found: Calibration, nominal: Calibration) -> None:
         )
 
 
-def check_sharpness(bench: Bench, twin: Twin) -> None:
+def check_sharpness(bench: Reference, twin: Twin) -> None:
     """Refuse a bench whose focus moved between poses: `CalibrationError` that names the worst.
 
     For the matched twin: each pose's edges must be as steep as the twin's, relative to the other poses: what
@@ -113,13 +113,13 @@ def check_sharpness(bench: Bench, twin: Twin) -> None:
     )
 
 
-def edge_contrast(bench: Bench, twin: Twin) -> Floats:
+def edge_contrast(bench: Reference, twin: Twin) -> Floats:
     """Of every pose, how steep edges and fringes are on the bench, relative to the twin; (M,)."""
     images = bench.finest[:2]
     return np.array([_contrast(bench, twin, pose, images) for pose in range(len(twin.parameters.poses))])
 
 
-def _contrast(bench: Bench, twin: Twin, pose: int, images: Sequence[int]) -> float:
+def _contrast(bench: Reference, twin: Twin, pose: int, images: Sequence[int]) -> float:
     now = twin.parameters
     board = board_mask(now.calibration.camera, now.poses[pose], bench.target)
     seen = twin.expected(pose, bench.shown(images), bench.settings)

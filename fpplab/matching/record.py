@@ -66,7 +66,7 @@ PLAIN = tuple(n for n in ParametersFile.model_fields if n not in ("calibration",
 """The parameters that are numbers."""
 
 
-class Epoch(Document):
+class MatchingEpoch(Document):
     """One line.
 
     step: what was tried. accepted: whether the loss let it stand. loss: as `Loss.summary`. difference: RMS of
@@ -83,12 +83,12 @@ class Epoch(Document):
 
 
 @dataclass(frozen=True)
-class Record:
+class MatchingRecord:
     """The epochs in a folder."""
 
     folder: Path
 
-    def read(self) -> list[Epoch]:
+    def read(self) -> list[MatchingEpoch]:
         """What is there; a torn last line is an epoch that was not recorded. Raises `DataError`."""
         path = self.folder / EPOCHS
         if not path.is_file():
@@ -96,12 +96,12 @@ class Record:
         epochs = []
         for number, line in enumerate(whole_lines(path), 1):
             try:
-                epochs.append(Epoch.model_validate_json(line))
+                epochs.append(MatchingEpoch.model_validate_json(line))
             except ValidationError as error:
                 raise DataError(f"{path} line {number}: is no epoch ({config.describe(error)})") from error
         return epochs
 
-    def add(self, epoch: Epoch) -> None:
+    def add(self, epoch: MatchingEpoch) -> None:
         """Put one on disk before returning."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / EPOCHS

@@ -18,14 +18,14 @@ from fpplab.patterns.response import Response
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
 
-Frames = NDArray[np.float32]
+LevelStack = NDArray[np.float32]
 """Raw levels of frames, (n, h, w)."""
 
 SPREAD = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class Reference:
     """Sessions of a board, one per pose that could be characterised, and what they told.
 
     response: of projector and camera, where it was measured.
@@ -43,7 +43,7 @@ class Bench:
         target: Target,
         characterisation: Characterisation,
         response: Response | None = None,
-    ) -> Bench:
+    ) -> Reference:
         """The sessions whose poses the characterisation used, in its order."""
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
@@ -105,7 +105,7 @@ class Bench:
         """The patterns of some images."""
         return tuple(self.patterns[index] for index in images)
 
-    def frames(self, pose: int, images: Sequence[int]) -> Frames:
+    def frames(self, pose: int, images: Sequence[int]) -> LevelStack:
         """Some frames of a pose, float32."""
         return np.stack([self.sessions[pose].read(i, verify=False) for i in images]).astype(np.float32)
 

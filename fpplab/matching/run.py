@@ -10,17 +10,18 @@ from typing import Any
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.core.errors import ConfigError
+from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.matching import plausibility
-from fpplab.matching.evaluation import Evaluation, evaluate
+from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
-from fpplab.matching.judgement import Judgement, judge
+from fpplab.matching.judgement import ArtefactJudgement, judge_artefacts
 from fpplab.matching.loss import Weights
-from fpplab.matching.match import Limits, Matched, Observer, match, unseen
-from fpplab.matching.record import PLAIN, Record
-from fpplab.matching.reference import Bench
+from fpplab.matching.match import EpochObserver, Limits, Matched, match_twin
+from fpplab.matching.record import PLAIN, MatchingRecord
+from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Response
-from fpplab.pipeline import Progress, characterise_sessions, nothing
+from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Parameters, Twin
 from fpplab.targets import Target
@@ -32,7 +33,7 @@ def there(nominal: Parameters) -> Parameters:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MatchingRequest:
     """How to match.
 
     board, card: what the twin's fixture calls them. response: the bench's. scans: by item, for the judgement.
@@ -58,21 +59,21 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class MatchingResult:
     """Everything a matching found.
 
     start: where it began, with the response matched. nominal: the same, but lit as the twin's own file says.
     before: of the nominal. rows: the paper's table; those with the response only where it was measured.
     """
 
-    bench: Bench
+    bench: Reference
     nominal: Parameters
     start: Parameters
     gamma: GammaMatch | None
-    before: Evaluation
+    before: TwinEvaluation
     matched: Matched
     rows: tuple[Row, ...]
-    judgements: tuple[Judgement, ...]
+    judgements: tuple[ArtefactJudgement, ...]
 
     def summary(self) -> dict[str, Any]:
         """The figures for a machine to read, as the command line prints them."""
@@ -120,11 +121,11 @@ def match_sessions(
     sessions: Sequence[Session],
     target: Target,
     folder: Path,
-    wanted: Wanted,
+    wanted: MatchingRequest,
     *,
-    progress: Progress = nothing,
-    observe: Observer = unseen,
-) -> Outcome:
+    progress: Progress = no_progress,
+    observe: EpochObserver = ignore,
+) -> MatchingResult:
     """Match the twin to recorded board sessions, and save it in `folder`.
 
     Goes on where a record in `folder` ends. Raises `ConfigError` and `CalibrationError` that say what does
@@ -135,18 +136,18 @@ def match_sessions(
     nominal = twin.parameters
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
     plausibility.check_near(found.calibration, nominal.calibration)
-    bench = Bench.of(sessions, target, found, wanted.response)
+    bench = Reference.of(sessions, target, found, wanted.response)
     nominal = wanted.start(in_place(nominal, found))
     twin.become(nominal)
     gamma = None
     if wanted.response is not None:
         gamma = match_gamma(twin, wanted.response, wanted.card, bench.settings)
     start = twin.parameters
-    matched = match(
+    matched = match_twin(
         bench,
         twin,
         start,
-        Record(folder),
+        MatchingRecord(folder),
         wanted.weights,
         wanted.limits,
         progress=lambda share: progress(0.1 + 0.7 * share),
@@ -162,14 +163,14 @@ def match_sessions(
     twin.save(folder)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
-    judgements = judge(
+    judgements = judge_artefacts(
         twin,
         wanted.scans,
         found.calibration,
         own.calibration,
         lambda share: progress(0.85 + 0.15 * share),
     )
-    return Outcome(bench, nominal, start, gamma, before, matched, rows, tuple(judgements))
+    return MatchingResult(bench, nominal, start, gamma, before, matched, rows, tuple(judgements))
 
 
 def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
@@ -180,11 +181,11 @@ def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
 
 
 def _table(
-    bench: Bench,
+    bench: Reference,
     twin: Twin,
     weights: Weights,
     nominal: Parameters,
-    before: Evaluation,
+    before: TwinEvaluation,
     matched: Matched,
     gamma: bool,
 ) -> tuple[Row, ...]:

@@ -18,10 +18,11 @@ from fpplab.calibration.model import INTRINSICS, PARAMETERS, POSE, Calibration
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
+from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.sets import View
+from fpplab.optimisation.sets import MeasuringSetup
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import CALIBRATION, Progress, characterise_sessions, nothing, take_poses
+from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
@@ -33,9 +34,9 @@ class Arrangement:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._stands = View("", 0.0)
+        self._stands = MeasuringSetup("", 0.0)
 
-    def __call__(self, view: View) -> None:
+    def __call__(self, view: MeasuringSetup) -> None:
         """Stage, projector and item as the view says. Raises `ConfigError`, `DeviceError`."""
         if view.stage_mm is not None and view.stage_mm != self._stands.stage_mm:
             self._rig.place_stage(view.stage_mm)
@@ -187,7 +188,7 @@ def characterise_positions(
     target: Target,
     poses: int,
     folder: Path,
-    progress: Progress = nothing,
+    progress: Progress = no_progress,
 ) -> dict[float | None, Path]:
     """Characterise an open rig with its stage at each of these positions; the calibration files by position.
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
+from fpplab.core.progress import Progress, no_progress
 from fpplab.optimisation.arrangement import Calibrations
 from fpplab.optimisation.measuring import RigEvaluator, candidate_of
-from fpplab.optimisation.scoring import Figures
+from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import Progress, nothing
 
 REPEATS = 5
 SAMPLES = 100_000
@@ -31,7 +31,7 @@ FIRST_SEED = 1_000_000
 """Repeats have seeds that no search has seen."""
 
 
-Measured = dict[str, tuple[Figures, ...]]
+RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
 """Figures of every repeat by artefact."""
 
 
@@ -43,8 +43,8 @@ class Confirmation:
     gain from the calibration; 0 where that is exact, as a simulation's own is.
     """
 
-    before: Measured
-    after: Measured
+    before: RepeatedFigures
+    after: RepeatedFigures
     by_calibration: float
 
     @property
@@ -86,12 +86,12 @@ class Confirmation:
         }
 
 
-def _smcd(found: Measured) -> Floats:
+def _smcd(found: RepeatedFigures) -> Floats:
     """Surface SMCD in µm, (artefacts, repeats)."""
     return np.array([[figures.surface_smcd_um for figures in of_one] for of_one in found.values()])
 
 
-def _described(found: Measured) -> dict[str, Any]:
+def _described(found: RepeatedFigures) -> dict[str, Any]:
     """Means over the repeats, of each artefact and of all."""
     return {
         "surface_smcd_um": float(_smcd(found).mean()),
@@ -108,7 +108,7 @@ def confirm(
     before: Plan,
     after: Plan,
     repeats: int = REPEATS,
-    progress: Progress = nothing,
+    progress: Progress = no_progress,
 ) -> Confirmation:
     """Measure the artefacts of a study on a rig with two plans, `repeats` times each.
 
@@ -121,7 +121,7 @@ def confirm(
     _check_alike(before, after)
     evaluator = RigEvaluator(rig, study.model_copy(update={"start": before}), SAMPLES)
     plans = candidate_of(before), candidate_of(after)
-    found: dict[tuple[int, str], list[Figures]] = defaultdict(list)
+    found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
         others = _others(evaluator.calibrations)

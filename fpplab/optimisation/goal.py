@@ -9,7 +9,7 @@ Group = Literal["steps", "stripes", "geometry", "light"]
 """Parameters that belong together."""
 
 
-class What(StrEnum):
+class Goal(StrEnum):
     """A search."""
 
     PHASES = "phases"
@@ -23,9 +23,9 @@ class What(StrEnum):
         return _GROUPS[self]
 
 
-_GROUPS: dict[What, tuple[Group, ...]] = {
-    What.PHASES: ("steps",),
-    What.STRIPES: ("stripes",),
-    What.BASELINE: ("geometry",),
-    What.PARETO: ("steps", "stripes", "geometry", "light"),
+_GROUPS: dict[Goal, tuple[Group, ...]] = {
+    Goal.PHASES: ("steps",),
+    Goal.STRIPES: ("stripes",),
+    Goal.BASELINE: ("geometry",),
+    Goal.PARETO: ("steps", "stripes", "geometry", "light"),
 }

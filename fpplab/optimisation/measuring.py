@@ -22,8 +22,8 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import Arrangement, Calibrations
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.limits import RigLimits
-from fpplab.optimisation.scoring import SAMPLES, Figures, Truth
-from fpplab.optimisation.sets import FringeSets, View
+from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
+from fpplab.optimisation.sets import FringeSets, MeasuringSetup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, decode
@@ -42,14 +42,14 @@ def candidate_of(plan: Plan) -> Candidate:
 class RigEvaluator:
     """Measures the artefacts of a study with candidates, on the rig of a file, opened when first needed.
 
-    samples: pixels and points of the true surface that are compared, see `Truth`; None for all of them. Where
+    samples: pixels and points of the true surface that are compared, see `TrueShape`; None for all of them. Where
     the study moves the projector, the truth is what the camera sees, for every candidate alike.
     """
 
     def __init__(self, rig: str, study: Study, samples: int | None = SAMPLES) -> None:
         self._file, self._study, self._samples = rig, study, samples
         self._first, self._stack = candidate_of(study.start), ExitStack()
-        self._truths: OrderedDict[tuple[str, float | None, float | None], Truth] = OrderedDict()
+        self._truths: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
         self._standing: dict[str, trimesh.Trimesh] = {}
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
@@ -63,7 +63,7 @@ class RigEvaluator:
 
     def figures(
         self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
-    ) -> Figures:
+    ) -> ArtefactFigures:
         """One artefact compared; what was acquired before is not acquired again. Raises as `measure`.
 
         calibrations: in place of the study's.
@@ -128,13 +128,13 @@ class RigEvaluator:
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **found)
 
     def _decoded(self, name: str, candidate: Candidate, seed: int) -> Decoded:
-        view = View(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
+        view = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._sets.frames(view, candidate.fringes, seed)
         plan, rig = candidate.plan(self._study.start), self._rig
         size, bits = rig.projector.caps.size, rig.file.camera.bits
         return decode(frames, plan, size, bits, f"measurement of the {name}")
 
-    def _truth(self, name: str, candidate: Candidate) -> Truth:
+    def _truth(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._study.space
         lit = space.stage_mm is None and space.convergence_deg is None
         # Which candidate comes first must not matter, so where there is one truth it is the start's.
@@ -142,7 +142,7 @@ class RigEvaluator:
         key = name, of.stage_mm, of.convergence_deg
         if key not in self._truths:
             calibration = self.calibrations.at(of.stage_mm, of.convergence_deg)
-            self._truths[key] = Truth(self._mesh(name), calibration, lit, self._samples)
+            self._truths[key] = TrueShape(self._mesh(name), calibration, lit, self._samples)
         self._truths.move_to_end(key)
         while len(self._truths) > TRUTHS:
             self._truths.popitem(last=False)

@@ -24,7 +24,7 @@ UNMEASURED = 1e6
 
 
 @dataclass(frozen=True)
-class Figures:
+class CandidateFigures:
     """What a candidate came to: means over artefacts and seeds.
 
     smcd_spread_um: standard deviation over the seeds of the mean over artefacts, None with one seed.
@@ -46,7 +46,7 @@ class Figures:
     seconds: float
 
     @classmethod
-    def of(cls, scores: Sequence[Score]) -> Figures:
+    def of(cls, scores: Sequence[Score]) -> CandidateFigures:
         """Of every artefact with every seed."""
 
         def mean(name: str) -> float:
@@ -83,7 +83,7 @@ def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
 
 
 @dataclass(frozen=True)
-class Trial:
+class MeasuredCandidate:
     """A candidate that was measured, or why it could not be.
 
     refused: why no rig of the study can show it. failed: why nothing came of measuring it.
@@ -96,9 +96,9 @@ class Trial:
     failed: str | None = None
 
     @cached_property
-    def figures(self) -> Figures:
+    def figures(self) -> CandidateFigures:
         """What it came to; only where it was measured."""
-        return Figures.of(self.scores)
+        return CandidateFigures.of(self.scores)
 
     @property
     def measured(self) -> bool:
@@ -124,9 +124,9 @@ class Judge:
     """What a study makes of trials, given what its start came to."""
 
     study: Study
-    start: Figures
+    start: CandidateFigures
 
-    def violations(self, trial: Trial) -> dict[str, float]:
+    def violations(self, trial: MeasuredCandidate) -> dict[str, float]:
         """By how much each limit is broken, 0 or less where it is kept; shares, and relative excesses.
 
         What the start itself has of wrong orders is no fault of a plan that has no more.
@@ -145,11 +145,11 @@ class Judge:
             broken["surface_smcd_um"] = found.surface_smcd_um / most - 1.0
         return broken
 
-    def violation(self, trial: Trial) -> float:
+    def violation(self, trial: MeasuredCandidate) -> float:
         """By how much limits are broken in all, 0 where all are kept."""
         return sum(max(excess, 0.0) for excess in self.violations(trial).values())
 
-    def values(self, trial: Trial) -> tuple[float, ...]:
+    def values(self, trial: MeasuredCandidate) -> tuple[float, ...]:
         """The study's objectives, each the less the better."""
         if not trial.measured:
             return (math.inf,) * len(self.study.objectives)
@@ -158,28 +158,28 @@ class Judge:
             -found.completeness if n == "completeness" else getattr(found, n) for n in self.study.objectives
         )
 
-    def rank(self, trial: Trial) -> Rank:
+    def rank(self, trial: MeasuredCandidate) -> Rank:
         """Feasible before infeasible, then by objectives, then by the mean distance."""
         distance = trial.figures.surface_smcd_um if trial.measured else math.inf
         return self.violation(trial), self.values(trial), distance
 
-    def by_distance(self, trial: Trial) -> Rank:
+    def by_distance(self, trial: MeasuredCandidate) -> Rank:
         """Feasible before infeasible, then by the mean distance alone, whatever the objectives."""
         violation, _, distance = self.rank(trial)
         return violation, (distance,), distance
 
-    def wanted(self, trial: Trial) -> bool:
+    def wanted(self, trial: MeasuredCandidate) -> bool:
         """Whether it keeps every limit."""
         return self.violation(trial) == 0.0
 
-    def front(self, trials: Sequence[Trial]) -> list[Trial]:
+    def front(self, trials: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
         """Those that keep every limit and that no other is better than in everything, by the last objective.
 
         Of several with the same figures the first.
         """
         wanted = [trial for trial in trials if self.wanted(trial)]
         values = {trial.candidate: self.values(trial) for trial in wanted}
-        kept: dict[tuple[float, ...], Trial] = {}
+        kept: dict[tuple[float, ...], MeasuredCandidate] = {}
         for trial in wanted:
             own = values[trial.candidate]
             if not any(_dominates(other, own) for other in values.values()):

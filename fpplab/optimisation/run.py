@@ -15,25 +15,31 @@ import psutil
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
+from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import characterise_positions
 from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.candidate_runner import Epoch, Lab, Observer, Spent, unseen
+from fpplab.optimisation.candidate_runner import (
+    BudgetExhausted,
+    CandidateObserver,
+    CandidateRunner,
+    SearchEpoch,
+)
 from fpplab.optimisation.confirm import Confirmation, confirm
-from fpplab.optimisation.goal import What
+from fpplab.optimisation.goal import Goal
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.methods.bayesian import bayes
 from fpplab.optimisation.methods.coordinate import coordinates
 from fpplab.optimisation.methods.gradient import descend
 from fpplab.optimisation.methods.pareto import pareto
-from fpplab.optimisation.objectives import Figures, Judge, Trial, seed_means
+from fpplab.optimisation.objectives import CandidateFigures, Judge, MeasuredCandidate, seed_means
 from fpplab.optimisation.scheduling import Opener, OpenRig, workers_of
 from fpplab.optimisation.space import Space
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Bayesian, CalibrationAt, Coordinate, Gradient, Study
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import CALIBRATION, REPORT, Progress, nothing
+from fpplab.pipeline import CALIBRATION, REPORT
 from fpplab.targets import Target
 
 WORKER_BYTES = 4 << 30
@@ -55,7 +61,7 @@ class Gain:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """What a search came to.
 
     again: scores of plans with seeds that the search has not seen, which chose none of them. ended: why.
@@ -65,16 +71,16 @@ class Found:
     study: Study
     rig: str
     space: Space
-    start: Trial
-    optimum: Trial
-    front: tuple[Trial, ...]
-    epochs: tuple[Epoch, ...]
-    trials: tuple[Trial, ...]
+    start: MeasuredCandidate
+    optimum: MeasuredCandidate
+    front: tuple[MeasuredCandidate, ...]
+    epochs: tuple[SearchEpoch, ...]
+    trials: tuple[MeasuredCandidate, ...]
     refused: dict[str, int]
     again: dict[Candidate, tuple[Score, ...]]
     ended: str
     plans: tuple[Path, ...]
-    planned: tuple[Trial, ...]
+    planned: tuple[MeasuredCandidate, ...]
 
     @property
     def judge(self) -> Judge:
@@ -104,11 +110,11 @@ class Found:
             "convergence": [self._epoch(epoch) for epoch in self.epochs],
         }
 
-    def _described(self, trial: Trial) -> dict[str, Any]:
+    def _described(self, trial: MeasuredCandidate) -> dict[str, Any]:
         scores = self.again.get(trial.candidate)
-        return {**trial.summary(), "again": asdict(Figures.of(scores)) if scores else None}
+        return {**trial.summary(), "again": asdict(CandidateFigures.of(scores)) if scores else None}
 
-    def _epoch(self, epoch: Epoch) -> dict[str, Any]:
+    def _epoch(self, epoch: SearchEpoch) -> dict[str, Any]:
         best = epoch.best.figures
         return {
             "epoch": epoch.number,
@@ -131,8 +137,8 @@ def _gain(before: Sequence[Score], after: Sequence[Score]) -> Gain | None:
     )
 
 
-def optimise(
-    what: What,
+def run_search(
+    what: Goal,
     rig: str,
     study: Study,
     out: Path,
@@ -141,9 +147,9 @@ def optimise(
     workers: int | None = 1,
     scheduler: str | None = None,
     opener: Opener | None = None,
-    observe: Observer = unseen,
-    progress: Progress = nothing,
-) -> Found:
+    observe: CandidateObserver = ignore,
+    progress: Progress = no_progress,
+) -> SearchResult:
     """Search, and leave the plan in `out`, or a front's plans in the folder `out`.
 
     Goes on where a journal beside them ends. source: names the study in complaints. opener: of the rig to
@@ -165,7 +171,7 @@ def optimise(
     journal = Journal(journal_of(what, out), study, file)
     measuring = workers_of(opener or OpenRig(_absolute(rig), study), count, scheduler)
     try:
-        lab = Lab(space, measuring, journal, observe)
+        lab = CandidateRunner(space, measuring, journal, observe)
         ended = _searched(lab)
         optimum = lab.best
         _check_wanted(lab, optimum)
@@ -174,8 +180,8 @@ def optimise(
         again = dict(zip(chosen, lab.again(chosen, _other_seeds(study)), strict=True))
     finally:
         measuring.close()
-    planned = front if what is What.PARETO else (optimum,)
-    return Found(
+    planned = front if what is Goal.PARETO else (optimum,)
+    return SearchResult(
         study=study,
         rig=limits.name,
         space=space,
@@ -218,7 +224,7 @@ def check_confirmable(rig: str, study: Study, source: str) -> None:
 
 
 def confirm_found(
-    rig: str, found: Found, folder: Path, progress: Progress = nothing
+    rig: str, found: SearchResult, folder: Path, progress: Progress = no_progress
 ) -> tuple[Confirmed, ...]:
     """Measure the artefacts on a rig with the plan of the start and with what was found.
 
@@ -268,7 +274,7 @@ def calibrated(
     rig: Rig,
     study: Study,
     folder: Path,
-    progress: Progress = nothing,
+    progress: Progress = no_progress,
     stands: Sequence[float] | None = None,
 ) -> Study:
     """The study with calibrations of the open rig, characterised at the ends of where the stage may stand.
@@ -301,22 +307,22 @@ def folder_of(out: Path) -> Path:
     return out.with_suffix("")
 
 
-def journal_of(what: What, out: Path) -> Path:
+def journal_of(what: Goal, out: Path) -> Path:
     """Where the measurements of a search are kept."""
-    return out / JOURNAL if what is What.PARETO else out.with_suffix(".jsonl")
+    return out / JOURNAL if what is Goal.PARETO else out.with_suffix(".jsonl")
 
 
-def page_of(what: What, out: Path) -> Path:
+def page_of(what: Goal, out: Path) -> Path:
     """Where the report of a search goes."""
-    return out / REPORT if what is What.PARETO else out.with_suffix(".html")
+    return out / REPORT if what is Goal.PARETO else out.with_suffix(".html")
 
 
-def plans_of(what: What, out: Path) -> list[Path]:
+def plans_of(what: Goal, out: Path) -> list[Path]:
     """The plans that a search has left, each of which says that it ended."""
-    return sorted(out.glob("plan_*.yaml")) if what is What.PARETO else [out] if out.exists() else []
+    return sorted(out.glob("plan_*.yaml")) if what is Goal.PARETO else [out] if out.exists() else []
 
 
-def _searched(lab: Lab) -> str:
+def _searched(lab: CandidateRunner) -> str:
     method = lab.space.study.method
     lab.epoch("start", [lab.start])
     try:
@@ -328,7 +334,7 @@ def _searched(lab: Lab) -> str:
             case Bayesian():
                 return bayes(lab, method)
         return pareto(lab, method)
-    except Spent:
+    except BudgetExhausted:
         return f"the budget of {lab.space.study.budget} candidates is used up"
 
 
@@ -347,7 +353,7 @@ def _check_artefacts(study: Study, limits: RigLimits, source: str) -> None:
             )
 
 
-def _check_what(what: What, space: Space, source: str) -> None:
+def _check_what(what: Goal, space: Space, source: str) -> None:
     """Refuse a study that searches something else than is asked for."""
     foreign = [p.name for p in space.parameters if p.group not in what.groups]
     if foreign:
@@ -355,12 +361,12 @@ def _check_what(what: What, space: Space, source: str) -> None:
             f"{source}: 'space' searches {', '.join(foreign)}, which `optimise {what}` does not; use "
             "`optimise pareto`, or leave them out"
         )
-    if (what is What.PARETO) != (len(space.study.objectives) > 1):
-        wanted = "several" if what is What.PARETO else "one"
+    if (what is Goal.PARETO) != (len(space.study.objectives) > 1):
+        wanted = "several" if what is Goal.PARETO else "one"
         raise ConfigError(f"{source}: 'objectives' must name {wanted} for `optimise {what}`")
 
 
-def _check_wanted(lab: Lab, optimum: Trial) -> None:
+def _check_wanted(lab: CandidateRunner, optimum: MeasuredCandidate) -> None:
     broken = {name: by for name, by in lab.judge.violations(optimum).items() if by > 0}
     if broken:
         words = ", ".join(f"{name} by {by:.3g}" for name, by in broken.items())
@@ -370,14 +376,14 @@ def _check_wanted(lab: Lab, optimum: Trial) -> None:
 
 
 def _save(
-    what: What, out: Path, study: Study, limits: RigLimits, rig: str, planned: Sequence[Trial]
+    what: Goal, out: Path, study: Study, limits: RigLimits, rig: str, planned: Sequence[MeasuredCandidate]
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""
     paths = []
     with closing(RigEvaluator(rig, study)) as evaluator:
         for number, trial in enumerate(planned, 1):
             name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
-            path = out / name if what is What.PARETO else out
+            path = out / name if what is Goal.PARETO else out
             if study.space.stage_mm is not None and study.calibrations:
                 calibration = evaluator.calibrations.at(trial.candidate.stage_mm)
                 calibration.save(path.with_name(f"{path.stem}_{CALIBRATION}"))
@@ -386,7 +392,7 @@ def _save(
     return tuple(paths)
 
 
-def plan_text(study: Study, rig: str, trial: Trial) -> str:
+def plan_text(study: Study, rig: str, trial: MeasuredCandidate) -> str:
     """The plan of a trial as a file that `fpplab scan` takes, headed by what it came to."""
     found, candidate = trial.figures, trial.candidate
     head = [

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from fpplab.core.errors import CalibrationError, DataError, DeviceError
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
-from fpplab.optimisation.storage import Outcome
+from fpplab.optimisation.storage import ScoresOrReason
 from fpplab.optimisation.study import Study
 
 PATIENCE_S = 10.0
@@ -36,7 +36,7 @@ each measurement: a third of its time.
 
 Task = tuple[Candidate, int]
 """A candidate and a seed."""
-Done = Callable[[int, Outcome], None]
+Done = Callable[[int, ScoresOrReason], None]
 """Told the place of a task and what came of it."""
 
 
@@ -73,7 +73,7 @@ class Workers(Protocol):
         ...
 
 
-def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> Outcome:
+def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
     """Scores, or why nothing came of measuring: what the candidate is to blame for is no fault of the rig."""
     try:
         scores = evaluator.measure(candidate, seed)
@@ -107,7 +107,7 @@ _opened: dict[Opener, Evaluator] = {}
 """Rigs that this worker process has open, by who opened them."""
 
 
-def _measure_there(opener: Opener, candidate: Candidate, seed: int) -> Outcome:
+def _measure_there(opener: Opener, candidate: Candidate, seed: int) -> ScoresOrReason:
     if opener not in _opened:
         _close_there()  # one rig at a time: the devices of two may be the same
         _opened[opener] = opener()
@@ -178,7 +178,7 @@ class Cluster:
         for future in ended(futures):
             done(places[future.key], self._result(future))
 
-    def _result(self, future: Any) -> Outcome:
+    def _result(self, future: Any) -> ScoresOrReason:
         from distributed.scheduler import KilledWorker
 
         try:

@@ -1,6 +1,6 @@
 """A decoded measurement -> its score: compared with the true shape at a fixed sample of pixels and surface.
 
-Everything that does not depend on what was measured is computed once (`Truth`): which pixels look at the
+Everything that does not depend on what was measured is computed once (`TrueShape`): which pixels look at the
 shape and what of the projector they must see, what of the shape counts, and in which pixels it is compared.
 The figures are those of `fpplab.comparison`, whose means over all points are taken over the sample here: the
 same sample for every candidate, so that what it gets wrong of one it gets wrong of the next.
@@ -20,11 +20,11 @@ from scipy.spatial import cKDTree
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.comparison.alignment import FINE_ROUNDS, Target, refine
+from fpplab.comparison.alignment import FINE_ROUNDS, AlignmentMesh, refine
 from fpplab.comparison.compare import DENSITY_PER_MM2, NEAR_MM, visible_samples
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
-from fpplab.comparison.visibility import Shape
+from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Axis, Floats, Map, Mask, axis_length
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
@@ -52,13 +52,13 @@ Of the pixels around it too, because a pixel at an edge sees more than its centr
 
 
 @dataclass(frozen=True)
-class Figures(Accuracy):
+class ArtefactFigures(Accuracy):
     """surface_spread_um: standard error of `surface_smcd_um` by the choice of the sample."""
 
     surface_spread_um: float
 
 
-class Truth:
+class TrueShape:
     """A true shape as a calibrated rig sees it.
 
     mesh: in the camera's frame in mm, where it is known or nearly. lit: whether only what the projector
@@ -75,8 +75,8 @@ class Truth:
         samples: int | None = SAMPLES,
         density: float = DENSITY_PER_MM2,
     ) -> None:
-        shape, random = Shape(mesh), np.random.default_rng(0)
-        self._shape, self._target = shape, Target(mesh)
+        shape, random = RayTracedShape(mesh), np.random.default_rng(0)
+        self._shape, self._target = shape, AlignmentMesh(mesh)
         self._surface = visible_samples(mesh, shape, calibration, density, 0, lit)[0]
         self._near_mm = SURELY_SAMPLED / np.sqrt(density)
         self._hits = _hits(shape, calibration)
@@ -98,7 +98,9 @@ class Truth:
         few = perfect[:: max(1, len(perfect) // SAMPLES)]
         return _UM * float(self._tree.query(few)[0].mean() + back.mean()) / 2.0
 
-    def score(self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True) -> Figures:
+    def score(
+        self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True
+    ) -> ArtefactFigures:
         """Triangulate, filter as the plan says, and compare.
 
         align: move the true shape onto the cloud first, from where it nearly is. Raises `DataError` when
@@ -117,7 +119,7 @@ class Truth:
         calibration: Calibration,
         outliers: float = 0.0,
         align: bool = True,
-    ) -> Figures:
+    ) -> ArtefactFigures:
         """Figures of a cloud over the pixels of these maps; outliers: what a filter has removed.
 
         Raises `DataError` when no point looks at the shape, or the points span no surface.
@@ -137,7 +139,7 @@ class Truth:
         error, back = np.sqrt(square), distance_to_surface(self._sampled, points, faces)
         to_points = nearest(self._sampled, points[counted])[0]
         spread = np.sqrt(error.var() / len(error) + back.var() / len(back)) / 2.0
-        return Figures(
+        return ArtefactFigures(
             points=int(np.count_nonzero(counted)),
             surface_smcd_um=_UM * float(error.mean() + back.mean()) / 2.0,
             smcd_um=_UM * float(self._tree.query(measured)[0].mean() + to_points.mean()) / 2.0,
@@ -229,7 +231,7 @@ def _drawn(of: Mask, count: int | None, random: np.random.Generator) -> Mask:
     return np.asarray(random.random(of.shape) < count / max(1, np.count_nonzero(of)))
 
 
-def _hits(shape: Shape, calibration: Calibration) -> Floats:
+def _hits(shape: RayTracedShape, calibration: Calibration) -> Floats:
     """Where each pixel's ray meets the shape, (height, width, 3) in mm, NaN where it does not."""
     rays = camera_rays(calibration.camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)

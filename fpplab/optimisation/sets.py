@@ -36,7 +36,7 @@ class Draws(Protocol):
 
 
 @dataclass(frozen=True)
-class View:
+class MeasuringSetup:
     """What the camera looks at, how long, and where the projector stands; None is as it stands."""
 
     item: str
@@ -49,7 +49,7 @@ class View:
 class _Key:
     """What sets share images by. place: in the plan, where the noise follows from it, else 0."""
 
-    view: View
+    view: MeasuringSetup
     axis: Axis
     stripes: float
     seed: int
@@ -64,7 +64,7 @@ class FringeSets:
     """
 
     def __init__(
-        self, rig: Rig, like: Plan, stand: Callable[[View], None], keep_bytes: int = KEEP_BYTES
+        self, rig: Rig, like: Plan, stand: Callable[[MeasuringSetup], None], keep_bytes: int = KEEP_BYTES
     ) -> None:
         self._rig, self._like, self._stand, self._limit = rig, like, stand, keep_bytes
         self._draws: Draws | None = rig.bench if isinstance(rig.bench, Draws) else None
@@ -72,7 +72,7 @@ class FringeSets:
         self.acquired = 0
         """Images taken since the beginning."""
 
-    def frames(self, view: View, fringes: Sequence[Fringes], seed: int) -> list[Image]:
+    def frames(self, view: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
         """The images of these sets in their order, raw. Raises `DeviceError`, `ConfigError`."""
         keys = [self._key(view, one, place, seed) for place, one in enumerate(fringes)]
         lacking = [i for i, key in enumerate(keys) if self._found(key, fringes[i].steps) is None]
@@ -83,7 +83,7 @@ class FringeSets:
         self._forget_beyond(keys)
         return [frame for frames in sets if frames is not None for frame in frames]
 
-    def _key(self, view: View, fringes: Fringes, place: int, seed: int) -> _Key:
+    def _key(self, view: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
         return _Key(view, fringes.axis, fringes.stripes, seed, place if self._draws else 0)
 
     def _found(self, key: _Key, steps: int) -> list[Image] | None:
@@ -92,7 +92,7 @@ class FringeSets:
         holding = min((count for count in kept if count % steps == 0), default=None)
         return None if holding is None else kept[holding][:: holding // steps]
 
-    def _acquire(self, view: View, fringes: list[Fringes], keys: list[_Key]) -> None:
+    def _acquire(self, view: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
         sets = tuple(FringeSet(**asdict(one)) for one in fringes)
         if self._draws is not None:
             self._draws.draw(

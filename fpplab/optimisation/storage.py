@@ -23,7 +23,7 @@ from fpplab.optimisation.study import Study
 MEASURED_BY = ("artefacts", "start", "calibrations")
 """What of a study its measurements depend on."""
 
-Outcome = tuple[Score, ...] | str
+ScoresOrReason = tuple[Score, ...] | str
 """Scores of the artefacts, or why nothing came of measuring them."""
 
 _candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
@@ -39,18 +39,18 @@ class Journal:
         self.path = path
         plain = study.model_dump(mode="json")
         self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in MEASURED_BY}}
-        self._known: dict[tuple[Candidate, int], Outcome] = {}
+        self._known: dict[tuple[Candidate, int], ScoresOrReason] = {}
         if path.is_file():
             self._read()
 
     def __len__(self) -> int:
         return len(self._known)
 
-    def get(self, candidate: Candidate, seed: int) -> Outcome | None:
+    def get(self, candidate: Candidate, seed: int) -> ScoresOrReason | None:
         """What is known of a candidate with one seed."""
         return self._known.get((candidate, seed))
 
-    def add(self, candidate: Candidate, seed: int, outcome: Outcome) -> None:
+    def add(self, candidate: Candidate, seed: int, outcome: ScoresOrReason) -> None:
         """Put one on disk before returning."""
         if not (self.path.is_file() and self.path.stat().st_size):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -84,5 +84,5 @@ class Journal:
                 )
 
 
-def _outcome(data: dict[str, Any]) -> Outcome:
+def _outcome(data: dict[str, Any]) -> ScoresOrReason:
     return str(data["failed"]) if "failed" in data else _scores.validate_python(data["scores"])

@@ -29,7 +29,7 @@ ANY_RIG = "any"
 Objective = Literal["surface_smcd_um", "worst_smcd_um", "surface_rms_um", "completeness", "images", "seconds"]
 """What a study may ask for: completeness the most, of all else the least."""
 
-Steps = tuple[Annotated[int, Field(ge=3, le=1000)], Annotated[int, Field(ge=3, le=1000)]]
+StepRange = tuple[Annotated[int, Field(ge=3, le=1000)], Annotated[int, Field(ge=3, le=1000)]]
 Positive = Annotated[float, Field(gt=0)]
 Positives = tuple[Positive, Positive]
 Range = tuple[float, float]
@@ -45,7 +45,7 @@ class SpaceFile(Document):
     """
 
     sets: tuple[Annotated[int, Field(ge=1, le=8)], Annotated[int, Field(ge=1, le=8)]] | None = None
-    steps: tuple[Steps | None, ...] = ()
+    steps: tuple[StepRange | None, ...] = ()
     stripes: tuple[Positives | None, ...] = ()
     axis: tuple[Axis, ...] = ()
     exposure_s: Positives | None = None
@@ -129,7 +129,7 @@ class Nsga2(Document):
     population: Annotated[int, Field(ge=4)] = 24
 
 
-Method = Annotated[Gradient | Coordinate | Bayesian | Nsga2, Field(discriminator="kind")]
+SearchMethod = Annotated[Gradient | Coordinate | Bayesian | Nsga2, Field(discriminator="kind")]
 
 
 class CalibrationAt(Document):
@@ -168,7 +168,7 @@ class Study(Document):
     constraints: Constraints = Constraints()
     objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (1, 2, 3)
-    method: Method
+    method: SearchMethod
     budget: Annotated[int, Field(ge=1)] = 400
 
     @model_validator(mode="after")
@@ -193,8 +193,8 @@ class Study(Document):
     @classmethod
     def load(cls, path: Path | str) -> Study:
         """Read a study file, by path or by the name of one that comes with fpplab."""
-        found = config.find(path)
-        data = config.parse(config.read_text(found), found)
+        found = config.find_config(path)
+        data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict):
             data = _resolved(data, found.parent)
         return config.validate(data, cls, found)
@@ -212,14 +212,15 @@ def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     data = dict(data)
     if isinstance(data.get("board"), dict):
         beside = {
-            n: config.beside(v, folder) if n in ("target", "plan") else v for n, v in data["board"].items()
+            n: config.resolve_beside(v, folder) if n in ("target", "plan") else v
+            for n, v in data["board"].items()
         }
         data["board"] = beside
     if isinstance(data.get("start"), str):
-        data["start"] = Plan.load(config.beside(data["start"], folder)).model_dump(mode="json")
+        data["start"] = Plan.load(config.resolve_beside(data["start"], folder)).model_dump(mode="json")
     if isinstance(data.get("calibrations"), list):
         data["calibrations"] = [
-            {**one, "file": config.beside(one["file"], folder)}
+            {**one, "file": config.resolve_beside(one["file"], folder)}
             if isinstance(one, dict) and isinstance(one.get("file"), str)
             else one
             for one in data["calibrations"]

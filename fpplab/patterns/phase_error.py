@@ -71,7 +71,7 @@ def _rms(error: Floats) -> float:
     return float(np.sqrt(np.mean((error - error.mean()) ** 2)))
 
 
-class Judgement(Document):
+class ResponseJudgement(Document):
     """Whether a response is good enough for a plan: for its finest fringes, which make the points.
 
     axis, stripes, steps: the set that suffers most. phase_rad, phase_px: its RMS phase error, in rad and
@@ -94,7 +94,7 @@ class Judgement(Document):
     by_steps: dict[str, float]
 
 
-def judge(response: Response, plan: Plan, size: tuple[int, int]) -> Judgement:
+def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> ResponseJudgement:
     """Judge a response for a plan on a projector of `size` (width, height).
 
     A plan that corrects its patterns is judged with that correction.
@@ -112,7 +112,7 @@ def judge(response: Response, plan: Plan, size: tuple[int, int]) -> Judgement:
     rad = error(response.g, fringe.steps)
     worst = max(error(g, fringe.steps) for g in ends)
     enough = max(least_steps(g) or MOST_STEPS + 1 for g in ends)
-    found = Judgement(
+    found = ResponseJudgement(
         good_enough=worst <= ALLOWED_RAD,
         sentence="",
         axis=fringe.axis,
@@ -134,7 +134,7 @@ def _ends(response: Response) -> tuple[float, ...]:
     return response.g - reach, response.g, response.g + reach
 
 
-def _sentence(found: Judgement) -> str:
+def _sentence(found: ResponseJudgement) -> str:
     what = "corrected patterns" if found.corrected_patterns else "patterns as they are"
     says = (
         f"{found.steps} steps of {found.stripes:g} stripes, {what}: RMS phase error {found.phase_rad:.2g} "

@@ -130,8 +130,8 @@ class Plan(Document):
     @classmethod
     def load(cls, path: Path | str) -> Plan:
         """Read a plan file, by path or by the name of one that comes with fpplab."""
-        found = config.find(path)
-        data = config.parse(config.read_text(found), found)
+        found = config.find_config(path)
+        data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict) and isinstance(data.get("response"), str):
             data = {**data, "response": _named_response(data["response"], found)}
         return config.validate(data, cls, found)
@@ -192,7 +192,7 @@ class Plan(Document):
 
 def _named_response(name: str, plan: Path) -> dict[str, float]:
     """The law in a response file that a plan names. Raises `ConfigError`."""
-    file = Path(config.beside(name, plan.parent))
+    file = Path(config.resolve_beside(name, plan.parent))
     try:
         curve = Response.load(file).curve(file)
     except ConfigError as error:

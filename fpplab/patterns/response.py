@@ -29,7 +29,7 @@ CERTAIN = 0.05
 
 Positive = Annotated[float, Field(gt=0)]
 Sigma = Annotated[float, Field(ge=0)]
-Vector = tuple[float, float, float]
+LawParameters = tuple[float, float, float]
 
 
 class Curve(Document):
@@ -67,7 +67,7 @@ class Curve(Document):
             )
 
 
-class Level(Document):
+class ResponseLevel(Document):
     """One level of the fit: shown, seen, the standard uncertainty of what was seen, seen minus fitted."""
 
     shown: float
@@ -102,10 +102,10 @@ class Response(Curve):
     sigma: tuple[Sigma, Sigma, Sigma]
     residual: Annotated[float, Field(ge=0)]
     levels: Annotated[int, Field(ge=LEAST_LEVELS)]
-    covariance: tuple[Vector, Vector, Vector] | None = None
+    covariance: tuple[LawParameters, LawParameters, LawParameters] | None = None
     residual_sum: Annotated[float, Field(ge=0)] | None = None
     misfit: Sigma | None = None
-    measured: tuple[Level, ...] = ()
+    measured: tuple[ResponseLevel, ...] = ()
     regions: tuple[Region, ...] = ()
     region_spread: Sigma | None = None
     region_sigma: Sigma | None = None
@@ -150,7 +150,7 @@ class Response(Curve):
     @classmethod
     def load(cls, path: Path | str) -> Response:
         """Read a response file. Raises `ConfigError`."""
-        return config.load(path, cls)
+        return config.load_document(path, cls)
 
     def curve(self, source: Path | str) -> Curve:
         """The law alone, for correcting patterns.
@@ -250,7 +250,7 @@ def _fit(shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str,
         misfit=None if sigma is None else misfit,
         levels=len(shown),
         measured=tuple(
-            Level(shown=i, seen=o, sigma=s, residual=r)
+            ResponseLevel(shown=i, seen=o, sigma=s, residual=r)
             for i, o, s, r in zip(shown.tolist(), seen.tolist(), sigmas, rest.tolist(), strict=True)
         ),
         left_out=left_out,
@@ -270,7 +270,7 @@ def _misfit(shown: Floats, seen: Floats, sigma: Floats) -> float:
     return float(brentq(excess, 0.0, 1.0, xtol=1e-9)) if excess(0.0) > 0 else 0.0
 
 
-def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[Vector, Floats]:
+def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[LawParameters, Floats]:
     from scipy.optimize import curve_fit
 
     weight = np.ones_like(seen) if sigma is None else 1.0 / sigma
@@ -284,12 +284,12 @@ def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[V
     return (float(best[0]), float(best[1]), float(best[2])), np.asarray(covariance)
 
 
-def _vectors(matrix: Floats) -> tuple[Vector, Vector, Vector]:
+def _vectors(matrix: Floats) -> tuple[LawParameters, LawParameters, LawParameters]:
     rows = [(float(x), float(y), float(z)) for x, y, z in matrix]
     return rows[0], rows[1], rows[2]
 
 
-def _linear(shown: Floats, seen: Floats, weight: Floats, g: float) -> tuple[Vector, float]:
+def _linear(shown: Floats, seen: Floats, weight: Floats, g: float) -> tuple[LawParameters, float]:
     """Best (a, b) for a given g, and the weighted squares it leaves."""
     basis = np.stack([shown**g, np.ones_like(shown)], axis=1) * weight[:, None]
     (a, b), *_ = np.linalg.lstsq(basis, seen * weight, rcond=None)

@@ -52,7 +52,7 @@ def _regions(image: Image) -> list[Image]:
 
 
 @dataclass(frozen=True)
-class Greys:
+class GreyLevelImages:
     """What was seen of uniform greys.
 
     shown: (L,) levels, rising. seen: (R, L, 4, GRID²), `statistics` of every frame. dark: (4, GRID²), of the
@@ -83,7 +83,7 @@ def rounding_variance(spread: Floats) -> Floats:
     return np.asarray(terms.sum(axis=-1))
 
 
-def levels_of(greys: Greys, regions: Mask) -> tuple[Floats, Floats, Mask]:
+def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Mask]:
     """Mean level over some regions, its standard uncertainty, whether it is clipped; (L,) each.
 
     The uncertainty has three parts: the pixels' noise over all pixels and repeats; what the repeats
@@ -103,7 +103,7 @@ def levels_of(greys: Greys, regions: Mask) -> tuple[Floats, Floats, Mask]:
     return means.mean(axis=0), np.sqrt(variance), white.mean(axis=0) > CLIPPED
 
 
-def fit_greys(greys: Greys) -> Response:
+def fit_greys(greys: GreyLevelImages) -> Response:
     """Fit the response to the regions that are lit and not saturated, together and each alone.
 
     When every lit region saturates, its saturated levels are left out instead. Both are named.
@@ -128,7 +128,7 @@ def fit_greys(greys: Greys) -> Response:
     )
 
 
-def _choose(greys: Greys) -> tuple[Mask, tuple[str, ...]]:
+def _choose(greys: GreyLevelImages) -> tuple[Mask, tuple[str, ...]]:
     mean = greys.seen[:, :, MEAN].mean(axis=0)
     rise = np.ptp(mean, axis=0)
     lit = rise >= LEAST_RISE
@@ -152,12 +152,12 @@ def _name(index: int) -> str:
     return f"region {index // GRID + 1}, {index % GRID + 1} (row, column) of {GRID} x {GRID}"
 
 
-def _fit(greys: Greys, regions: Mask) -> Response:
+def _fit(greys: GreyLevelImages, regions: Mask) -> Response:
     seen, sigma, clipped = levels_of(greys, regions)
     return fit_response(greys.shown, seen, sigma, saturated=clipped)
 
 
-def _region(greys: Greys, index: int) -> Region:
+def _region(greys: GreyLevelImages, index: int) -> Region:
     alone = np.arange(GRID**2) == index
     fitted = _fit(greys, alone)
     return Region(
@@ -182,8 +182,8 @@ def _check_agreement(g: float, regions: tuple[Region, ...], spread: float, expec
     )
 
 
-def _dark(greys: Greys, regions: Mask) -> tuple[float, float]:
+def _dark(greys: GreyLevelImages, regions: Mask) -> tuple[float, float]:
     """The level seen with the projector off, and its standard uncertainty."""
-    one = Greys(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
+    one = GreyLevelImages(greys.shown[:1], greys.dark[None, None], greys.dark, greys.pixels, greys.bits)
     level, sigma, _ = levels_of(one, regions)
     return float(level[0]), float(sigma[0])

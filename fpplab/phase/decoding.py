@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,12 +28,13 @@ from fpplab.core.conventions import (
 )
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_atomic
+from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import FringeSet, Plan
-from fpplab.phase.kernels import GROUP, Maps, Recipe, decode_pixels
+from fpplab.phase.kernels import GROUP, KernelMaps, Recipe, decode_pixels
 from fpplab.phase.quality import NoiseModel, coordinate_uncertainty, fit_noise, phase_uncertainty
-from fpplab.phase.unwrapping import DOUBTFUL, Ladder, build_ladder, climb, vote_orders
+from fpplab.phase.unwrapping import DOUBTFUL, WavelengthSequence, unwrap, vote_orders, wavelength_sequence
 
-SEAM_PX = 0.05
+EDGE_MARGIN_PX = 0.05
 """How near the projector's edge, in px and besides its noise, a coordinate may come before
 stripes that repeat there leave it open which of the two edges is meant."""
 
@@ -149,7 +150,7 @@ def decode(
     projector_size: tuple[int, int],
     bits: int = 8,
     source: str = "frames",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = no_progress,
 ) -> Decoded:
     """Projector coordinates, modulation and uncertainty of every camera pixel.
 
@@ -169,7 +170,7 @@ def decode(
     """
     images = _checked(frames, plan, bits, source)
     plan.check_projector(projector_size, source)
-    ladders = [build_ladder(plan, axis, source) for axis in plan.axes]
+    ladders = [wavelength_sequence(plan, axis, source) for axis in plan.axes]
     noise = fit_noise(_sample(images, plan), full_scale(bits), 1.0 / raw_per_grey(bits))
     recipe = _recipe(images, plan, ladders, projector_size, bits, noise)
     shape = images[0].shape
@@ -234,12 +235,12 @@ def _sample(images: list[Image], plan: Plan) -> list[Floats]:
     return [sampled[a:b] for a, b in pairwise(plan.set_starts)]
 
 
-def _allocate(pixels: int, plan: Plan) -> Maps:
+def _allocate(pixels: int, plan: Plan) -> KernelMaps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
-    return Maps(*(np.empty(n, np.float32) for n in sizes))
+    return KernelMaps(*(np.empty(n, np.float32) for n in sizes))
 
 
 def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
@@ -249,7 +250,7 @@ def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
 def _recipe(
     images: list[Image],
     plan: Plan,
-    ladders: list[Ladder],
+    ladders: list[WavelengthSequence],
     size: tuple[int, int],
     bits: int,
     noise: NoiseModel,
@@ -263,7 +264,7 @@ def _recipe(
         for rung in ladder.rungs:
             coefficients[row, list(ladder.sets)] = rung.coefficients
             row += 1
-    of_axis: dict[Axis, Ladder] = {ladder.axis: ladder for ladder in ladders}
+    of_axis: dict[Axis, WavelengthSequence] = {ladder.axis: ladder for ladder in ladders}
     counts = [len(of_axis[axis].rungs) if axis in of_axis else 0 for axis in ("x", "y")]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in ("x", "y")]
     spread = [_spread(plan.fringes[k], size) if k >= 0 else 0.0 for k in finest]
@@ -288,7 +289,7 @@ def _recipe(
         residual_max=f32(rules.residual_max),
         # With a vote, no order is rejected before its neighbours have been heard.
         disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
-        seam=f32(SEAM_PX),
+        seam=f32(EDGE_MARGIN_PX),
         noise_constant=f32(noise.constant),
         noise_per_level=f32(noise.per_level),
     )
@@ -328,8 +329,8 @@ def _run(
     recipe: Recipe,
     dtype: np.dtype[np.generic],
     pixels: int,
-    maps: Maps,
-    progress: Callable[[float], None] | None,
+    maps: KernelMaps,
+    progress: Progress,
 ) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
     like, highest = np.empty(0, dtype), 0.0
@@ -341,8 +342,7 @@ def _run(
         ]
         for done, block in enumerate(as_completed(blocks), start=1):
             highest = max(highest, float(block.result()))
-            if progress is not None:
-                progress(done / len(blocks))
+            progress(done / len(blocks))
     finally:
         # Workers hold bare addresses: nobody may leave before they have stopped.
         pool.shutdown(wait=True, cancel_futures=True)
@@ -355,7 +355,12 @@ def _processors() -> int:
 
 
 def _repair(
-    decoded: Decoded, images: list[Image], plan: Plan, ladder: Ladder, size: tuple[int, int], doubt: Map
+    decoded: Decoded,
+    images: list[Image],
+    plan: Plan,
+    ladder: WavelengthSequence,
+    size: tuple[int, int],
+    doubt: Map,
 ) -> None:
     """Let neighbours vote on doubtful orders of one axis; reject what they do not back."""
     assert plan.order_vote is not None
@@ -363,11 +368,11 @@ def _repair(
     length = axis_length(size, ladder.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
     phases = _phases_at(images, plan, ladder, pixels)
-    sigma, seam = decoded.sigma.reshape(-1)[pixels] / length, SEAM_PX / length
+    sigma, seam = decoded.sigma.reshape(-1)[pixels] / length, EDGE_MARGIN_PX / length
     if ladder.axis == "y":
         sigma = sigma * decoded.v_per_u
-    found = climb(phases, ladder, sigma, seam)
-    other = climb(phases, ladder, sigma, seam, found.doubted)
+    found = unwrap(phases, ladder, sigma, seam)
+    other = unwrap(phases, ladder, sigma, seam, found.doubted)
     alternative = np.where(other.certain, other.position * length - 0.5, np.nan)
     period = length / plan.fringes[ladder.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, plan.order_vote.window, period)
@@ -377,7 +382,9 @@ def _repair(
             values.reshape(-1)[dropped] = np.nan
 
 
-def _phases_at(images: list[Image], plan: Plan, ladder: Ladder, pixels: NDArray[np.int64]) -> Floats:
+def _phases_at(
+    images: list[Image], plan: Plan, ladder: WavelengthSequence, pixels: NDArray[np.int64]
+) -> Floats:
     """Wrapped phases in rad of a few pixels, (K, P), in float64."""
     starts, rows = plan.set_starts, []
     for k in ladder.sets:

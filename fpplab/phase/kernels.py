@@ -23,7 +23,7 @@ CHUNK = 2048
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
 
-SEAM_SIGMAS = 1.5
+EDGE_SIGMAS = 1.5
 """How many sigmas beyond the projector's edge noise is believed to carry a coordinate."""
 
 APART = 9.0
@@ -36,7 +36,7 @@ _f = np.float32
 _u = np.uintp
 _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
 _TINY, _FAR = _f(1e-30), _f(100)
-_SIGMAS, _APART, _APART_LEAST = _f(SEAM_SIGMAS), _f(APART), _f(APART_LEAST)
+_SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
 
 # Rows lie a little more than a chunk apart: at multiples of a memory page the processor
 # takes a row's element for the one it has just stored in another row, and waits.
@@ -108,7 +108,7 @@ class Recipe(NamedTuple):
     noise_per_level: np.float32
 
 
-class Maps(NamedTuple):
+class KernelMaps(NamedTuple):
     """Flat float32 maps of the camera that the kernel fills; an empty one is left out."""
 
     u: NDArray[np.float32]
@@ -328,7 +328,7 @@ def _erase(out: Any, good: Any, n: int) -> None:
 def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
     """Fill `maps` for the pixels `start` … `stop`; returns the greatest raw value met.
 
-    recipe: `Recipe`. like: an empty array of the frames' type. maps: `Maps`, flat.
+    recipe: `Recipe`. like: an empty array of the frames' type. maps: `KernelMaps`, flat.
     Releases the interpreter's lock, so that threads may share a frame's pixels.
     """
     sets = len(recipe.origin)

@@ -24,26 +24,26 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Map
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
-from fpplab.phase.kernels import APART, APART_LEAST, SEAM_SIGMAS
+from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
 
 _NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
-class Rung:
+class SyntheticWavelength:
     """One effective fringe: `coefficients` of the wrapped phases of the ladder's sets, and its stripes."""
 
     coefficients: tuple[int, ...]
     stripes: float
 
-    def beat(self, coarser: Rung) -> Rung:
+    def beat(self, coarser: SyntheticWavelength) -> SyntheticWavelength:
         """The difference of two rungs: as many stripes as they differ by."""
         difference = zip(self.coefficients, coarser.coefficients, strict=True)
-        return Rung(tuple(a - b for a, b in difference), self.stripes - coarser.stripes)
+        return SyntheticWavelength(tuple(a - b for a, b in difference), self.stripes - coarser.stripes)
 
 
 @dataclass(frozen=True)
-class Ladder:
+class WavelengthSequence:
     """How one axis is unwrapped: `sets` index `Plan.fringes`, `rungs` go from coarse to fine.
 
     The first rung has at most one stripe; the last is the finest set itself. trust:
@@ -53,7 +53,7 @@ class Ladder:
 
     axis: Axis
     sets: tuple[int, ...]
-    rungs: tuple[Rung, ...]
+    rungs: tuple[SyntheticWavelength, ...]
     trust: tuple[float, ...]
 
     @property
@@ -63,7 +63,7 @@ class Ladder:
 
 
 @dataclass(frozen=True, eq=False)
-class Climb:
+class Unwrapped:
     """Where a ladder led: float64, shaped like one phase map.
 
     position: (u + 0.5)/W, the share of the projector's length, 0 … 1.
@@ -78,7 +78,7 @@ class Climb:
     certain: NDArray[np.bool_]
 
 
-def build_ladder(plan: Plan, axis: Axis, source: str) -> Ladder:
+def wavelength_sequence(plan: Plan, axis: Axis, source: str) -> WavelengthSequence:
     """The ladder of one coded axis.
 
     Raises `ConfigError` when the plan cannot be unwrapped without ambiguity; its
@@ -86,7 +86,7 @@ def build_ladder(plan: Plan, axis: Axis, source: str) -> Ladder:
     """
     sets = plan.sets_along(axis)
     units = [
-        Rung(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
+        SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
         for k, index in enumerate(sets)
     ]
     rungs = _with_beats(units) if plan.unwrapping == "heterodyne" else units
@@ -94,24 +94,24 @@ def build_ladder(plan: Plan, axis: Axis, source: str) -> Ladder:
     if not coarse:
         raise ConfigError(_ambiguous(plan, axis, source, rungs[0].stripes))
     kept = (coarse[-1], *(r for r in rungs if r.stripes > 1 + _NEGLIGIBLE))
-    return Ladder(axis, sets, kept, _trust(kept, [plan.fringes[i].steps for i in sets]))
+    return WavelengthSequence(axis, sets, kept, _trust(kept, [plan.fringes[i].steps for i in sets]))
 
 
 def check_unwrapping(plan: Plan, source: str) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected: `ConfigError`."""
     for axis in plan.axes:
-        build_ladder(plan, axis, source)
+        wavelength_sequence(plan, axis, source)
 
 
-def _trust(rungs: tuple[Rung, ...], steps: list[int]) -> tuple[float, ...]:
-    def variance(rung: Rung) -> float:
+def _trust(rungs: tuple[SyntheticWavelength, ...], steps: list[int]) -> tuple[float, ...]:
+    def variance(rung: SyntheticWavelength) -> float:
         return sum(c * c * steps[-1] / n for c, n in zip(rung.coefficients, steps, strict=True))
 
     predicted = (variance(q) * (r.stripes / q.stripes) ** 2 for q, r in pairwise(rungs))
     return (0.0, *(1.0 / (p + variance(r)) for p, r in zip(predicted, rungs[1:], strict=True)))
 
 
-def _with_beats(units: list[Rung]) -> list[Rung]:
+def _with_beats(units: list[SyntheticWavelength]) -> list[SyntheticWavelength]:
     """The sets and their beats, fewest stripes first, every stripe count once."""
     rungs, level = list(units), units
     while level and min(r.stripes for r in level) > 1 + _NEGLIGIBLE:
@@ -128,7 +128,7 @@ def _with_beats(units: list[Rung]) -> list[Rung]:
     ]
 
 
-def _noise_gain(rung: Rung) -> int:
+def _noise_gain(rung: SyntheticWavelength) -> int:
     """By how much the variance of the rung's phase exceeds that of one set."""
     return sum(c * c for c in rung.coefficients)
 
@@ -151,13 +151,13 @@ def _ambiguous(plan: Plan, axis: Axis, source: str, coarsest: float) -> str:
     )
 
 
-def climb(
+def unwrap(
     phases: Floats,
-    ladder: Ladder,
+    ladder: WavelengthSequence,
     sigma: float | Floats = 0.0,
     seam: float = 0.0,
     nudged: NDArray[np.int64] | None = None,
-) -> Climb:
+) -> Unwrapped:
     """Unwrap the wrapped phases of one axis; the compiled decoder's arithmetic in plain NumPy.
 
     Parameters
@@ -175,13 +175,13 @@ def climb(
     other = near + np.where(measured[0] > 0.5, -period, period)
     chosen, cost_near = _ascend(near, measured, ladder, nudged)
     rival, cost_other = _ascend(other, measured, ladder, nudged)
-    tolerance = seam + SEAM_SIGMAS * np.asarray(sigma)
+    tolerance = seam + EDGE_SIGMAS * np.asarray(sigma)
     apart = np.maximum(APART_LEAST, APART * (ladder.rungs[-1].stripes * np.asarray(sigma)) ** 2)
     far_near, far_other = (_beyond(p.position, tolerance) for p in (chosen, rival))
     swap = cost_other + far_other < cost_near + far_near
     alike = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
     inside = np.where(swap, far_other, far_near) == 0
-    return Climb(
+    return Unwrapped(
         np.where(swap, rival.position, chosen.position),
         np.where(swap, rival.disagreement, chosen.disagreement),
         np.where(swap, rival.doubted, chosen.doubted),
@@ -197,7 +197,7 @@ class _Ascent:
 
 
 def _ascend(
-    position: Floats, measured: list[Floats], ladder: Ladder, nudged: NDArray[np.int64] | None
+    position: Floats, measured: list[Floats], ladder: WavelengthSequence, nudged: NDArray[np.int64] | None
 ) -> tuple[_Ascent, Floats]:
     cost, worst = np.zeros_like(position), np.zeros_like(position)
     doubted = np.zeros(position.shape, np.int64)

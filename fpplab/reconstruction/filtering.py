@@ -29,7 +29,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.clouds.pixelgrid import PixelGrid, Pixels, connected
+from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid, is_continuous
 from fpplab.core.conventions import TWO_PI, Map, Mask, axis_length
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import FilterRules, Plan
@@ -127,7 +127,7 @@ def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
 @njit(inline="always")
 def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) -> bool:
     """Whether two pixels see one surface; false where one of them has no point."""
-    return connected(
+    return is_continuous(
         a[y, x] - a[v, u],
         b[y, x] - b[v, u],
         w[y, x] - w[v, u],
@@ -149,7 +149,7 @@ def _link(a: Map, b: Map, w: Map, noise: Map, across: Mask, down: Mask) -> None:
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _half_lit(
-    index: Pixels,
+    index: PixelColumnsRows,
     a: Map,
     b: Map,
     w: Map,
@@ -195,7 +195,7 @@ def _root(parent: NDArray[np.int32], i: int) -> int:
 
 @njit(cache=True)
 def _isolated(
-    index: Pixels, across: Mask, down: Mask, parent: NDArray[np.int32], least: int, removed: Removed
+    index: PixelColumnsRows, across: Mask, down: Mask, parent: NDArray[np.int32], least: int, removed: Removed
 ) -> None:
     """Marks patches of fewer than `least` pixels; `parent` is room for each point's patch."""
     height, width = index.shape
@@ -224,7 +224,7 @@ def _isolated(
 
 
 @njit(parallel=True, cache=True)
-def _erase(index: Pixels, w: Map, removed: Removed) -> None:
+def _erase(index: PixelColumnsRows, w: Map, removed: Removed) -> None:
     """Take what was removed from the grid."""
     for v in prange(len(index)):
         for u in range(index.shape[1]):

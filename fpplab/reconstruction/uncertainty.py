@@ -18,7 +18,7 @@ parts, which are independent, add in squares whatever their directions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.progress import Progress, no_progress
 from fpplab.reconstruction.triangulation import DecodedMaps
 
 BLOCK = 1 << 14
@@ -38,7 +39,7 @@ BLOCK = 1 << 14
 RIGID_SAMPLE = 50_000
 """About as many points, evenly chosen, decide which rigid motion of the cloud is the best."""
 
-Points = NDArray[np.floating[Any]]
+AnyPoints = NDArray[np.floating[Any]]
 CoordinateNoise = tuple[float, float]
 """Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
 
@@ -54,7 +55,7 @@ def with_uncertainty(
     cloud: Cloud,
     calibration: Calibration,
     noise: CoordinateNoise,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = no_progress,
 ) -> Cloud:
     """The cloud with `sigma_calibration_mm` and `sigma_form_mm`, if the calibration has a covariance.
 
@@ -92,7 +93,7 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
     return covariance
 
 
-def calibration_jacobian(points: Points, calibration: Calibration, noise: CoordinateNoise) -> Floats:
+def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
     """∂X/∂θ at points (N, 3) in mm, camera pixels and projector coordinates held: (N, 3, n), by `PARAMETERS`.
 
     Units and meaning of these are those of `Uncertainty`: rx, ry, rz add to the rotation vector.
@@ -110,7 +111,7 @@ def calibration_jacobian(points: Points, calibration: Calibration, noise: Coordi
     return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
 
 
-def _slopes(points: Points, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
+def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
     """Slopes of the projected pixels: by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
     local = np.ascontiguousarray(points, np.float64)
     turn, shift = pose.rotation_vector, pose.translation
@@ -152,7 +153,7 @@ class _Modes:
         )
         return cls(calibration, noise, changes)
 
-    def moved(self, points: Points) -> Floats:
+    def moved(self, points: AnyPoints) -> Floats:
         """Where each mode moves the points (N, 3): (N, 3, n) in mm."""
         jacobian = calibration_jacobian(points, self.calibration, self.noise)
         # As one matrix: NumPy multiplies a stack of small ones several times as slowly.
@@ -160,7 +161,7 @@ class _Modes:
         return np.asarray(flat.reshape(len(points), 3, -1))
 
 
-def _rigid_part(modes: _Modes, points: Points, centre: Floats) -> Floats:
+def _rigid_part(modes: _Modes, points: AnyPoints, centre: Floats) -> Floats:
     """The rigid motion of the whole cloud, (6, n) for `_rigid_motions`, that comes nearest to each mode."""
     sample = points[:: max(1, len(points) // RIGID_SAMPLE)]
     normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
@@ -172,7 +173,7 @@ def _rigid_part(modes: _Modes, points: Points, centre: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
 
 
-def _rigid_motions(points: Points) -> Floats:
+def _rigid_motions(points: AnyPoints) -> Floats:
     """What small translations along and rotations about the axes do to points (N, 3): (N, 3, 6)."""
     x, y, z = points.T
     motions = np.zeros((len(points), 3, 6))

@@ -9,10 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
-from fpplab.acceptance import QUANTITIES, VERDICTS, Acceptance, BallBarTest, Measured, PlaneTest, SphereTest
+from fpplab.acceptance import (
+    QUANTITIES,
+    VERDICTS,
+    Acceptance,
+    BallBarTest,
+    MeasuredFeature,
+    PlaneTest,
+    SphereTest,
+)
 from fpplab.report.drawing import FULL, colour_bar, pair, picture, show
 from fpplab.report.figures import error_limit, error_map
-from fpplab.report.page import Figure, Section, Table, write_page
+from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
 from fpplab.report.raster import lay, raster
 
 JUDGED = (
@@ -37,7 +45,7 @@ class _Drawn:
     pixels: NDArray[np.int32] | None
 
     @classmethod
-    def of(cls, found: Measured) -> tuple[_Drawn, NDArray[np.float32]]:
+    def of(cls, found: MeasuredFeature) -> tuple[_Drawn, NDArray[np.float32]]:
         """What was kept, and its signed distances in mm."""
         pixels = None if found.pixels is None else found.pixels[found.kept]
         return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
@@ -57,7 +65,7 @@ def write_acceptance_report(path: Path, found: Acceptance) -> None:
     write_page(path, "Acceptance test", _summary(found), sections, facts)
 
 
-def _summary(found: Acceptance) -> list[Table]:
+def _summary(found: Acceptance) -> list[ReportTable]:
     judged = tuple(
         (
             f"{QUANTITIES[name]} {name}",
@@ -69,10 +77,12 @@ def _summary(found: Acceptance) -> list[Table]:
         )
         for name, j in found.judgements().items()
     )
-    tables = [Table(JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in found.notices())]))]
+    tables = [
+        ReportTable(JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in found.notices())]))
+    ]
     if found.bars:
         columns = ("Ball bar", "PF 1 / 2 in µm", "PS 1 / 2 in µm", "SD in µm", "RMS 1 / 2 in µm", "Cap in sr")
-        tables.append(Table(columns, tuple(_bar_row(bar) for bar in found.bars)))
+        tables.append(ReportTable(columns, tuple(_bar_row(bar) for bar in found.bars)))
     if found.planes:
         rows = tuple(
             (
@@ -84,7 +94,7 @@ def _summary(found: Acceptance) -> list[Table]:
             )
             for p in found.planes
         )
-        tables.append(Table(("Plane", "F in µm", "RMS in µm", "Area in mm²", "Points"), rows))
+        tables.append(ReportTable(("Plane", "F in µm", "RMS in µm", "Area in mm²", "Points"), rows))
     return tables
 
 
@@ -100,17 +110,17 @@ def _bar_row(bar: BallBarTest) -> tuple[str, ...]:
     )
 
 
-def _bar_section(bar: BallBarTest, number: int) -> Section:
+def _bar_section(bar: BallBarTest, number: int) -> ReportSection:
     text = (
         f"{bar.source}: the spheres' centres are {bar.spacing_mm:.4f} mm apart, "
         f"calibrated {bar.calibrated_mm:.4f} mm. Grey: not measured, or not counted."
     )
     caption = "Signed radial distance of every point that counts from its fitted sphere; red lies outside."
     drawn = Figure.of(sphere_errors(bar.spheres), "Maps of both spheres' signed errors", caption, wide=True)
-    return Section(f"Ball bar, position {number}", text, figures=(drawn,))
+    return ReportSection(f"Ball bar, position {number}", text, figures=(drawn,))
 
 
-def _plane_section(plane: PlaneTest, number: int) -> Section:
+def _plane_section(plane: PlaneTest, number: int) -> ReportSection:
     text = (
         f"{plane.source}: {plane.area_mm2:.0f} mm² of the plane count, "
         f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not counted."
@@ -118,7 +128,7 @@ def _plane_section(plane: PlaneTest, number: int) -> Section:
     caption = "Signed distance of every point that counts from the fitted plane; red lies towards the camera."
     found, distances = _Drawn.of(plane.measured)
     drawn = Figure.of(error_map(found, distances), "Map of the plane's signed errors", caption, True)
-    return Section(f"Plane, position {number}", text, figures=(drawn,))
+    return ReportSection(f"Plane, position {number}", text, figures=(drawn,))
 
 
 @picture

@@ -84,7 +84,7 @@ def camera_image(image: Image, bits: int = 8) -> Figure:
 
 
 @picture
-def wrapped_phase(phase: Map) -> Figure:
+def wrapped_phase_figure(phase: Map) -> Figure:
     """The phase of one fringe set in rad, [0, 2π), on a cyclic colour map."""
     figure, axes = map_sheet(phase.shape)
     bar = colour_bar(figure, axes, show(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
@@ -209,7 +209,7 @@ def error_limit(errors: NDArray[np.floating[Any]]) -> float:
 
 
 @picture
-def residuals(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
+def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
     """Reprojection errors over the sensor as vectors, and as a scatter with its RMS circle.
 
     pixels, errors: (N, 2) in px; size: (width, height) of the `device`, "camera" or "projector".

@@ -11,24 +11,24 @@ from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
 from fpplab.matching.gamma import GammaMatch
-from fpplab.matching.judgement import Judgement
+from fpplab.matching.judgement import ArtefactJudgement
 from fpplab.matching.match import EXPLAINS
-from fpplab.matching.record import Epoch
-from fpplab.matching.reference import Bench
-from fpplab.matching.run import Outcome
+from fpplab.matching.record import MatchingEpoch
+from fpplab.matching.reference import Reference
+from fpplab.matching.run import MatchingResult
 from fpplab.report.drawing import ACCENT, FULL, SECOND, blank, colour_bar, map_height, pair, picture, show
 from fpplab.report.figures import error_map
-from fpplab.report.page import Figure, Section, Table, write_page
+from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
 from fpplab.simulation.matchable import Parameters, Twin
 
-Picture = NDArray[np.float32]
+GreyPicture = NDArray[np.float32]
 
 COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
 SHOWN_POSES = 5
 """Poses whose images are shown, from the nearest to the farthest."""
 
 
-def write_matching_report(path: Path, found: Outcome, twin: Twin) -> None:
+def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None:
     """Write the matching as one HTML file; the twin is left matched. Raises `DataError`."""
     sections = [_epochs_section(found)]
     if found.gamma:
@@ -43,7 +43,7 @@ def write_matching_report(path: Path, found: Outcome, twin: Twin) -> None:
     write_page(path, "Matching of a twin", _summary(found), sections, facts)
 
 
-def _summary(found: Outcome) -> list[Table]:
+def _summary(found: MatchingResult) -> list[ReportTable]:
     rows = tuple(
         (
             "yes" if row.refined else "no",
@@ -53,7 +53,9 @@ def _summary(found: Outcome) -> list[Table]:
         for row in found.rows
     )
     tables = [
-        Table(COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM), with the twin's noise in its images.")
+        ReportTable(
+            COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM), with the twin's noise in its images."
+        )
     ]
     if found.judgements:
         judged = tuple(
@@ -67,11 +69,13 @@ def _summary(found: Outcome) -> list[Table]:
             for one in found.judgements
         )
         columns = ("Artefact", "Bench in µm", "Twin in µm", "Difference in µm", "Difference in %")
-        tables.append(Table(columns, judged, "Symmetric mean distance between points and true surface."))
+        tables.append(
+            ReportTable(columns, judged, "Symmetric mean distance between points and true surface.")
+        )
     return tables
 
 
-def _epochs_section(found: Outcome) -> Section:
+def _epochs_section(found: MatchingResult) -> ReportSection:
     columns = ("Epoch", "Step", "SSIM", "over the board", "ε_d in px", "Loss", "over the board", "Stands")
     rows = tuple(
         (
@@ -90,7 +94,7 @@ def _epochs_section(found: Outcome) -> Section:
         (step, f"{100 * share:.1f} %", EXPLAINS.get(step, "a flat board casts none"))
         for step, share in found.matched.explained.items()
     )
-    words = Table(
+    words = ReportTable(
         ("Effect", "Share", "What it is"),
         explained,
         "Share of the images' mean square difference, as it was before its step, that each effect took away.",
@@ -101,11 +105,11 @@ def _epochs_section(found: Outcome) -> Section:
         "The loss and its parts, with their spread.",
         wide=True,
     )
-    return Section("Epochs", tables=(Table(columns, rows), words), figures=(drawn,))
+    return ReportSection("Epochs", tables=(ReportTable(columns, rows), words), figures=(drawn,))
 
 
 @picture
-def loss_curve(epochs: Sequence[Epoch]) -> Sheet:
+def loss_curve(epochs: Sequence[MatchingEpoch]) -> Sheet:
     """Loss and 1 - SSIM by epoch with their spread over the images, and ε_d; epochs taken back are hollow."""
     figure, (left, right) = pair(3.0, (1.4, 1.0))
     numbers = [epoch.epoch for epoch in epochs]
@@ -125,7 +129,7 @@ def loss_curve(epochs: Sequence[Epoch]) -> Sheet:
     return figure
 
 
-def _gamma_section(found: GammaMatch) -> Section:
+def _gamma_section(found: GammaMatch) -> ReportSection:
     rows = tuple(
         (
             str(number),
@@ -137,11 +141,13 @@ def _gamma_section(found: GammaMatch) -> Section:
         )
         for number, epoch in enumerate(found.epochs)
     )
-    table = Table(("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1: W takes the scale.")
+    table = ReportTable(
+        ("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1: W takes the scale."
+    )
     drawn = Figure.of(
         gamma_curves(found), "Response by epoch", "Bench and twin by epoch, and what is left.", True
     )
-    return Section("Gamma matching", tables=(table,), figures=(drawn,))
+    return ReportSection("Gamma matching", tables=(table,), figures=(drawn,))
 
 
 @picture
@@ -160,7 +166,7 @@ def gamma_curves(found: GammaMatch) -> Sheet:
     return figure
 
 
-def _poses_section(found: Outcome) -> Section:
+def _poses_section(found: MatchingResult) -> ReportSection:
     keys = ("ssim", "ssim_board", "epsilon_d_px")
     words = ("SSIM", "SSIM over the board", "ε_d in px")
     rows = tuple(
@@ -171,14 +177,14 @@ def _poses_section(found: Outcome) -> Section:
         for one in found.by_pose()
     )
     columns = ("Pose", *(f"{word} {when}" for word in words for when in ("before", "after")))
-    return Section("Poses", tables=(Table(columns, rows, _flatness(found.bench)),))
+    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.bench)),))
 
 
 def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.4f}"
 
 
-def _flatness(bench: Bench) -> str:
+def _flatness(bench: Reference) -> str:
     """What is asked of a flat twin where the bench's board is not."""
     found = bench.characterisation
     if found.drawn is None:
@@ -190,7 +196,7 @@ def _flatness(bench: Bench) -> str:
     )
 
 
-def _images_section(found: Outcome, twin: Twin) -> Section:
+def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
     bench, figures = found.bench, []
     images = bench.finest[:1]
     for pose in bench.spread_poses(SHOWN_POSES):
@@ -201,16 +207,18 @@ def _images_section(found: Outcome, twin: Twin) -> Section:
         name = bench.sessions[pose].path.name
         caption = f"{name}: the bench, the matched twin; the bench less the twin before and after."
         figures.append(Figure.of(differences(real, before, after), f"Images of {name}", caption, wide=True))
-    return Section("Images", figures=tuple(figures))
+    return ReportSection("Images", figures=tuple(figures))
 
 
-def _seen(bench: Bench, twin: Twin, parameters: Parameters, pose: int, images: Sequence[int]) -> Picture:
+def _seen(
+    bench: Reference, twin: Twin, parameters: Parameters, pose: int, images: Sequence[int]
+) -> GreyPicture:
     twin.become(parameters)
     return np.asarray(twin.expected(pose, bench.shown(images), bench.settings)[0])
 
 
 @picture
-def differences(real: Picture, before: Picture, after: Picture) -> Sheet:
+def differences(real: GreyPicture, before: GreyPicture, after: GreyPicture) -> Sheet:
     """The bench's image and the matched twin's, and the difference before and after, in raw levels."""
     figure = blank(FULL, 2 * map_height(real.shape, FULL / 2))
     (a, b), (c, d) = cast(Any, figure.subplots(2, 2))
@@ -226,7 +234,7 @@ def differences(real: Picture, before: Picture, after: Picture) -> Sheet:
     return figure
 
 
-def _parameters_section(found: Outcome) -> Section:
+def _parameters_section(found: MatchingResult) -> ReportSection:
     names = [n for n in vars(found.matched.parameters) if n not in ("calibration", "poses", "response")]
     before, after = found.nominal, found.matched.parameters
 
@@ -240,10 +248,10 @@ def _parameters_section(found: Outcome) -> Section:
     rows.append(
         ("baseline in mm", f"{before.calibration.baseline_mm:.3f}", f"{after.calibration.baseline_mm:.3f}")
     )
-    return Section("Parameters", tables=(Table(("Parameter", "Before", "Matched"), tuple(rows)),))
+    return ReportSection("Parameters", tables=(ReportTable(("Parameter", "Before", "Matched"), tuple(rows)),))
 
 
-def _artefact_section(one: Judgement) -> Section:
+def _artefact_section(one: ArtefactJudgement) -> ReportSection:
     figures = tuple(
         Figure.of(
             error_map(cloud, comparison.distances_mm, comparison.counted),
@@ -255,4 +263,4 @@ def _artefact_section(one: Judgement) -> Section:
             ("twin", one.twin_cloud, one.twin),
         )
     )
-    return Section(f"Artefact {one.item}", figures=figures)
+    return ReportSection(f"Artefact {one.item}", figures=figures)

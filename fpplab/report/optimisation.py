@@ -15,13 +15,13 @@ from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.measuring import RigEvaluator
-from fpplab.optimisation.objectives import Figures, Trial
-from fpplab.optimisation.run import Confirmed, Found
-from fpplab.optimisation.scoring import Figures as Measured
+from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
+from fpplab.optimisation.run import Confirmed, SearchResult
+from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
 from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, pair, picture, sheet
 from fpplab.report.figures import error_map
-from fpplab.report.page import Figure, Section, Table, write_page
+from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
 
 DISTANCE = "mean distance to the surface, µm"
 FAINT = "#9aa1a9"
@@ -42,7 +42,7 @@ COLUMNS = (
     "Seconds",
 )
 
-Maps = Mapping[str, tuple[bytes, bytes]]
+ErrorMaps = Mapping[str, tuple[bytes, bytes]]
 """Of each artefact the picture of its errors, PNG, with the start's plan and with the one found."""
 
 
@@ -53,7 +53,7 @@ class Looks:
     angles: of triangulation in degrees, by the stage's position in mm; empty where nothing moves it.
     """
 
-    maps: Maps
+    maps: ErrorMaps
     angles: Mapping[float, float]
 
 
@@ -71,7 +71,7 @@ CONFIRMED = (
 
 
 def write_optimisation_report(
-    path: Path, found: Found, confirmed: Sequence[Confirmed] = (), looks: Looks | None = None
+    path: Path, found: SearchResult, confirmed: Sequence[Confirmed] = (), looks: Looks | None = None
 ) -> None:
     """Write a search as one HTML file. Raises `DataError`."""
     sections = [_confirmed_section(confirmed)] if confirmed else []
@@ -86,7 +86,7 @@ def write_optimisation_report(
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
 
 
-def look(rig: str, found: Found) -> Looks:
+def look(rig: str, found: SearchResult) -> Looks:
     """Every artefact measured once more on the rig of the search, before and after. Raises as measuring."""
     seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
     candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}
@@ -104,7 +104,7 @@ def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int)
     return error_map(cloud, found.distances_mm, found.counted)
 
 
-def _facts(found: Found) -> dict[str, str]:
+def _facts(found: SearchResult) -> dict[str, str]:
     failed = sum(not trial.measured for trial in found.trials)
     facts = {
         "Rig": found.rig,
@@ -123,7 +123,7 @@ def _facts(found: Found) -> dict[str, str]:
     return facts
 
 
-def _summary(found: Found) -> list[Table]:
+def _summary(found: SearchResult) -> list[ReportTable]:
     rows = [_row("start", found.start, found), _row("found", found.optimum, found)]
     if len(found.front) > 1:
         rows += [_row(f"front {i}", trial, found) for i, trial in enumerate(found.front, 1)]
@@ -132,10 +132,10 @@ def _summary(found: Found) -> list[Table]:
         "distance between points and true surface. SMCD: the same between points and points, with what a "
         "perfect measurement would score. Other seeds: those that chose no plan."
     )
-    return [Table(COLUMNS, tuple(rows), caption)]
+    return [ReportTable(COLUMNS, tuple(rows), caption)]
 
 
-def _row(name: str, trial: Trial, found: Found) -> tuple[str, ...]:
+def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
     again = found.again.get(candidate)
     stage = candidate.stage_mm
@@ -146,7 +146,7 @@ def _row(name: str, trial: Trial, found: Found) -> tuple[str, ...]:
         ", ".join(str(f.steps) for f in candidate.fringes),
         "" if stage is None else f"{stage:g}",
         _with_spread(figures),
-        _with_spread(Figures.of(again)) if again else "",
+        _with_spread(CandidateFigures.of(again)) if again else "",
         f"{figures.worst_smcd_um:.2f}",
         f"{figures.surface_rms_um:.2f}",
         f"{figures.smcd_um:.1f} ({figures.smcd_floor_um:.1f})",
@@ -157,12 +157,12 @@ def _row(name: str, trial: Trial, found: Found) -> tuple[str, ...]:
     )
 
 
-def _with_spread(figures: Figures) -> str:
+def _with_spread(figures: CandidateFigures) -> str:
     spread = "" if figures.smcd_spread_um is None else f" ± {figures.smcd_spread_um:.2g}"
     return f"{figures.surface_smcd_um:.2f}{spread}"
 
 
-def _confirmed_section(confirmed: Sequence[Confirmed]) -> Section:
+def _confirmed_section(confirmed: Sequence[Confirmed]) -> ReportSection:
     rows = []
     for one in confirmed:
         known = one.confirmation
@@ -170,18 +170,18 @@ def _confirmed_section(confirmed: Sequence[Confirmed]) -> Section:
         means = (f"{_mean_um(figures):.2f}" for figures in (known.before, known.after))
         rows.append((one.plan.name, str(one.images), *means, *(f"{100 * part:.2f} %" for part in parts)))
     text = f"The artefacts measured on '{confirmed[0].rig}' with the start's plan and with each plan found."
-    return Section("Confirmation", text, tables=(Table(CONFIRMED, tuple(rows)),))
+    return ReportSection("Confirmation", text, tables=(ReportTable(CONFIRMED, tuple(rows)),))
 
 
-def _mean_um(measured: Mapping[str, Sequence[Measured]]) -> float:
+def _mean_um(measured: Mapping[str, Sequence[ArtefactFigures]]) -> float:
     return float(np.mean([one.surface_smcd_um for figures in measured.values() for one in figures]))
 
 
-def _wide_section(title: str, png: bytes, shows: str, caption: str) -> Section:
-    return Section(title, figures=(Figure.of(png, shows, caption, wide=True),))
+def _wide_section(title: str, png: bytes, shows: str, caption: str) -> ReportSection:
+    return ReportSection(title, figures=(Figure.of(png, shows, caption, wide=True),))
 
 
-def _convergence_section(found: Found) -> Section:
+def _convergence_section(found: SearchResult) -> ReportSection:
     return _wide_section(
         "Convergence",
         convergence(found),
@@ -191,11 +191,11 @@ def _convergence_section(found: Found) -> Section:
 
 
 @picture
-def convergence(found: Found) -> Sheet:
+def convergence(found: SearchResult) -> Sheet:
     """Distance, and images if they differ, of every candidate as measured, and of the best until then."""
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
-    names: tuple[tuple[str, Callable[[Figures], float]], ...] = (
+    names: tuple[tuple[str, Callable[[CandidateFigures], float]], ...] = (
         (DISTANCE, lambda figures: figures.surface_smcd_um),
         ("images", lambda figures: figures.images),
     )
@@ -233,7 +233,7 @@ def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
         formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2, 0.7)))
 
 
-def _front_section(found: Found) -> Section:
+def _front_section(found: SearchResult) -> ReportSection:
     return _wide_section(
         "Pareto front",
         front(found),
@@ -243,7 +243,7 @@ def _front_section(found: Found) -> Section:
 
 
 @picture
-def front(found: Found) -> Sheet:
+def front(found: SearchResult) -> Sheet:
     """Mean distance against images: all candidates, and the front with its spread."""
     figure, axes = sheet(FULL, 3.6)
     measured = [trial for trial in found.trials if trial.measured]
@@ -265,7 +265,7 @@ def front(found: Found) -> Sheet:
         label="front",
     )
     again = [(n, found.again[t.candidate]) for n, t in zip(images, found.front, strict=True)]
-    known = [(n, Figures.of(scores)) for n, scores in again if scores]
+    known = [(n, CandidateFigures.of(scores)) for n, scores in again if scores]
     axes.errorbar(
         [n for n, _ in known],
         [figures.surface_smcd_um for _, figures in known],
@@ -283,7 +283,7 @@ def front(found: Found) -> Sheet:
     return figure
 
 
-def _parameter_section(found: Found, angles: Mapping[float, float]) -> Section:
+def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> ReportSection:
     figures = []
     for i, parameter in enumerate(found.space.parameters):
         caption = (
@@ -301,17 +301,17 @@ def _parameter_section(found: Found, angles: Mapping[float, float]) -> Section:
                     shadow(found, i, parameter, along_angle), f"Shadow against {parameter.name}", caption
                 )
             )
-    return Section("Parameters", figures=tuple(figures))
+    return ReportSection("Parameters", figures=tuple(figures))
 
 
 @picture
-def shadow(found: Found, i: int, parameter: Parameter, angles: Mapping[float, float]) -> Sheet:
+def shadow(found: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]) -> Sheet:
     """Completeness and RMS of every candidate against one parameter of the geometry, or its angles."""
     figure, axes = sheet(HALF, 3.0)
     rms = axes.twinx()
     measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
 
-    def place(trial: Trial) -> float:
+    def place(trial: MeasuredCandidate) -> float:
         return angles.get(trial.point[i], trial.point[i])
 
     values = [place(trial) for trial in measured]
@@ -327,7 +327,7 @@ def shadow(found: Found, i: int, parameter: Parameter, angles: Mapping[float, fl
 
 
 @picture
-def along(found: Found, i: int, parameter: Parameter) -> Sheet:
+def along(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
     """Mean distance of every candidate against one parameter, with the spread over seeds."""
     figure, axes = sheet(HALF, 3.0)
     measured = [trial for trial in found.trials if trial.measured]
@@ -352,11 +352,11 @@ def along(found: Found, i: int, parameter: Parameter) -> Sheet:
     return figure
 
 
-def _map_section(name: str, before: bytes, after: bytes) -> Section:
+def _map_section(name: str, before: bytes, after: bytes) -> ReportSection:
     figures = tuple(
         Figure.of(
             png, f"Errors of the {name}, {words}", f"{words.capitalize()}: signed distance from the surface."
         )
         for png, words in ((before, "with the start's plan"), (after, "with the plan found"))
     )
-    return Section(f"Artefact {name}", figures=figures)
+    return ReportSection(f"Artefact {name}", figures=figures)

@@ -65,7 +65,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """Rows of text under columns; the first column names the row. words: the others are sentences."""
 
     columns: tuple[str, ...]
@@ -75,12 +75,12 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """One part of the page."""
 
     title: str
     text: str = ""
-    tables: tuple[Table, ...] = ()
+    tables: tuple[ReportTable, ...] = ()
     figures: tuple[Figure, ...] = ()
 
 
@@ -112,8 +112,8 @@ def write_report(
 def write_page(
     path: Path,
     title: str,
-    summary: Sequence[Table],
-    sections: Sequence[Section],
+    summary: Sequence[ReportTable],
+    sections: Sequence[ReportSection],
     facts: Mapping[str, str] | None = None,
     when: datetime | None = None,
 ) -> None:
@@ -174,21 +174,21 @@ REPROJECTION = (
 )
 
 
-def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSection]) -> list[Table]:
+def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSection]) -> list[ReportTable]:
     tables = []
     if characterisation:
         rows = tuple(_device_row(characterisation, device) for device in ("camera", "projector"))
-        tables.append(Table(CHARACTERISED, rows, REPROJECTION))
+        tables.append(ReportTable(CHARACTERISED, rows, REPROJECTION))
     compared = tuple(_compared_row(s, s.comparison) for s in scans if s.comparison is not None)
     if compared:
-        tables.append(Table(COMPARED, compared, FLOOR))
+        tables.append(ReportTable(COMPARED, compared, FLOOR))
     alone = tuple(
         (s.name, str(s.images), _count(len(s.cloud)), _roughness(s.cloud), _noise(s.cloud))
         for s in scans
         if s.comparison is None
     )
     if alone:
-        tables.append(Table(SCANNED, alone, ROUGHNESS))
+        tables.append(ReportTable(SCANNED, alone, ROUGHNESS))
     return tables
 
 
@@ -239,7 +239,7 @@ def _with_sigma(found: Characterisation, value: float, name: str) -> str:
 # Sections
 
 
-def _characterisation_section(found: Characterisation) -> Section:
+def _characterisation_section(found: Characterisation) -> ReportSection:
     calibration, observations = found.calibration, found.observations
     rms = found.pose_rms_px
     bars = figures.pose_rms(
@@ -254,7 +254,7 @@ def _characterisation_section(found: Characterisation) -> Section:
         ("projector", calibration.projector.size, projectors, found.projector_residuals),
     )
     for device, size, pixels, residuals in seen:
-        drawn = figures.residuals(np.concatenate(pixels), np.concatenate(residuals), size, device)
+        drawn = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
         caption = (
             f"Reprojection errors of the {device}, model minus observation: over its pixels, and together."
         )
@@ -273,19 +273,19 @@ def _characterisation_section(found: Characterisation) -> Section:
     text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
     text += f" Baseline {baseline:.2f} mm."
     left_out = tuple(found.left_out.items())
-    tables = (Table(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
-    return Section("Characterisation", text, tables, tuple(pictures))
+    tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
+    return ReportSection("Characterisation", text, tables, tuple(pictures))
 
 
-def _response_section(response: Response, levels: Floats) -> Section:
+def _response_section(response: Response, levels: Floats) -> ReportSection:
     values = zip((response.a, response.b, response.g), response.sigma, strict=True)
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
     columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
     text = "Level seen = a · (level shown)ᵍ + b, levels as shares of full scale."
-    return Section(
+    return ReportSection(
         "Response",
         text,
-        (Table(columns, (row,), "; ".join(response.left_out)),),
+        (ReportTable(columns, (row,), "; ".join(response.left_out)),),
         (_response_figure(response, levels),),
     )
 
@@ -302,7 +302,7 @@ def _response_figure(response: Response, levels: Floats) -> Figure:
     return Figure.of(figures.response_curve(response, levels), alt, caption, wide=True)
 
 
-def _scan_section(scan: ScanSection) -> Section:
+def _scan_section(scan: ScanSection) -> ReportSection:
     name, decoded, cloud = scan.name, scan.decoded, scan.cloud
     phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
     pictures = [
@@ -317,7 +317,7 @@ def _scan_section(scan: ScanSection) -> Section:
             "Modulation: the amplitude of the fringes.",
         ),
         Figure.of(
-            figures.wrapped_phase(phase),
+            figures.wrapped_phase_figure(phase),
             f"Map of the wrapped phase of the {name}",
             "Wrapped phase of the finest set.",
         ),
@@ -344,7 +344,7 @@ def _scan_section(scan: ScanSection) -> Section:
     if scan.comparison is not None:
         pictures.append(_error_figure(scan, scan.comparison))
         text += f" Both devices see {_percent(scan.comparison.visible_share)} of the true shape's surface."
-    return Section(name[:1].upper() + name[1:], text + " Grey: not measured.", figures=tuple(pictures))
+    return ReportSection(name[:1].upper() + name[1:], text + " Grey: not measured.", figures=tuple(pictures))
 
 
 def _coordinates(scan: ScanSection) -> list[Figure]:

@@ -35,8 +35,8 @@ from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Lattice, Map, r
 from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import Frame
-from fpplab.matching.record import Epoch
-from fpplab.optimisation.candidate_runner import Epoch as Round
+from fpplab.matching.record import MatchingEpoch
+from fpplab.optimisation.candidate_runner import SearchEpoch
 from fpplab.patterns.fringes import pattern_image
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, Wrapped, wrapped_phase
@@ -60,11 +60,11 @@ BACKGROUND = (38, 41, 46)
 log = logging.getLogger("fpplab")
 
 
-Method = TypeVar("Method", bound=Callable[..., None])
+ViewerMethod = TypeVar("ViewerMethod", bound=Callable[..., None])
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-def _harmless(method: Method) -> Method:
+def _harmless(method: ViewerMethod) -> ViewerMethod:
     """A fault of the viewer is logged in one line and switches it off."""
 
     @wraps(method)
@@ -76,7 +76,7 @@ def _harmless(method: Method) -> Method:
                 self.fault = " ".join(str(error).split()) or type(error).__name__
                 log.warning("the viewer is switched off: %s", self.fault)
 
-    return cast(Method, guarded)
+    return cast(ViewerMethod, guarded)
 
 
 class Viewer:
@@ -226,7 +226,7 @@ class Viewer:
         self._log("world/cloud", points, static=True)
 
     @_harmless
-    def epoch(self, epoch: Epoch) -> None:
+    def epoch(self, epoch: MatchingEpoch) -> None:
         """One epoch of a matching: both devices where the twin has them now, and curves of loss and parts."""
         import rerun as rr
 
@@ -237,7 +237,7 @@ class Viewer:
         self._log("match/difference", rr.Scalars(epoch.difference))
 
     @_harmless
-    def search(self, round_: Round) -> None:
+    def search(self, round_: SearchEpoch) -> None:
         """One epoch of a search: what was measured in it, and curves of the best until then."""
         import rerun as rr
 

@@ -6,7 +6,6 @@ import hashlib
 import re
 import shutil
 import string
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from PIL import Image as Pillow
 
 from fpplab.core.conventions import Image, full_scale, raw_dtype
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.progress import Progress, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
@@ -26,7 +26,7 @@ def import_images(
     out: Path,
     bits: int = 8,
     force: bool = False,
-    progress: Callable[[float], None] = lambda share: None,
+    progress: Progress = no_progress,
 ) -> Session:
     """Bring `plan.images` grey images of `folder` into a new session, in the plan's order.
 

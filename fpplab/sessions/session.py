@@ -16,7 +16,7 @@ import hashlib
 import io
 import json
 import shutil
-from collections.abc import Callable, Container
+from collections.abc import Container
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -40,6 +40,7 @@ from fpplab.core.files import (
     write_parts,
     write_text,
 )
+from fpplab.core.progress import Progress, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import FringeSet, Plan
 
@@ -98,7 +99,7 @@ class Session:
         """An existing session. Raises `DataError` when it is none or its journal is damaged."""
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
-        plan = config.load(path / PLAN, Plan)
+        plan = config.load_document(path / PLAN, Plan)
         return cls(path, plan, _read_journal(path, plan))
 
     @classmethod
@@ -133,7 +134,7 @@ class Session:
     def rig(self) -> RigRecord:
         """The rig as resolved when the session was made, or None for imported images."""
         path = self.path / RIG
-        return config.parse(config.read_text(path), path) if path.is_file() else None
+        return config.parse_yaml(config.read_text(path), path) if path.is_file() else None
 
     @property
     def records(self) -> list[FrameRecord]:
@@ -202,7 +203,7 @@ class Session:
             raise DataError(f"{path}: frame {index} is corrupt: its checksum is not the journal's")
         return image
 
-    def stack(self, verify: bool = True, progress: Callable[[float], None] | None = None) -> list[Image]:
+    def stack(self, verify: bool = True, progress: Progress = no_progress) -> list[Image]:
         """Every frame of the plan in its order, memory-mapped.
 
         Raises `DataError` naming the frames that are missing, or of another size than the first.
@@ -221,8 +222,7 @@ class Session:
                     f"{self.path / record.file}: frame {i} is {_shown(record.format)}, "
                     f"but the first is {_shown(self.format)}"
                 )
-            if progress:
-                progress((i + 1) / self.plan.images)
+            progress((i + 1) / self.plan.images)
         return images
 
     def finest(self) -> tuple[FringeSet, list[Image]]:

@@ -13,12 +13,12 @@ import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.errors import ConfigError
-from fpplab.dataset.scenes import Scene
+from fpplab.dataset.scenes import DatasetScene
 from fpplab.devices.rig import Rig, load_backend
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class SceneTruth:
     """What stands before the camera. mesh: in mm in the camera's frame; flat ones have two sides.
 
     calibration: the true devices, with the stage where it is.
@@ -28,7 +28,7 @@ class Truth:
     calibration: Calibration
 
 
-class Studio(Protocol):
+class Arrangeable(Protocol):
     """A simulation that takes any scene. Raises `ConfigError` for one that it cannot have."""
 
     def nominal(self) -> dict[str, Any]:
@@ -39,7 +39,7 @@ class Studio(Protocol):
         """The true devices with the stage at `stage_mm`."""
         ...
 
-    def arrange(self, scene: Scene) -> None:
+    def arrange(self, scene: DatasetScene) -> None:
         """Stand the scene's item before the devices, in the scene's light. The stage moves as a device."""
         ...
 
@@ -47,7 +47,7 @@ class Studio(Protocol):
         """The world as it is arranged, as plain data."""
         ...
 
-    def truth(self) -> Truth:
+    def truth(self) -> SceneTruth:
         """What stands there."""
         ...
 

@@ -15,14 +15,14 @@ import trimesh
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import Image, Pixels
+from fpplab.core.conventions import Image, PixelIndices
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.response import Curve
 from fpplab.targets import Target
 
-Levels = NDArray[np.float32]
+ExpectedLevels = NDArray[np.float32]
 """Raw levels without noise and without rounding, (n, h, w), 0 … full scale, clipped there."""
 
 
@@ -85,12 +85,12 @@ class Twin(Protocol):
     def become(self, parameters: Parameters) -> None:
         """Go on with these; what does not depend on the change is kept."""
 
-    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """What the camera sees of the board on average, without noise and vibration."""
 
     def expected_at(
-        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
-    ) -> Levels:
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> ExpectedLevels:
         """What `expected` is at these pixels, (n, P), for little more than their share of the time."""
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
@@ -99,7 +99,7 @@ class Twin(Protocol):
         Vibration counts to first order in the item's displacement.
         """
 
-    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         """What the camera sees of another item of the world (a card), where the world has it.
 
         Raises `ConfigError` when the world has no such item.

@@ -23,7 +23,7 @@ from fpplab.core.errors import CalibrationError
 if TYPE_CHECKING:
     from fpplab.targets.target import Target
 
-Shape = Callable[[Floats, Floats, Floats], Floats]
+BrightnessProfile = Callable[[Floats, Floats, Floats], Floats]
 """A brightness profile of parameters θ at (x, y): its centre is θ[:2], its level and gain are free."""
 
 LEAST_POINTS = 6
@@ -212,7 +212,7 @@ def _centred(target: Target, ellipses: Detection) -> Detection:
     return found
 
 
-def model(target: Target) -> tuple[Shape, Callable[[Floats], Floats], float]:
+def model(target: Target) -> tuple[BrightnessProfile, Callable[[Floats], Floats], float]:
     """The profile of a point, its first parameters in a local frame, and half the window's side in mm."""
     if target.diameter_mm is not None:
         radius = target.diameter_mm / 2
@@ -237,7 +237,7 @@ def _fit_centre(
     pixel: Floats,
     frame: Floats,
     half_mm: float,
-    shape: Shape,
+    shape: BrightnessProfile,
     start: Callable[[Floats], Floats],
 ) -> Floats | None:
     """The centre in px of the profile that fits best around `pixel`; None when there is none."""

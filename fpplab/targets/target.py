@@ -30,7 +30,7 @@ RIM = 0.1
 """Ground that a circle needs around it to be found, as a share of its diameter."""
 
 Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=2, le=200)]
+GridCount = Annotated[int, Field(ge=2, le=200)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Box = tuple[float, float, float, float]
 """A rectangle (left, top, right, bottom) in mm in the board's frame."""
@@ -52,7 +52,7 @@ class Target(Document):
 
     kind: Literal["circles", "checkerboard", "charuco"]
     size_mm: tuple[Positive, Positive]
-    counts: tuple[Count, Count]
+    counts: tuple[GridCount, GridCount]
     spacing_mm: tuple[Positive, Positive]
     staggered: bool = False
     diameter_mm: Positive | None = None
@@ -68,7 +68,7 @@ class Target(Document):
 
         Raises `ConfigError`.
         """
-        return config.load(config.find(path), cls)
+        return config.load_document(config.find_config(path), cls)
 
     @model_validator(mode="after")
     def _fields_fit_kind(self) -> Target:

@@ -11,7 +11,7 @@ import _cycles
 import bpy
 from mathutils import Matrix
 
-from sim.scene import Aperture, Optics, Refused, View
+from sim.scene import Aperture, PinholeOptics, RenderRefused, SubpixelView
 
 SOURCE = Path(__file__).with_name("camera.osl")
 
@@ -25,10 +25,10 @@ def compile_shader() -> str:
         return compiled.read_text()
 
 
-def add_camera(scene: Any, optics: Optics, aperture: Aperture, bytecode: str | None) -> Any:
+def add_camera(scene: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str | None) -> Any:
     """A camera at the origin that looks along +z with y down, as OpenCV's does.
 
-    Without byte code it is Blender's own, for devices that run no shaders of ours: `Refused` when it would
+    Without byte code it is Blender's own, for devices that run no shaders of ours: `RenderRefused` when it would
     have to distort or blur, which it cannot.
     """
     data = bpy.data.cameras.new("camera")
@@ -45,7 +45,7 @@ def add_camera(scene: Any, optics: Optics, aperture: Aperture, bytecode: str | N
     return data
 
 
-def aim(camera: Any, optics: Optics, view: View) -> None:
+def aim(camera: Any, optics: PinholeOptics, view: SubpixelView) -> None:
     """Look through one point of every pixel and of the lens."""
     if camera.type == "CUSTOM":
         values = dict(zip(("shift_u", "shift_v", "lens_x", "lens_y"), (*view.shift, *view.lens), strict=True))
@@ -59,7 +59,7 @@ def aim(camera: Any, optics: Optics, view: View) -> None:
     camera.update_tag()
 
 
-def _custom(data: Any, optics: Optics, aperture: Aperture, bytecode: str) -> None:
+def _custom(data: Any, optics: PinholeOptics, aperture: Aperture, bytecode: str) -> None:
     data.type, data.custom_mode = "CUSTOM", "INTERNAL"
     data.custom_bytecode = bytecode
     data.custom_bytecode_hash = hashlib.md5(bytecode.encode()).hexdigest()
@@ -76,9 +76,9 @@ _PARAMETERS = (
 )
 
 
-def _pinhole(data: Any, optics: Optics, aperture: Aperture) -> None:
+def _pinhole(data: Any, optics: PinholeOptics, aperture: Aperture) -> None:
     if optics.distortion.any() or aperture.diameter_mm:
-        raise Refused(
+        raise RenderRefused(
             "distortion and depth of field need a camera that runs on CPU and OPTIX alone; "
             "choose one of them as 'render.device', or set distortion to zeros and leave out focus_mm"
         )

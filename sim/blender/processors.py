@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from sim.scene import Refused
+from sim.scene import RenderRefused
 
 CPU, OPTIX = "CPU", "OPTIX"
 
@@ -17,14 +17,14 @@ def runs_osl(device: str) -> bool:
 
 
 def choose_device(stage: Any, device: str) -> None:
-    """Render on every device of a kind. Raises `Refused` when there is none."""
+    """Render on every device of a kind. Raises `RenderRefused` when there is none."""
     if device == CPU:
         stage.cycles.device = CPU
         return
     preferences = _preferences()
     found = _devices(preferences, device)
     if not found:
-        raise Refused(
+        raise RenderRefused(
             f"'render.device' is {device}, but there is no {device} device that Cycles can use; "
             "set it to CPU, or install the device's driver"
         )

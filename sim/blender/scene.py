@@ -14,21 +14,38 @@ from sim.blender.camera import add_camera, aim, compile_shader
 from sim.blender.materials import add_paint
 from sim.blender.processors import choose_device, runs_osl
 from sim.blender.projector import add_projector
-from sim.scene import ALBEDO, COLOURS, DIRECT, POSITION, REFLECTANCE, Effort, Scene, Surface, View, X, Z
+from sim.scene import (
+    ALBEDO,
+    COLOURS,
+    DIRECT,
+    POSITION,
+    REFLECTANCE,
+    Effort,
+    RenderScene,
+    SubpixelView,
+    Surface,
+    X,
+    Z,
+)
 
-Pixels = NDArray[np.float32]
+PixelBuffer = NDArray[np.float32]
 
 
-class Studio:
+class BlenderScene:
     """Holds one scene and renders it."""
 
     def __init__(self) -> None:
         self._bytecode = compile_shader()
-        self._passes: dict[str, Pixels] = {}
+        self._passes: dict[str, PixelBuffer] = {}
         _keep_passes(self._passes)
 
     def render(
-        self, scene: Scene, textures: Pixels | None, views: list[View], effort: Effort, out: Pixels
+        self,
+        scene: RenderScene,
+        textures: PixelBuffer | None,
+        views: list[SubpixelView],
+        effort: Effort,
+        out: PixelBuffer,
     ) -> None:
         """Render once for every view into `out` (views, height, width, effort.channels)."""
         out[...] = 0
@@ -51,7 +68,7 @@ class Studio:
             bpy.ops.render.render()
             self._take(picture[top:bottom, left:right])
 
-    def _take(self, out: Pixels) -> None:
+    def _take(self, out: PixelBuffer) -> None:
         """The passes of the last render in the order of `sim.scene`'s channels."""
         passes = self._passes
         out[..., :COLOURS] = passes["Combined"][..., :COLOURS]
@@ -66,7 +83,7 @@ class Studio:
         out[..., X : Z + 1] = passes[POSITION][..., :3]
 
 
-def _keep_passes(passes: dict[str, Pixels]) -> None:
+def _keep_passes(passes: dict[str, PixelBuffer]) -> None:
     """Take the passes as floats from Cycles itself: without a window Blender gives them to files alone."""
     render = cycles.CyclesRender.render
 
@@ -105,7 +122,7 @@ def _linear_and_exact(stage: Any, effort: Effort) -> None:
     settings.use_light_tree = False
 
 
-def _restrict(stage: Any, scene: Scene) -> None:
+def _restrict(stage: Any, scene: RenderScene) -> None:
     """Render the window alone."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     render = stage.render

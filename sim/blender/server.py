@@ -18,13 +18,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blender.scene import Studio
-from sim.scene import Effort, Refused, Scene, View
+from sim.blender.scene import BlenderScene
+from sim.scene import Effort, RenderRefused, RenderScene, SubpixelView
 
 
-def serve(connection: Connection, memory: int) -> None:
+def serve_renders(connection: Connection, memory: int) -> None:
     """Answer requests until the other end is gone."""
-    studio, scene, pixels = Studio(), None, np.empty(0, np.float32)
+    studio, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
     connection.send(("ready", bpy.app.version_string))
     while True:
         verb, content = connection.recv()
@@ -36,18 +36,18 @@ def serve(connection: Connection, memory: int) -> None:
                 pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
             _render(studio, scene, pixels, **content)
             connection.send(("done", None))
-        except Refused as refused:
+        except RenderRefused as refused:
             connection.send(("refused", str(refused)))
         except Exception as error:  # noqa: BLE001 - reported to the process that asked
             connection.send(("failed", f"{type(error).__name__}: {error}"))
 
 
 def _render(
-    studio: Studio,
-    scene: Scene | None,
+    studio: BlenderScene,
+    scene: RenderScene | None,
     pixels: NDArray[np.float32],
     textured: bool,
-    views: list[View],
+    views: list[SubpixelView],
     effort: Effort,
 ) -> None:
     if scene is None:
@@ -80,7 +80,7 @@ def main(arguments: list[str]) -> None:
     warnings.simplefilter("ignore", DeprecationWarning)
     _end_with(socket)
     try:
-        serve(Connection(socket), memory)
+        serve_renders(Connection(socket), memory)
     except (EOFError, OSError):
         os._exit(0)
 

@@ -1,7 +1,7 @@
 """Light from the projector by way of the scene to the sensor."""
 
 from sim.build import Setup
-from sim.light.basis import Picture
+from sim.light.basis import PatternLevels
 from sim.light.light import Light, Show
 
-__all__ = ["Light", "Picture", "Setup", "Show"]
+__all__ = ["Light", "PatternLevels", "Setup", "Show"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Picture = NDArray[np.float32]
+PatternLevels = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,15 +19,15 @@ class Basis:
     """
 
     weights: NDArray[np.float64]
-    channels: Picture
+    channels: PatternLevels
 
-    def level(self, n: int) -> Picture:
+    def level(self, n: int) -> PatternLevels:
         """What the basis gives for pattern n, (rows, columns)."""
         weights = self.weights[n].astype(np.float32)
         return np.asarray(np.tensordot(weights, self.channels, axes=1))
 
 
-def span(levels: Picture, allowed: float) -> Basis:
+def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
     """The smallest basis from which every pattern follows within `allowed` RMS.
 
     levels: (patterns, rows, columns) in [0, 1]. The first channel is white; the others are principal
@@ -49,7 +49,7 @@ def span(levels: Picture, allowed: float) -> Basis:
     return Basis(weights, channels.reshape(-1, *shape))
 
 
-def _moments(flat: Picture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Means (n,) and covariance (n, n) of n rows, summed in double precision, a cache's worth at a time."""
     n, count = flat.shape
     total, products = np.zeros(n), np.zeros((n, n))

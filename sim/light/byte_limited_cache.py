@@ -17,7 +17,7 @@ class Sized(Protocol):
 T = TypeVar("T", bound=Sized)
 
 
-class Kept(Generic[T]):
+class ByteLimitedCache(Generic[T]):
     """Results by key; when they are more than `limit` bytes the longest unused go."""
 
     def __init__(self, limit: int) -> None:
@@ -40,7 +40,7 @@ class Kept(Generic[T]):
     def __contains__(self, key: object) -> bool:
         return key in self._results
 
-    def take(self, other: Kept[T]) -> None:
+    def take(self, other: ByteLimitedCache[T]) -> None:
         """Share all that another keeps."""
         self._results.update(other._results)
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.system import cache_directory
-from sim.light.table import Table
-from sim.scene import Scene, View
+from sim.light.table import LightTable
+from sim.scene import RenderScene, SubpixelView
 
 LIMIT_BYTES = 2 << 30
 FORMAT = "fpplab light table 4"
@@ -32,7 +32,7 @@ FORMAT = "fpplab light table 4"
 _log = logging.getLogger(__name__)
 
 
-def digest(scene: Scene, views: list[View], *more: object) -> str:
+def digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
     """Names all that a table depends on: more than scene and views where it is not of all pixels."""
     hashed = hashlib.sha256()
     _feed(hashed, (scene, views, *more))
@@ -74,7 +74,7 @@ class TableCache:
         self._directory = directory or cache_directory() / "light"
         self._limit = limit
 
-    def load(self, key: str) -> Table | None:
+    def load(self, key: str) -> LightTable | None:
         """The table of that key, or None. A file that is not whole or from elsewhere is removed."""
         path = self._path(key)
         try:
@@ -91,7 +91,7 @@ class TableCache:
             os.utime(path)
         return table
 
-    def store(self, key: str, table: Table) -> None:
+    def store(self, key: str, table: LightTable) -> None:
         """Keep a table. What cannot be written is only slower, so that is a warning and no error."""
         if table.nbytes > self._limit:
             _log.warning("%.1f GB of light are more than the cache holds; not kept", table.nbytes / 1e9)
@@ -104,7 +104,7 @@ class TableCache:
             return
         self._make_room()
 
-    def _write_whole(self, path: Path, table: Table) -> None:
+    def _write_whole(self, path: Path, table: LightTable) -> None:
         """Under its name once it is complete; not flushed to the disk, because its checksum would tell."""
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f"{path.name}.", delete=False) as draft:
             try:
@@ -133,7 +133,7 @@ class TableCache:
             total -= stat.st_size
 
 
-def _write(stream: IO[bytes], table: Table) -> None:
+def _write(stream: IO[bytes], table: LightTable) -> None:
     about = {
         "renderer": renderer(),
         "samples": table.samples.shape,
@@ -147,7 +147,7 @@ def _write(stream: IO[bytes], table: Table) -> None:
     stream.write(hashed.digest())
 
 
-def _read(stream: BinaryIO) -> Table:
+def _read(stream: BinaryIO) -> LightTable:
     """Raises `ValueError` that says what is wrong, `KeyError` or `TypeError` where that is the head."""
     first = stream.readline(200)
     name = first.decode(errors="replace").strip()
@@ -162,7 +162,7 @@ def _read(stream: BinaryIO) -> Table:
     if stream.read(64) != hashed.digest():
         raise ValueError("its checksum is wrong")
     left, top = about["corner"]
-    return Table(samples, albedo, (int(left), int(top)))
+    return LightTable(samples, albedo, (int(left), int(top)))
 
 
 def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:

@@ -20,17 +20,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Pixels, full_scale
+from fpplab.core.conventions import Floats, PixelIndices, full_scale
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_scene
-from sim.light.basis import Basis, Picture, span
-from sim.light.byte_limited_cache import Kept
+from sim.light.basis import Basis, PatternLevels, smallest_basis
+from sim.light.byte_limited_cache import ByteLimitedCache
 from sim.light.cache import TableCache, digest
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
-from sim.light.table import Table
-from sim.scene import COLOURS, Effort, Scene, View
+from sim.light.table import LightTable
+from sim.scene import COLOURS, Effort, RenderScene, SubpixelView
 from sim.texture import MirrorTexture, Part
 from sim.worker import Blender
 from sim.world import World
@@ -57,14 +57,14 @@ class Show:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class MirrorStates:
     """Light of the mirrors, relative to the brightest, in each of `count` states.
 
     of: gives one state's, (rows, columns) float32. rounding: RMS of what quantisation made of it.
     """
 
     count: int
-    of: Callable[[int], Picture]
+    of: Callable[[int], PatternLevels]
     rounding: float
 
 
@@ -72,8 +72,8 @@ class Levels:
 class Rendered:
     """A basis' pictures (channels, height, width), and the table of direct light that came with them."""
 
-    pictures: Picture
-    table: Table
+    pictures: PatternLevels
+    table: LightTable
 
     @property
     def nbytes(self) -> int:
@@ -92,22 +92,22 @@ class Light:
     ) -> None:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
-        self._tables: Kept[Table] = Kept(2 * KEEP_BYTES)
-        self._shaken: tuple[str, Table] | None = None
-        self._pictures: Kept[Picture] = Kept(KEEP_BYTES)
-        self._bases: Kept[Rendered] = Kept(2 * KEEP_BYTES)
-        self._albedos: Kept[Picture] = Kept(KEEP_BYTES)
-        self._loaded: tuple[tuple[Pattern, ...], Levels] | None = None
-        self._planes: tuple[Pattern, Levels] | None = None
-        self._basis: tuple[Levels, Basis] | None = None
-        self._scene: tuple[Setup, Scene, MirrorTexture] | None = None
+        self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._shaken: tuple[str, LightTable] | None = None
+        self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
+        self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
+        self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
+        self._loaded: tuple[tuple[Pattern, ...], MirrorStates] | None = None
+        self._planes: tuple[Pattern, MirrorStates] | None = None
+        self._basis: tuple[MirrorStates, Basis] | None = None
+        self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
         self._falloff = _vignette(world)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
             )
 
-    def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> Picture:
+    def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
         """What the camera sees (height, width) float32, 1 for white; `show` None: the lamp is off.
 
         row_weights: (bits, height), how much of each binary plane of the pattern every row collects, from
@@ -126,7 +126,9 @@ class Light:
             picture *= self._falloff
         return picture
 
-    def irradiance_at(self, setup: Setup, patterns: tuple[Pattern, ...], pixels: Pixels) -> Picture:
+    def irradiance_at(
+        self, setup: Setup, patterns: tuple[Pattern, ...], pixels: PixelIndices
+    ) -> PatternLevels:
         """What `irradiance` is at some pixels, under each of the patterns (n, P).
 
         Where light is computed it is traced for these alone.
@@ -146,7 +148,7 @@ class Light:
         """Whether the item's light takes no render."""
         return self._analytic and can_compute(self._built(setup)[1])
 
-    def table(self, setup: Setup) -> Table:
+    def table(self, setup: Setup) -> LightTable:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
         key = digest(scene, self._views(setup))
@@ -170,7 +172,7 @@ class Light:
             kept.clear()
         self._shaken = None
 
-    def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> Picture:
+    def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
             return self._picture(setup, self._levels(show.patterns), show.index)
         planes = self._levels_of_planes(show.pattern)
@@ -179,7 +181,7 @@ class Light:
             picture += weights.astype(np.float32)[:, None] * self._picture(setup, planes, plane)
         return picture
 
-    def _picture(self, setup: Setup, levels: Levels, index: int) -> Picture:
+    def _picture(self, setup: Setup, levels: MirrorStates, index: int) -> PatternLevels:
         """Under one state of the mirrors."""
         path = self._world.path
         if path == "transport":
@@ -192,12 +194,14 @@ class Light:
         basis = self._basis_of(levels)
         rendered = self._basis_under(setup, basis)
         weights = basis.weights[index].astype(np.float32)
-        whole: Picture = np.tensordot(weights, rendered.pictures, axes=1)
+        whole: PatternLevels = np.tensordot(weights, rendered.pictures, axes=1)
         if self._world.is_translucent(setup.item):
             return whole  # what rounding leaves is washed out below the surface
         return whole + self._looked_up(setup, levels, index, basis)
 
-    def _looked_up(self, setup: Setup, levels: Levels, index: int, basis: Basis | None) -> Picture:
+    def _looked_up(
+        self, setup: Setup, levels: MirrorStates, index: int, basis: Basis | None
+    ) -> PatternLevels:
         """From the table: several states at once, because their samples lie at the same places.
 
         basis: whose sums are left out, so that only what rounding leaves is looked up.
@@ -211,10 +215,12 @@ class Light:
         pictures = self._pictures.get(
             (setup, levels, basis, first), lambda: self._look_up(setup, levels, states, basis)
         )
-        picture: Picture = pictures[index - first]
+        picture: PatternLevels = pictures[index - first]
         return picture
 
-    def _look_up(self, setup: Setup, levels: Levels, states: range, basis: Basis | None) -> Picture:
+    def _look_up(
+        self, setup: Setup, levels: MirrorStates, states: range, basis: Basis | None
+    ) -> PatternLevels:
         if basis is None:
             table, light = self.table(setup), [levels.of(n) for n in states]
         else:
@@ -222,7 +228,7 @@ class Light:
             light = [levels.of(n) - basis.level(n) for n in states]
         return self._seen(setup, table, light)
 
-    def _seen(self, setup: Setup, table: Table, light: Sequence[Picture]) -> Picture:
+    def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Under mirrors at these light levels, as the table has its pixels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         part = table.part(texture.shape)
@@ -235,68 +241,73 @@ class Light:
         """Three channels in a render; the table comes with the first, whose first channel is white."""
         _, scene, _ = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
-        table = Table.of(first, scene).divided_by(self._textures(setup, basis.channels[:1]), scene.lamp.sharp)
+        table = LightTable.of(first, scene).divided_by(
+            self._textures(setup, basis.channels[:1]), scene.lamp.sharp
+        )
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)
         for start in range(COLOURS, len(basis.channels), COLOURS):
             pictures += _colours(self._rendered(setup, basis.channels[start : start + COLOURS]))
         return Rendered(np.stack(pictures[: len(basis.channels)]), table)
 
-    def _albedo(self, setup: Setup) -> Picture:
+    def _albedo(self, setup: Setup) -> PatternLevels:
         """Mean reflectance of what every pixel sees, from any render of the set-up."""
-        albedo: Picture = self._albedos.get(setup, lambda: self.table(setup).albedo)
+        albedo: PatternLevels = self._albedos.get(setup, lambda: self.table(setup).albedo)
         return albedo
 
-    def _levels(self, patterns: tuple[Pattern, ...]) -> Levels:
+    def _levels(self, patterns: tuple[Pattern, ...]) -> MirrorStates:
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._world.projector.response
             depth = min(p.bit_depth for p in patterns)
             rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * full_scale(depth))
-            self._loaded = (patterns, Levels(len(patterns), lambda n: self._level(patterns[n]), rounding))
+            self._loaded = (
+                patterns,
+                MirrorStates(len(patterns), lambda n: self._level(patterns[n]), rounding),
+            )
         return self._loaded[1]
 
-    def _level(self, pattern: Pattern) -> Picture:
+    def _level(self, pattern: Pattern) -> PatternLevels:
         response = self._world.projector.response
         table = response.a * np.linspace(0, 1, 256) ** response.g + response.b
         return table.astype(np.float32)[pattern.image]
 
-    def _levels_of_planes(self, pattern: Pattern) -> Levels:
+    def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
         """What closed mirrors leak, state 0, and the binary planes, the least significant first."""
         if self._planes is None or self._planes[0] is not pattern:
             response, bits = self._world.projector.response, pattern.bit_depth
             greys = full_scale(bits)
             codes = np.rint((self._level(pattern) - response.b) / response.a * greys).astype(np.int64)
 
-            def of(n: int) -> Picture:
+            def of(n: int) -> PatternLevels:
                 if n == 0:
                     return np.full(codes.shape, response.b, np.float32)
                 bit = n - 1
                 return np.asarray((codes >> bit & 1) * (response.a * 2**bit / greys), np.float32)
 
-            self._planes = (pattern, Levels(bits + 1, of, 0.0))
+            self._planes = (pattern, MirrorStates(bits + 1, of, 0.0))
         return self._planes[1]
 
-    def _basis_of(self, levels: Levels) -> Basis:
+    def _basis_of(self, levels: MirrorStates) -> Basis:
         if self._basis is None or self._basis[0] is not levels:
-            basis = span(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
+            basis = smallest_basis(np.stack([levels.of(n) for n in range(levels.count)]), levels.rounding)
             self._basis = (levels, basis)
         return self._basis[1]
 
-    def _found(self, setup: Setup, key: str) -> Table:
+    def _found(self, setup: Setup, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
             return computed(scene, self._views(setup), spots=True)
         keep = self._cache if not any(setup.shake_mm) else None
         table = keep.load(key) if keep else None
         if table is None:
-            table = Table.of(
+            table = LightTable.of(
                 self._render(setup, None, self._effort(bounces=0, samples=1, survey=True)), scene
             )
             if keep:
                 keep.store(key, table)
         return table
 
-    def _rendered(self, setup: Setup, channels: Picture, survey: bool = False) -> Picture:
+    def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
         """Renders (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
         dark = [np.zeros_like(channels[0])] * (COLOURS - len(channels))
         render = self._world.render
@@ -304,8 +315,8 @@ class Light:
         return self._render(setup, self._textures(setup, [*channels, *dark]), effort)
 
     def _textures(
-        self, setup: Setup, levels: Sequence[Picture] | Picture, part: Part | None = None
-    ) -> Picture:
+        self, setup: Setup, levels: Sequence[PatternLevels] | PatternLevels, part: Part | None = None
+    ) -> PatternLevels:
         """Of mirrors at these light levels, (circles, rows, columns, levels), whole or so much of them."""
         _, scene, texture = self._built(setup)
         circles, (rows, columns) = scene.lamp.circles, texture.shape
@@ -320,20 +331,22 @@ class Light:
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
 
-    def _views(self, setup: Setup) -> list[View]:
+    def _views(self, setup: Setup) -> list[SubpixelView]:
         render = self._world.render
         more = render.computed_subpixels if self.computes(setup) else None
         places = shifts(more or render.subpixels)
         if not self._world.camera.aperture_mm:
-            return [View(place) for place in places]
-        return [View(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)]
+            return [SubpixelView(place) for place in places]
+        return [
+            SubpixelView(place, lens) for place, lens in zip(places, lens_points(len(places)), strict=True)
+        ]
 
-    def _built(self, setup: Setup) -> tuple[Setup, Scene, MirrorTexture]:
+    def _built(self, setup: Setup) -> tuple[Setup, RenderScene, MirrorTexture]:
         if self._scene is None or self._scene[0] != setup:
             self._scene = (setup, *build_scene(self._world, setup))
         return self._scene
 
-    def _render(self, setup: Setup, textures: Picture | None, effort: Effort) -> Picture:
+    def _render(self, setup: Setup, textures: PatternLevels | None, effort: Effort) -> PatternLevels:
         _, scene, _ = self._built(setup)
         views = self._views(setup)
         width, height = self._world.camera.size
@@ -341,7 +354,7 @@ class Light:
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
 
 
-def _colours(rendered: Picture) -> list[Picture]:
+def _colours(rendered: PatternLevels) -> list[PatternLevels]:
     """The three pictures (height, width) of a render (views, height, width, …)."""
     total = np.zeros((*rendered.shape[1:3], COLOURS), np.float32)
     for view in rendered:  # one after another as they lie in memory
@@ -349,7 +362,7 @@ def _colours(rendered: Picture) -> list[Picture]:
     return list(np.moveaxis(total / np.float32(len(rendered)), -1, 0))
 
 
-def _vignette(world: World) -> Picture | None:
+def _vignette(world: World) -> PatternLevels | None:
     """What of the light the lens lets through to each pixel, (height, width); None for all of it."""
     exponent = world.camera.vignetting
     if exponent == 0:
@@ -361,7 +374,9 @@ def _vignette(world: World) -> Picture | None:
 
 
 @lru_cache(maxsize=2)
-def _falloff(size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]) -> Picture:
+def _falloff(
+    size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]
+) -> PatternLevels:
     """Cosine of the angle between each pixel's ray and the axis, (height, width)."""
     camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
     v, u = np.mgrid[0 : size[1], 0 : size[0]].astype(np.float64)

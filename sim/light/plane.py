@@ -26,10 +26,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Pixels
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform, distort
-from sim.light.table import Picture, Table, circle_level
-from sim.scene import Paint, Scene, Surface, View
+from sim.light.table import Irradiance, LightTable, circle_level
+from sim.scene import Paint, RenderScene, SubpixelView, Surface
 
 STEPS = 20
 SPOTS = 4
@@ -40,7 +40,7 @@ SETTLED = 1e-20
 """Square of a step of slopes, far below what a pixel can show, from which on rays are not corrected."""
 
 
-def can_compute(scene: Scene) -> bool:
+def can_compute(scene: RenderScene) -> bool:
     """Whether the scene is one rectangle in its plane z = 0, of matt paint without relief."""
     if len(scene.surfaces) != 1:
         return False
@@ -49,7 +49,9 @@ def can_compute(scene: Scene) -> bool:
     return flat and surface.paint == Paint(surface.paint.reflectance, ink=surface.paint.ink)
 
 
-def computed(scene: Scene, views: list[View], spots: bool = False, pixels: Pixels | None = None) -> Table:
+def computed(
+    scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
+) -> LightTable:
     """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes.
 
     spots: whether samples see spots instead of points. pixels: of these alone, as one row of an image.
@@ -99,10 +101,10 @@ def computed(scene: Scene, views: list[View], spots: bool = False, pixels: Pixel
         albedo,
     )
     if pixels is not None:
-        return Table(samples[:, None], albedo[None])
+        return LightTable(samples[:, None], albedo[None])
     whole = np.zeros((height, width), np.float32)
     whole[top:bottom, left:right] = albedo.reshape(rows.shape)
-    return Table(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
+    return LightTable(samples.reshape(len(views), *rows.shape, 4), whole, (left, top))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ class _Prints:
     variances: (sizes,) in mm², of the blur of each; evenly apart.
     """
 
-    pictures: Picture
+    pictures: Irradiance
     low: Floats
     high: Floats
     variances: Floats
@@ -122,7 +124,7 @@ def _pointed(surface: Surface) -> _Prints:
     return _Prints(_reflectance(surface)[None], surface.vertices[0, :2], surface.vertices[2, :2], np.zeros(1))
 
 
-def _spotted(scene: Scene, samples: int) -> _Prints:
+def _spotted(scene: RenderScene, samples: int) -> _Prints:
     """The print blurred for all sizes of spots on it; nothing comes back from beside it."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
     low, high = surface.vertices[0, :2], surface.vertices[2, :2]
@@ -208,7 +210,7 @@ def _transform(matrix: Floats) -> RigidTransform:
     return RigidTransform(matrix[:3, :3], matrix[:3, 3])
 
 
-def _reflectance(surface: Surface) -> Picture:
+def _reflectance(surface: Surface) -> Irradiance:
     """[v, u] over the rectangle; a single number where it is even."""
     paint, picture = surface.paint, surface.picture
     share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
@@ -283,9 +285,9 @@ def _trace(
     low: Floats,
     high: Floats,
     variances: Floats,
-    prints: Picture,
-    samples: Picture,
-    albedo: Picture,
+    prints: Irradiance,
+    samples: Irradiance,
+    albedo: Irradiance,
 ) -> None:
     """columns, rows: (P,) of an image of that height. samples: (K, P, 4), albedo (P,).
 
@@ -364,7 +366,7 @@ def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, inline="always")
-def _between_pixels(picture: Picture, x: float, y: float) -> float:
+def _between_pixels(picture: Irradiance, x: float, y: float) -> float:
     """Linearly between the middles of a picture's pixels; x, y: 0 … 1 over the whole of it."""
     rows, columns = picture.shape
     u = min(max(x * columns - 0.5, 0.0), columns - 1.0)

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform, distort
-from sim.scene import ALBEDO, DIRECT, Scene, X, Y, Z
+from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
 from sim.texture import Part
 
-Picture = NDArray[np.float32]
+Irradiance = NDArray[np.float32]
 
 DIMMEST = np.float32(0.02)
 """Where white light is weaker than this share, at the projector's last mirror, it is not divided by."""
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class LightTable:
     """samples: (K, h, w, 4) texture column and row, circle and shade; albedo: (height, width) of the image.
 
     Samples are those of the pixels from `corner` (left, top) of the image on; outside nothing is seen.
@@ -32,8 +32,8 @@ class Table:
     under white, 0 in shadow.
     """
 
-    samples: Picture
-    albedo: Picture
+    samples: Irradiance
+    albedo: Irradiance
     corner: tuple[int, int] = (0, 0)
 
     @property
@@ -47,7 +47,7 @@ class Table:
         return _extent(self.samples.reshape(-1, 4))
 
     @classmethod
-    def of(cls, rendered: Picture, scene: Scene) -> Table:
+    def of(cls, rendered: Irradiance, scene: RenderScene) -> LightTable:
         """From what Blender rendered of a scene under even light, (K, height, width, CHANNELS)."""
         lamp, (left, top, right, bottom) = scene.lamp, scene.window
         seen = rendered[:, top:bottom, left:right]
@@ -77,8 +77,8 @@ class Table:
         return left, top, right + 2, bottom + 2
 
     def look_up(
-        self, textures: Picture, fill: float | None = None, origin: tuple[int, int] = (0, 0)
-    ) -> Picture:
+        self, textures: Irradiance, fill: float | None = None, origin: tuple[int, int] = (0, 0)
+    ) -> Irradiance:
         """Pictures (patterns, height, width) under textures (circles, rows, columns, patterns).
 
         fill: the side of sharp mirrors in texels, or None for smooth optics. origin: column and row of the
@@ -100,15 +100,17 @@ class Table:
         whole[:, top : top + h, left : left + w] = pictures
         return whole
 
-    def divided_by(self, white: Picture, fill: float | None = None) -> Table:
+    def divided_by(self, white: Irradiance, fill: float | None = None) -> LightTable:
         """The table of even light, if this is that of `white` mirrors (circles, rows, columns, 1)."""
         samples = self.samples.copy()
         each = samples.reshape(1, 1, -1, 4)
         shade = each[0, 0, :, 3]
-        again = Table(each, each[0, ..., 0]).look_up(white, fill)[0, 0]  # white light on top of white light
+        again = LightTable(each, each[0, ..., 0]).look_up(white, fill)[
+            0, 0
+        ]  # white light on top of white light
         lit = again > DIMMEST * shade
         shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
-        return Table(samples, self.albedo, self.corner)
+        return LightTable(samples, self.albedo, self.corner)
 
 
 _distort = numba.njit(inline="always")(distort)
@@ -116,14 +118,14 @@ _distort = numba.njit(inline="always")(distort)
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _locate(
-    rendered: Picture,
+    rendered: Irradiance,
     T_projector_camera: Floats,
     distortion: Floats,
     to_texel: Floats,
     circle_scale: float,
     inverse_focus: float,
     squares: Floats,
-    out: Picture,
+    out: Irradiance,
 ) -> None:
     """The lens as in `fpplab.core.geometry`, in float64: a texel is a thousandth of the projector."""
     R, t = T_projector_camera[:, :3], T_projector_camera[:, 3]
@@ -160,7 +162,7 @@ def circle_level(depth: float, circle_scale: float, inverse_focus: float, square
 
 
 @numba.njit(cache=True)
-def _extent(samples: Picture) -> tuple[Floats, Floats]:
+def _extent(samples: Irradiance) -> tuple[Floats, Floats]:
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for sample in samples:
         if sample[3] > 0:
@@ -172,7 +174,7 @@ def _extent(samples: Picture) -> tuple[Floats, Floats]:
 
 @numba.njit(parallel=True, cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _interpolated(
-    textures: Picture, samples: Picture, left: np.float32, top: np.float32, out: Picture
+    textures: Irradiance, samples: Irradiance, left: np.float32, top: np.float32, out: Irradiance
 ) -> None:
     circles, rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape
@@ -205,7 +207,12 @@ def _interpolated(
 
 @numba.njit(parallel=True, cache=True)
 def _nearest(
-    textures: Picture, samples: Picture, left: np.float32, top: np.float32, fill: np.float32, out: Picture
+    textures: Irradiance,
+    samples: Irradiance,
+    left: np.float32,
+    top: np.float32,
+    fill: np.float32,
+    out: Irradiance,
 ) -> None:
     rows, columns, patterns = textures.shape
     views, pixels, _ = samples.shape

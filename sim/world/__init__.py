@@ -4,10 +4,10 @@ The world frame is the camera's (OpenCV, mm). Irradiance is relative: 1 is a per
 faces the white projector at `projector.distance_mm`.
 """
 
-from sim.world.camera import Binning, CameraWorld, Sensor, Shutter
+from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
 from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
-from sim.world.materials import Diffuse, Glossy, Grain, Material, Ridges, Translucent
-from sim.world.projector import LedWorld, ProjectorWorld, Response
+from sim.world.materials import Diffuse, Glossy, GrainSection, Material, Ridges, Translucent
+from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
 from sim.world.world import StageWorld, World
 
@@ -19,7 +19,7 @@ __all__ = [
     "CardItem",
     "Diffuse",
     "Glossy",
-    "Grain",
+    "GrainSection",
     "Item",
     "LedWorld",
     "LightPath",
@@ -28,10 +28,10 @@ __all__ = [
     "PoseRules",
     "ProjectorWorld",
     "Render",
-    "Response",
+    "ResponseSection",
     "Ridges",
     "Sensor",
-    "Shutter",
+    "ShutterSection",
     "StageWorld",
     "Subpixels",
     "Translucent",

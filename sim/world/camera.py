@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from fpplab.calibration.model import Distortion
 from fpplab.core.config import Document
 from fpplab.core.geometry import Pinhole
-from sim.world.numbers import NotNegative, Positive, Share, Size
+from sim.world.numbers import NotNegative, PixelSize, Positive, Share
 
 Binning = Literal[1, 2, 4, 8]
 """Pixels of the sensor along each side of a pixel of a frame."""
@@ -39,7 +39,7 @@ class Sensor(Document):
         return self
 
 
-class Shutter(Document):
+class ShutterSection(Document):
     """When rows expose. line_time_s: from one row of a frame to the next; 0 is a global shutter."""
 
     line_time_s: Annotated[float, Field(ge=0, le=1e-2)] = 0.0
@@ -54,7 +54,7 @@ class CameraWorld(Document):
     4 is the natural one.
     """
 
-    sensor_size: Size = (5472, 3648)
+    sensor_size: PixelSize = (5472, 3648)
     pixel_um: Positive = 2.4
     binning: Binning = 4
     focal_mm: Positive = 35.0
@@ -64,7 +64,7 @@ class CameraWorld(Document):
     vignetting: Annotated[float, Field(ge=0, le=40)] = 0.0
     centre_offset_px: tuple[float, float] = (0.0, 0.0)
     distortion: Distortion = (0.0,) * 5
-    shutter: Shutter = Shutter()
+    shutter: ShutterSection = ShutterSection()
     sensor: Sensor = Sensor()
 
     @model_validator(mode="after")

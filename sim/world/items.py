@@ -88,12 +88,12 @@ class CardItem(Document):
 AnyItem = BoardItem | ArtefactItem | MeshItem | CardItem
 
 
-def beside(item: AnyItem, folder: Path) -> AnyItem:
+def with_file_beside(item: AnyItem, folder: Path) -> AnyItem:
     """The item with the name of its file made absolute, if there is one of that name in `folder`."""
     if isinstance(item, BoardItem):
-        return item.model_copy(update={"target": config.beside(item.target, folder)})
+        return item.model_copy(update={"target": config.resolve_beside(item.target, folder)})
     if isinstance(item, MeshItem):
-        return item.model_copy(update={"mesh": config.beside(item.mesh, folder)})
+        return item.model_copy(update={"mesh": config.resolve_beside(item.mesh, folder)})
     return item
 
 

@@ -31,7 +31,7 @@ class Ridges(Document):
         return self
 
 
-class Grain(Document):
+class GrainSection(Document):
     """Random facets that tilt the surface.
 
     slope: root mean square of the surface's gradient, Sdq of ISO 25178-2. size_mm: square root of a facet's
@@ -49,7 +49,7 @@ class Diffuse(Document):
     reflectance: Share = 0.9
     roughness: Share = 0.0
     ridges: Ridges | None = None
-    grain: Grain | None = None
+    grain: GrainSection | None = None
 
 
 class Glossy(Document):
@@ -65,7 +65,7 @@ class Glossy(Document):
     gloss: Share = 0.1
     gloss_roughness: Annotated[float, Field(ge=0.02, le=1)] = 0.3
     ridges: Ridges | None = None
-    grain: Grain | None = None
+    grain: GrainSection | None = None
 
 
 class Translucent(Document):
@@ -75,7 +75,7 @@ class Translucent(Document):
     reflectance: Share = 0.9
     radius_mm: Positive = 0.5
     ridges: Ridges | None = None
-    grain: Grain | None = None
+    grain: GrainSection | None = None
 
 
 KINDS = ("diffuse", "glossy", "translucent")
@@ -116,5 +116,5 @@ def _relief(ridges: Ridges | None) -> scene.Relief:
     return scene.Relief((x, y, z), ridges.period_mm, ridges.depth_mm)
 
 
-def _grain(grain: Grain | None) -> scene.Grain:
+def _grain(grain: GrainSection | None) -> scene.Grain:
     return scene.EVEN if grain is None else scene.Grain(grain.slope, grain.size_mm)

@@ -11,10 +11,10 @@ from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
 from sim.texture import MirrorTexture, least_blur
-from sim.world.numbers import NotNegative, Positive, Share, Size
+from sim.world.numbers import NotNegative, PixelSize, Positive, Share
 
 
-class Response(Document):
+class ResponseSection(Document):
     """Light from grey levels, both 0 … 1: `I_out = a I_in^g + b`.
 
     b is the black level, what closed mirrors leak: a device of contrast C has `b = (a + b) / C`.
@@ -25,7 +25,7 @@ class Response(Document):
     g: Annotated[float, Field(ge=0.2, le=5)] = 1.0
 
     @model_validator(mode="after")
-    def _white_is_one_at_most(self) -> Response:
+    def _white_is_one_at_most(self) -> ResponseSection:
         if self.a + self.b > 1 + 1e-9:
             raise ValueError(
                 f"'a' + 'b' is {self.a + self.b:g}: at most 1, which is the brightest the lamp gives"
@@ -57,7 +57,7 @@ class ProjectorWorld(Document):
     lens, from which blur grows with the distance from focus; without a depth it does not.
     """
 
-    size: Size = (912, 1140)
+    size: PixelSize = (912, 1140)
     lattice: Lattice = Lattice.DIAMOND
     throw_ratio: Positive = 1.2
     centre_px: tuple[float, float] = (455.5, 1110.0)
@@ -67,7 +67,7 @@ class ProjectorWorld(Document):
     leds: Annotated[dict[str, LedWorld], Field(min_length=1, default_factory=_green)]
     lit: Annotated[tuple[str, ...], Field(min_length=1)] = ("green",)
     period_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    response: Response = Response()
+    response: ResponseSection = ResponseSection()
     blur: Annotated[float, Field(ge=0, le=20)] = 0.6
     fill_factor: Annotated[float, Field(ge=0.2, le=1)] = 1.0
     focus_mm: Positive | None = None

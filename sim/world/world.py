@@ -16,7 +16,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
-from sim.world.items import BoardItem, Item, beside
+from sim.world.items import BoardItem, Item, with_file_beside
 from sim.world.materials import Diffuse, Material, Translucent
 from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
@@ -146,13 +146,15 @@ class World(Document):
 
         A relative name of a mesh, target or calibration file is looked for beside the world file first.
         """
-        found = config.find(path)
-        data = config.parse(config.read_text(found), found)
+        found = config.find_config(path)
+        data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
-            measured = config.load(config.find(config.beside(name, found.parent)), CalibrationFile)
+            measured = config.load_document(
+                config.find_config(config.resolve_beside(name, found.parent)), CalibrationFile
+            )
             data["calibration"] = config.plain(measured)
         world = config.validate(data, cls, found)
-        items = {name: beside(item, found.parent) for name, item in world.items.items()}
+        items = {name: with_file_beside(item, found.parent) for name, item in world.items.items()}
         return world.model_copy(update={"items": items})
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:

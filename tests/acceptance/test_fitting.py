@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab.acceptance import fit_plane, fit_sphere, fit_without_worst
-from fpplab.acceptance.fitting import DISCARDED_SHARE, span
+from fpplab.acceptance.fitting import DISCARDED_SHARE, peak_to_peak
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
@@ -93,7 +93,7 @@ def test_a_known_form_error_is_the_span() -> None:
     at = 1.0 - DISCARDED_SHARE  # the poles are what is discarded, 1.8 % of the height
     expected = height * (5 * at**3 - 3 * at)
     # More of one pole than of the other may be, which moves the centre a little.
-    assert span(sphere.distances(points)[kept]) == pytest.approx(expected, rel=0.012)
+    assert peak_to_peak(sphere.distances(points)[kept]) == pytest.approx(expected, rel=0.012)
     assert sphere.radius == pytest.approx(10.0, abs=2e-4)
 
 

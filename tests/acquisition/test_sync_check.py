@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab.acquisition.sync_check import marker, slips
-from fpplab.acquisition.synchronisation import Cause, Fault, faults
+from fpplab.acquisition.synchronisation import Cause, SyncFault, faults
 from fpplab.core.conventions import Floats
 
 SHOWN = marker()
@@ -16,7 +16,7 @@ GREYS = len(SHOWN)
 ALL = [fault for fault in faults(GREYS) if fault.cause is not Cause.SWAPPED]
 
 
-def levels(fault: Fault | None, gamma: float, room: float, noise: float, seed: int) -> Floats:
+def levels(fault: SyncFault | None, gamma: float, room: float, noise: float, seed: int) -> Floats:
     """Mean levels that a camera sees; `noise` is a lamp's, as a share of white."""
     order = fault.shown(GREYS) if fault else list(range(GREYS))
     light = np.array([0.0 if k is None else (SHOWN[k] / 255) ** gamma for k in order])
@@ -39,7 +39,7 @@ def test_levels_that_follow_are_in_step(bench: tuple[float, float, float, int]) 
 
 
 @given(st.sampled_from(ALL), HONEST)
-def test_every_slip_is_named(fault: Fault, bench: tuple[float, float, float, int]) -> None:
+def test_every_slip_is_named(fault: SyncFault, bench: tuple[float, float, float, int]) -> None:
     found = slips(SHOWN, levels(fault, *bench))
     assert found is not None
     if fault.cause is not Cause.FOREIGN or SHOWN[fault.frame] > 100:  # darkness for a dark grey may pass
@@ -56,9 +56,9 @@ def test_a_slip_of_the_trigger_is_named_alone(cause: Cause) -> None:
 
 @pytest.mark.parametrize("missed", range(1, GREYS - 1))
 def test_a_missed_trigger_is_named_where_its_frame_never_comes(missed: int) -> None:
-    seen = levels(Fault(Cause.MISSED, missed), 1.0, 0.1, 0.0, 0)
+    seen = levels(SyncFault(Cause.MISSED, missed), 1.0, 0.1, 0.0, 0)
     seen[-1] = np.nan
-    assert slips(SHOWN, seen) == (Fault(Cause.MISSED, missed),)
+    assert slips(SHOWN, seen) == (SyncFault(Cause.MISSED, missed),)
 
 
 def test_levels_of_something_else_are_not_explained() -> None:

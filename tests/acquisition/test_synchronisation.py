@@ -14,7 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpplab import pipeline
-from fpplab.acquisition.synchronisation import Cause, Fault, faults, judge, provable, remedy
+from fpplab.acquisition.synchronisation import (
+    Cause,
+    SyncFault,
+    check_synchronisation,
+    faults,
+    provable,
+    remedy,
+)
 from fpplab.core.conventions import Floats, Image, axis_length, full_scale, phase_of_coordinate, phase_steps
 from fpplab.core.errors import CalibrationError, DataError
 from fpplab.patterns.plan import FringeSet, Plan
@@ -79,7 +86,7 @@ class Scene:
         return raw.astype(np.uint8 if self.bits == 8 else np.uint16)
 
 
-def spoilt(frames: list[Image], fault: Fault) -> list[Image]:
+def spoilt(frames: list[Image], fault: SyncFault) -> list[Image]:
     """The frames as a fault has them taken; what is no pattern is as dark as anything that is seen."""
     nothing = np.min(frames, axis=0)
     return [nothing if k is None else frames[k] for k in fault.shown(len(frames))]
@@ -122,7 +129,7 @@ HONEST = st.builds(
 @settings(max_examples=25, deadline=None)
 @given(plans(), HONEST, st.integers(0, 99))
 def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
-    verdict = judge(scene.frames(plan, seed), plan, scene.bits)
+    verdict = check_synchronisation(scene.frames(plan, seed), plan, scene.bits)
     assert verdict.in_step, (verdict.words(), verdict.misfit)
 
 
@@ -130,7 +137,7 @@ def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
 @given(st.data(), plans(least_steps=6, least_sets=2), st.floats(0.0, 0.03))
 def test_every_fault_is_named(data: st.DataObject, plan: Plan, noise: float) -> None:
     fault = data.draw(st.sampled_from(list(faults(plan.images))))
-    verdict = judge(spoilt(Scene(noise=noise).frames(plan), fault), plan)
+    verdict = check_synchronisation(spoilt(Scene(noise=noise).frames(plan), fault), plan)
     assert fault in verdict.causes, verdict
 
 
@@ -141,7 +148,7 @@ def test_a_trigger_out_of_step_is_noticed_wherever_the_plan_can_tell(
 ) -> None:
     """Whatever the response; where frames could not tell, that is said."""
     fault = data.draw(st.sampled_from([f for f in faults(plan.images) if f.cause in TRIGGERS]))
-    verdict = judge(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
+    verdict = check_synchronisation(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
     assert not verdict.in_step or not provable(plan), (fault, verdict)
     assert verdict.provable or not provable(plan)
 
@@ -154,7 +161,7 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
     frames = Scene(noise=noise).frames(plan)
     for fault in faults(plan.images):
         if fault.cause in TRIGGERS:
-            verdict = judge(spoilt(frames, fault), plan)
+            verdict = check_synchronisation(spoilt(frames, fault), plan)
             assert fault in verdict.causes or not verdict.fits, fault
             assert fault.words() in verdict.words() or not verdict.fits
 
@@ -165,12 +172,12 @@ def coarser(fringe: FringeSet) -> FringeSet:
 
 
 def test_faults_are_told_apart_by_what_they_show() -> None:
-    assert Fault(Cause.LATE).shown(4) == [None, 0, 1, 2]
-    assert Fault(Cause.EARLY).shown(4) == [1, 2, 3, None]
-    assert Fault(Cause.MISSED, 1).shown(4) == [0, 2, 3, None]
-    assert Fault(Cause.DOUBLED, 2).shown(4) == [0, 1, 1, 2]
-    assert Fault(Cause.FOREIGN, 3).shown(4) == [0, 1, 2, None]
-    assert Fault(Cause.SWAPPED, 1).shown(4) == [0, 2, 1, 3]
+    assert SyncFault(Cause.LATE).shown(4) == [None, 0, 1, 2]
+    assert SyncFault(Cause.EARLY).shown(4) == [1, 2, 3, None]
+    assert SyncFault(Cause.MISSED, 1).shown(4) == [0, 2, 3, None]
+    assert SyncFault(Cause.DOUBLED, 2).shown(4) == [0, 1, 1, 2]
+    assert SyncFault(Cause.FOREIGN, 3).shown(4) == [0, 1, 2, None]
+    assert SyncFault(Cause.SWAPPED, 1).shown(4) == [0, 2, 1, 3]
     rows = [tuple(fault.shown(7)) for fault in faults(7)]
     assert len(set(rows)) == len(rows)
 
@@ -188,7 +195,7 @@ def test_faults_are_told_apart_by_what_they_show() -> None:
 )
 def test_a_plan_says_whether_its_frames_prove_anything(plan: Plan, proves: bool) -> None:
     assert provable(plan) is proves
-    assert judge(Scene().frames(plan), plan).provable is proves
+    assert check_synchronisation(Scene().frames(plan), plan).provable is proves
 
 
 def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
@@ -196,11 +203,13 @@ def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(exposure=0.7).frames(plan)
     frames[4] = np.rint(frames[4] * 1.2).astype(np.uint8)
-    assert judge(frames, plan).in_step
+    assert check_synchronisation(frames, plan).in_step
 
 
 def test_frames_of_another_plan_do_not_fit() -> None:
-    verdict = judge(Scene().frames(sets(("x", 1, 8), ("y", 6.5, 4))), sets(("x", 1, 6), ("x", 8, 6)))
+    verdict = check_synchronisation(
+        Scene().frames(sets(("x", 1, 8), ("y", 6.5, 4))), sets(("x", 1, 6), ("x", 8, 6))
+    )
     assert not verdict.in_step
 
 
@@ -208,13 +217,13 @@ def test_a_torn_frame_is_named() -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(noise=0.03).frames(plan)
     frames[3] = np.concatenate([frames[2][:40], frames[3][40:]])
-    assert Fault(Cause.FOREIGN, 3) in judge(frames, plan).causes
+    assert SyncFault(Cause.FOREIGN, 3) in check_synchronisation(frames, plan).causes
 
 
 @pytest.mark.parametrize("scene", [Scene(exposure=0.0), Scene(exposure=9.0)], ids=["dark", "saturated"])
 def test_where_nothing_is_seen_nothing_is_proven(scene: Scene) -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
-    verdict = judge(scene.frames(plan), plan)
+    verdict = check_synchronisation(scene.frames(plan), plan)
     assert verdict.in_step
     assert not verdict.provable
 
@@ -227,14 +236,16 @@ def test_a_few_pixels_that_see_fringes_are_enough() -> None:
     part[30:48, 40:60] = True
     random = np.random.default_rng(1)
     frames = [np.where(part, f, random.poisson(2.0, f.shape)).astype(np.uint8) for f in frames]
-    assert judge(frames, plan).in_step
-    assert judge(spoilt(frames, Fault(Cause.MISSED, 7)), plan).causes == (Fault(Cause.MISSED, 7),)
+    assert check_synchronisation(frames, plan).in_step
+    assert check_synchronisation(spoilt(frames, SyncFault(Cause.MISSED, 7)), plan).causes == (
+        SyncFault(Cause.MISSED, 7),
+    )
 
 
 @pytest.mark.parametrize("trigger", ["stepped", "triggered"])
 def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6)).model_copy(update={"trigger": trigger})
-    late = spoilt(Scene().frames(plan), Fault(Cause.LATE))
+    late = spoilt(Scene().frames(plan), SyncFault(Cause.LATE))
     session = SimpleNamespace(
         path=Path("pose_04"),
         plan=plan,
@@ -256,10 +267,10 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
 def test_real_captures_are_in_step_until_a_trigger_slips(name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
     frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)]
-    assert judge(frames, plan).in_step
-    assert judge(frames, plan).misfit < 0.03
+    assert check_synchronisation(frames, plan).in_step
+    assert check_synchronisation(frames, plan).misfit < 0.03
     # A last set of three coarse stripes seen in part differs from a dark frame by brightness alone.
     told = [f for f in faults(plan.images) if f.cause in (Cause.LATE, Cause.EARLY, Cause.DOUBLED)]
-    told += [Fault(Cause.MISSED, k) for k in range(1, plan.images - 3)]
+    told += [SyncFault(Cause.MISSED, k) for k in range(1, plan.images - 3)]
     for fault in told:
-        assert not judge(spoilt(frames, fault), plan).in_step, fault
+        assert not check_synchronisation(spoilt(frames, fault), plan).in_step, fault

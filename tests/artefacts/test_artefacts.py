@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fpplab import artefacts
-from fpplab.artefacts import Pillars, Pyramid, Steps
+from fpplab.artefacts import Pillars, Pyramid, StepsSizes
 from fpplab.cli import app
 from fpplab.clouds import load_mesh
 from fpplab.core.errors import ConfigError
@@ -93,9 +93,9 @@ def test_artefacts_of_other_sizes() -> None:
         (lambda: Pyramid(height=float("nan")), "height"),
         (lambda: Pillars(diameters=(30.0, 9.0, 9.0, 9.0)), "diameters"),
         (lambda: Pillars(heights=(4.0, 9.0)), "thickness"),
-        (lambda: Steps(heights=(5.0, 5.0)), "heights"),
-        (lambda: Steps(heights=()), "heights"),
-        (lambda: Steps(footprint=(-1.0, 2.0)), "footprint"),
+        (lambda: StepsSizes(heights=(5.0, 5.0)), "heights"),
+        (lambda: StepsSizes(heights=()), "heights"),
+        (lambda: StepsSizes(footprint=(-1.0, 2.0)), "footprint"),
     ],
 )
 def test_impossible_shapes_are_refused_by_field(build: object, field: str) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks import Result
-from benchmarks.match import Trial, errors, figures, perturbed, record, truth_of
+from benchmarks.match import MatchBenchmarkSetup, errors, match_figures, perturbed, record, truth_of
 from fpplab.core import config
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.matching.match import Limits
-from fpplab.matching.record import Record
+from fpplab.matching.record import MatchingRecord
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.patterns.response import Curve
 from sim.world import World
@@ -41,8 +41,8 @@ def small(name: str, folder: Path) -> str:
 
 
 def _data(name: str) -> dict[str, Any]:
-    path = config.find(name)
-    data: dict[str, Any] = config.parse(config.read_text(path), path)
+    path = config.find_config(name)
+    data: dict[str, Any] = config.parse_yaml(config.read_text(path), path)
     return data
 
 
@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def results(folder: Path) -> dict[str, Result]:
-    trial = Trial(
+    trial = MatchBenchmarkSetup(
         hidden=small("hidden", folder),
         twin=small("twin", folder),
         board_plan=plan(folder / "plan_board.yaml", "xy", 3),
@@ -70,7 +70,7 @@ def results(folder: Path) -> dict[str, Result]:
         focus_moved_mm=FOCUS_MOVED_MM,
     )
     record(folder, trial)
-    return {result.name: result for result in figures(folder, trial)}
+    return {result.name: result for result in match_figures(folder, trial)}
 
 
 @pytest.mark.slow
@@ -101,7 +101,7 @@ def test_a_small_bench_is_matched(results: dict[str, Result], run: str) -> None:
 
 @pytest.mark.slow
 def test_a_start_that_is_off_leads_to_the_same_place(results: dict[str, Result], folder: Path) -> None:
-    found, off = (Record(folder / run).read()[0].parameters.parameters() for run in RUNS)
+    found, off = (MatchingRecord(folder / run).read()[0].parameters.parameters() for run in RUNS)
     assert by_name(errors("it", off, found))["it_pose_position"] == pytest.approx(2000)
     for name in ("pose_position", "baseline"):
         straight, detour = (results[f"{run}_{name}"].value for run in RUNS)

@@ -14,14 +14,14 @@ from benchmarks import Result, above, below
 from benchmarks.optimise import (
     WARM,
     KilledOnce,
-    Trial,
+    OptimiseBenchmarkSetup,
     beside_singles,
     deviation,
-    figures,
     gain_of,
     groups_changed,
     no_worse,
     on_both,
+    optimise_figures,
     own_cache,
     searched,
     wrong_percent,
@@ -31,11 +31,11 @@ from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
 from fpplab.optimisation.candidate import Candidate, Fringes
-from fpplab.optimisation.confirm import Confirmation, Measured
-from fpplab.optimisation.goal import What
+from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
+from fpplab.optimisation.goal import Goal
 from fpplab.optimisation.objectives import seed_means
-from fpplab.optimisation.run import Confirmed, Found, optimise
-from fpplab.optimisation.scoring import Figures, Truth
+from fpplab.optimisation.run import Confirmed, SearchResult, run_search
+from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
 from fpplab.pipeline import CALIBRATION
 from sim.worker import Blender
 from sim.world import World
@@ -99,12 +99,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def trial(folder: Path) -> Trial:
+def trial(folder: Path) -> OptimiseBenchmarkSetup:
     common = {"artefacts": ["pillars"], "objectives": ["surface_smcd_um"], "seeds": [1, 2], "budget": 8}
     for name, changes in STUDIES.items():
         data = {"name": name, "method": COORDINATE, **common, **changes}
         (folder / f"study_{name}.yaml").write_text(config.to_yaml(data))
-    return Trial(
+    return OptimiseBenchmarkSetup(
         search=written(folder, "search"),
         twin=written(folder, "twin"),
         hidden=written(folder, "hidden", seed=8),
@@ -118,14 +118,14 @@ def trial(folder: Path) -> Trial:
 
 
 @pytest.fixture(scope="module")
-def results(folder: Path, trial: Trial, blender: Blender) -> dict[str, Result]:
+def results(folder: Path, trial: OptimiseBenchmarkSetup, blender: Blender) -> dict[str, Result]:
     """All figures; one Blender process renders, few points are compared, and workers measure a formula."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fpplab.optimisation.measuring.Truth", partial(Truth, density=2.0))
+        patch.setattr("fpplab.optimisation.measuring.Truth", partial(TrueShape, density=2.0))
         patch.setattr("benchmarks.optimise.OpenRig", lambda rig, study: Formula())
         patch.setattr("sim.devices.Blender", lambda name: blender)
         patch.setattr(blender, "close", lambda: None)
-        return {result.name: result for result in figures(folder, trial)}
+        return {result.name: result for result in optimise_figures(folder, trial)}
 
 
 @pytest.mark.slow
@@ -171,20 +171,22 @@ def test_small_searches_find_what_there_is(results: dict[str, Result]) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("results")
 def test_a_search_that_has_ended_is_not_run_again(
-    folder: Path, trial: Trial, monkeypatch: pytest.MonkeyPatch
+    folder: Path, trial: OptimiseBenchmarkSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*asked: object) -> None:
         raise AssertionError("measured again")
 
     monkeypatch.setattr("fpplab.optimisation.measuring.RigEvaluator.measure", refused)
-    found = searched(What.STRIPES, trial.search, trial.stripes, folder, 1)
+    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, 1)
     assert found.gain is not None
 
 
 @pytest.mark.slow
-def test_plans_are_confirmed_side_by_side(folder: Path, trial: Trial, results: dict[str, Result]) -> None:
+def test_plans_are_confirmed_side_by_side(
+    folder: Path, trial: OptimiseBenchmarkSetup, results: dict[str, Result]
+) -> None:
     """By processes of their own, which compare all points."""
-    found = searched(What.STRIPES, trial.search, trial.stripes, folder, 1)
+    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, 1)
     ((twin, hidden),) = on_both(replace(trial, workers=2), found, folder)
     assert (twin.rig, hidden.rig) == ("twin", "hidden")
     for one, name in ((twin, "stripes_down"), (hidden, "stripes_down_hidden")):
@@ -201,10 +203,10 @@ def test_what_is_uncertain_is_in_favour_of_no_worse(gain: float, ratio: float) -
     assert no_worse("it", confirmed(gain, 0.01).confirmation).ratio == pytest.approx(ratio)
 
 
-def measured(**known: float) -> Figures:
+def measured(**known: float) -> ArtefactFigures:
     names = ("points", "surface_smcd_um", "smcd_um", "smcd_floor_um", "surface_rms_um", "completeness")
     others = ("wrong_orders", "outliers", "surface_spread_um")
-    return Figures(**(dict.fromkeys((*names, *others), 0.0) | known))
+    return ArtefactFigures(**(dict.fromkeys((*names, *others), 0.0) | known))
 
 
 def test_wrong_points_are_counted_not_averaged() -> None:
@@ -212,7 +214,7 @@ def test_wrong_points_are_counted_not_averaged() -> None:
     assert wrong_percent({"pyramid": (few,), "steps": (many,)}) == pytest.approx(2.0)
 
 
-def repeats(um: float) -> Measured:
+def repeats(um: float) -> RepeatedFigures:
     return {"pyramid": (measured(surface_smcd_um=um),) * 2}
 
 
@@ -227,7 +229,7 @@ def test_gains_deviate_by_so_many_of_both_their_uncertainties() -> None:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
+def found(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
     """A front of 13 to 19 images on a formula."""
     space = {"steps": [None, None, [3, 9]], "stage_mm": [-40, 40]}
     method = {"kind": "nsga2", "population": 8}
@@ -240,10 +242,10 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
         method=method,
     )
     out = tmp_path_factory.mktemp("front")
-    return optimise(What.PARETO, "rig_demo", wanted, out, "study", opener=Formula(noise_um=1.0))
+    return run_search(Goal.PARETO, "rig_demo", wanted, out, "study", opener=Formula(noise_um=1.0))
 
 
-def test_a_front_is_held_against_plans_of_one_change(found: Found) -> None:
+def test_a_front_is_held_against_plans_of_one_change(found: SearchResult) -> None:
     """The stage may move with the start's steps, or steps change where the stage stands."""
     changed = {t.candidate: groups_changed(found, t) for t in found.trials}
     assert changed[found.start.candidate] == set()
@@ -265,7 +267,7 @@ def test_a_front_is_held_against_plans_of_one_change(found: Found) -> None:
     assert beside_singles(off) == pytest.approx(worst.figures.surface_smcd_um / best)
 
 
-def test_the_gain_is_that_of_seeds_which_chose_nothing(found: Found) -> None:
+def test_the_gain_is_that_of_seeds_which_chose_nothing(found: SearchResult) -> None:
     before, after = (
         seed_means(found.again[trial.candidate]).values() for trial in (found.start, found.optimum)
     )

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import Level, Observation, characterise, finest_periods, observe
-from fpplab.characterisation.bundle import Model, Problem, fit, uncertainty
+from fpplab.characterisation import DistortionModel, Observation, characterise, finest_periods, observe
+from fpplab.characterisation.bundle import Model, Problem, adjust_bundle, uncertainty
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
 from fpplab.phase import decode
@@ -27,7 +27,7 @@ def test_parameters_are_recovered_within_their_uncertainty(projector: Pinhole) -
     noise = 0.05
     found = characterise(
         observed(poses(8), projector, noise), BOARD, CAMERA.size, projector.size, projector.lattice,
-        level=Level.TANGENTIAL,
+        level=DistortionModel.TANGENTIAL,
     )  # fmt: skip
     expected = values(Calibration(CAMERA, projector, PAIR, {}))
     pulls = {k: (v - expected[k]) / found.sigma[k] for k, v in values(found.calibration).items()}
@@ -80,7 +80,7 @@ def test_a_few_gross_errors_do_not_spoil_the_result() -> None:
     for k in range(8):
         spoiled[k].camera_px[6 * k] += (3.0, -2.0)
     without, found = (
-        characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=Level.TANGENTIAL)
+        characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.TANGENTIAL)
         for seen in (clean, spoiled)
     )
     expected = values(without.calibration)
@@ -114,9 +114,9 @@ def test_a_board_within_its_tolerance_has_its_shape_found() -> None:
     assert fitted.leave_one_out_px["camera"] < 0.5 * flat.leave_one_out_px["camera"]  # type: ignore[index]
 
 
-@pytest.mark.parametrize("level", list(Level))
+@pytest.mark.parametrize("level", list(DistortionModel))
 @pytest.mark.parametrize("tolerance", [None, 0.1])
-def test_normal_equations_are_those_of_the_misfit(level: Level, tolerance: float | None) -> None:
+def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, tolerance: float | None) -> None:
     seen = observed(poses(3), noise_px=0.5)
     seen[1] = replace(
         seen[1],
@@ -154,11 +154,11 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
     """40 repeats with fresh noise and, where it is free, a freshly bent board."""
     held, start, pulls, distances = poses(6), truth_of(poses(6)), [], []
     expected = values(Calibration(CAMERA, SQUARE, PAIR, {}))
-    model = Model(Level.TANGENTIAL, BOARD.points(), tolerance)
+    model = Model(DistortionModel.TANGENTIAL, BOARD.points(), tolerance)
     for seed in range(40):
         bend = np.random.default_rng([7, seed]).normal(0, tolerance or 0, (52, 3))
         seen = observed(held, noise_px=0.05, points=BOARD.points() + bend, seed=seed)
-        solution = fit(seen, start, model)
+        solution = adjust_bundle(seen, start, model)
         known = uncertainty(seen, solution, model)
         found = np.concatenate([solution.camera[:8], solution.projector[:8], solution.T_projector_camera])
         error = found - [expected[name] for name in known.names]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fpplab.characterisation import Level, Observation, bundle, characterise, fitting
+from fpplab.characterisation import DistortionModel, Observation, bundle, characterise, fitting
 from fpplab.cli.prepare import ModelName
 from fpplab.core.geometry import DISTORTION, Pinhole
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, poses
@@ -38,11 +38,11 @@ def seen_with(distortion: tuple[float, ...], noise_px: float = 0.02) -> list[Obs
 
 
 def test_the_command_knows_every_level() -> None:
-    assert [str(name) for name in ModelName] == [*Level, "auto"]
+    assert [str(name) for name in ModelName] == [*DistortionModel, "auto"]
 
 
-@pytest.mark.parametrize("level", list(Level))
-def test_a_level_frees_its_terms_alone(level: Level) -> None:
+@pytest.mark.parametrize("level", list(DistortionModel))
+def test_a_level_frees_its_terms_alone(level: DistortionModel) -> None:
     found = characterise(seen_with(TRUTHS["k1"]), BOARD, CAMERA.size, SQUARE.size, level=level)
     held = HELD[level].split()
     for device, model in (("camera", found.calibration.camera), ("projector", found.calibration.projector)):
@@ -58,10 +58,10 @@ def test_a_level_frees_its_terms_alone(level: Level) -> None:
 def test_the_level_that_the_lens_needs_is_chosen(truth: str) -> None:
     found = characterise(seen_with(TRUTHS[truth]), BOARD, CAMERA.size, SQUARE.size, level="auto")
     assert found.level == truth, found.trials
-    assert [t.level for t in found.trials] == list(Level)
+    assert [t.level for t in found.trials] == list(DistortionModel)
     fitted = [t.fitted_px["joint"] for t in found.trials]
     assert np.diff(fitted).max() < 1e-6, "more freedom fits no worse"
-    trial = found.trials[list(Level).index(found.level)]
+    trial = found.trials[list(DistortionModel).index(found.level)]
     assert found.leave_one_out_px == trial.held_out_px
     assert found.calibration.rms_px == pytest.approx(trial.fitted_px)
 
@@ -83,30 +83,30 @@ def test_the_result_names_the_model_and_what_else_was_tried() -> None:
 def test_three_poses_take_the_simplest_level_and_say_so() -> None:
     few = seen_with(TRUTHS["k1"])[:3]
     found = characterise(few, BOARD, CAMERA.size, SQUARE.size)
-    assert found.level is Level.K1
-    assert [t.level for t in found.trials] == [Level.K1]
+    assert found.level is DistortionModel.K1
+    assert [t.level for t in found.trials] == [DistortionModel.K1]
     assert found.warnings[0].startswith("3 poses leave none to judge the distortion by, so k1 was taken")
     assert "name the model" in found.warnings[0]
-    named = characterise(few, BOARD, CAMERA.size, SQUARE.size, level=Level.K1)
+    named = characterise(few, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K1)
     assert not any("judge" in warning for warning in named.warnings)
     assert found.calibration.camera.matrix == pytest.approx(named.calibration.camera.matrix, rel=1e-6)
     four = characterise(seen_with(TRUTHS["k1"])[:4], BOARD, CAMERA.size, SQUARE.size)
-    assert [t.level for t in four.trials] == list(Level)
+    assert [t.level for t in four.trials] == list(DistortionModel)
 
 
 def test_no_level_is_fitted_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    fitted: list[tuple[Level, int]] = []
+    fitted: list[tuple[DistortionModel, int]] = []
 
     def counted(observations, start, model):  # type: ignore[no-untyped-def]
         fitted.append((model.level, len(observations)))
-        return bundle.fit(observations, start, model)
+        return bundle.adjust_bundle(observations, start, model)
 
     monkeypatch.setattr(fitting, "fit", counted)
     seen = seen_with(TRUTHS["k1"])[:5]
-    for level in ("auto", *Level):
+    for level in ("auto", *DistortionModel):
         fitted.clear()
         characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=level)
-        wanted = list(Level) if level == "auto" else [level]
+        wanted = list(DistortionModel) if level == "auto" else [level]
         assert sorted(one for one, poses in fitted if poses == len(seen)) == sorted(wanted)
 
 

@@ -23,7 +23,7 @@ def folder(tmp_path: Path) -> Path:
     """A rig of few pixels, ranges without what needs Blender, and a plan."""
     write_world(tmp_path, plain())
     (tmp_path / "rig.yaml").write_text(RIG.replace("world: world.yaml", "world: world.yaml, analytic: true"))
-    ranges = config.parse(config.read_text(config.find("dataset_demo.yaml")), "")
+    ranges = config.parse_yaml(config.read_text(config.find_config("dataset_demo.yaml")), "")
     ranges |= {"artefacts": [], "stage_mm": [0, 0], "licence": "CC0-1.0"}
     (tmp_path / "ranges.yaml").write_text(config.to_yaml(ranges))
     (tmp_path / "plan.yaml").write_text(config.to_yaml(PLAN))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.core.config import find
+from fpplab.core.config import find_config
 from fpplab.sessions.session import Session
 from tests.cli.conftest import Command, Demo
 
@@ -15,7 +15,7 @@ from tests.cli.conftest import Command, Demo
 @pytest.mark.slow
 def test_the_cloud_is_that_of_the_virtual_bench(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     """Stepped and triggered: the frames are the same to the last bit, the noise as well."""
-    plan = find("plan_paper.yaml").read_text(encoding="utf-8")
+    plan = find_config("plan_paper.yaml").read_text(encoding="utf-8")
     (tmp_path / "stepped.yaml").write_text(plan, encoding="utf-8")
     (tmp_path / "triggered.yaml").write_text(plan + "trigger: triggered\n", encoding="utf-8")
     calibration = demo.folder / "calibration.yaml"
@@ -38,12 +38,12 @@ def test_the_cloud_is_that_of_the_virtual_bench(fpplab: Command, demo: Demo, tmp
 
 @pytest.mark.slow
 def test_a_missed_trigger_leaves_no_cloud(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
-    rig = find("rig_emulated_quick.yaml").read_text(encoding="utf-8")
+    rig = find_config("rig_emulated_quick.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
         rig.replace("refresh_hz: 50}", "refresh_hz: 50, faults: {missed: [5], doubled: [20]}}"),
         encoding="utf-8",
     )
-    plan = find("plan_paper.yaml").read_text(encoding="utf-8")
+    plan = find_config("plan_paper.yaml").read_text(encoding="utf-8")
     (tmp_path / "plan.yaml").write_text(plan + "trigger: triggered\n", encoding="utf-8")
     words = ("--plan", tmp_path / "plan.yaml", "--calibration", demo.folder / "calibration.yaml")
     done = fpplab("scan", "--rig", tmp_path / "rig.yaml", *words, "--out", tmp_path / "scan", "--json")

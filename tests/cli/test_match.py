@@ -26,8 +26,8 @@ pytestmark = pytest.mark.slow
 
 def small(name: str, folder: Path) -> Path:
     """A rig that comes with fpplab, at an eighth of the sensor's pixels along each side."""
-    found = config.find(name)
-    data = config.parse(config.read_text(found), found)
+    found = config.find_config(name)
+    data = config.parse_yaml(config.read_text(found), found)
     data["bench"]["binning"] = 8
     path = folder / found.name
     path.write_text(config.to_yaml(data))

@@ -19,7 +19,7 @@ from fpplab.comparison import compare, mcd, smcd
 from fpplab.comparison.alignment import align_mesh
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
-from fpplab.comparison.visibility import Shape
+from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.reconstruction.triangulation import camera_slopes
@@ -45,7 +45,7 @@ def perfect_cloud(mesh: trimesh.Trimesh, noise_mm: float = 0.0, lit: bool = True
     a, b = camera_slopes(CAMERA)
     rays = np.stack([a, b, np.ones_like(a)], axis=-1).reshape(-1, 3)
     lengths = np.linalg.norm(rays, axis=1)
-    shape = Shape(mesh)
+    shape = RayTracedShape(mesh)
     depth = shape.depth(np.zeros(3), rays / lengths[:, None])
     hit = np.flatnonzero(np.isfinite(depth))
     points = rays[hit] * (depth[hit] / lengths[hit])[:, None]
@@ -120,7 +120,7 @@ def test_box_shades_what_lies_behind_it_for_the_projector() -> None:
     ground = trimesh.creation.box((100.0, 60.0, 2.0)).apply_translation([0, 0, 451.0])
     height = 30.0
     box = trimesh.creation.box((20.0, 40.0, height - 0.1)).apply_translation([0, 0, 450.0 - height / 2])
-    shape = Shape(trimesh.util.concatenate([ground, box]))
+    shape = RayTracedShape(trimesh.util.concatenate([ground, box]))
     x = np.linspace(10.5, 40.0, 600)
     points = np.stack([x, np.zeros_like(x), np.full_like(x, 450.0)], axis=1)
     lit = shape.lit(CALIBRATION.projector_centre, points)
@@ -132,7 +132,7 @@ def test_box_shades_what_lies_behind_it_for_the_projector() -> None:
 
 def test_inclination_and_facing_are_those_of_the_view() -> None:
     plate = trimesh.creation.box((10.0, 10.0, 2.0)).apply_translation([100.0, 0.0, 301.0])
-    shape = Shape(plate)
+    shape = RayTracedShape(plate)
     front = np.flatnonzero(shape.normals[:, 2] < -0.9)[:1]
     angle = shape.inclination_deg(np.zeros(3), np.array([[100.0, 0.0, 300.0]]), front)
     assert angle[0] == pytest.approx(np.degrees(np.arctan2(100.0, 300.0)))

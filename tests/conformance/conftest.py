@@ -42,7 +42,7 @@ def _rig_files(settings: pytest.Config) -> list[Path]:
 
 
 def _kinds(path: Path) -> list[str]:
-    file = config.load(path, RigFile)
+    file = config.load_document(path, RigFile)
     return [kind for kind in KINDS if getattr(file, kind) is not None]
 
 

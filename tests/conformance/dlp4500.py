@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 
 from drivers.clock import SteppedClock
-from drivers.dlp4500.index import FlashIndex, checksum
+from drivers.dlp4500.index import FlashIndex, index_checksum
 from drivers.dlp4500.sequence import SIZE, Slot
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, Light, Pulse
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, ProjectedLight, Pulse
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import TimeoutError
 from fpplab.devices import Trigger
@@ -40,7 +40,7 @@ def flash() -> tuple[list[FlashImage], FlashIndex]:
     return packed([*planned(), *(replace(ramp, bit_depth=bits) for bits in FEWER_BITS)])
 
 
-def shown(light: Light | None, index: FlashIndex) -> Pattern | None:
+def shown(light: ProjectedLight | None, index: FlashIndex) -> Pattern | None:
     """What is in the light, coarse as the reference camera sees it, and by the name it has in flash."""
     if light is None or light.image is None:
         return None
@@ -49,7 +49,7 @@ def shown(light: Light | None, index: FlashIndex) -> Pattern | None:
     return coarse(light, name)
 
 
-def coarse(light: Light, name: str) -> Pattern:
+def coarse(light: ProjectedLight, name: str) -> Pattern:
     """Light as the reference camera sees it."""
     width, height = PROJECTOR_SIZE
     columns, rows = np.arange(width) * SIZE[0] // width, np.arange(height) * SIZE[1] // height
@@ -67,7 +67,7 @@ class LightCrafterBench(ReferenceBench):
         self.hid = EmulatedHid(self.controller)
         self.caught: deque[Pattern | None] = deque()
 
-    def seen(self, light: Light | None) -> Pattern | None:
+    def seen(self, light: ProjectedLight | None) -> Pattern | None:
         """What a camera sees of it."""
         return shown(light, self.index)
 
@@ -83,11 +83,11 @@ class VideoBench(LightCrafterBench):
         super().open()
         self.display = EmulatedDisplay(self.controller, FRAME_S)
 
-    def seen(self, light: Light | None) -> Pattern | None:
+    def seen(self, light: ProjectedLight | None) -> Pattern | None:
         """What a camera sees of it, by name where only one pattern of the plan looks so."""
         if light is None or light.image is None:
             return None
-        sha256 = checksum(light.grey)
+        sha256 = index_checksum(light.grey)
         names = [p.id for p in self.index.patterns if (p.bits, p.sha256) == (light.depth, sha256)]
         return coarse(light, names[0] if len(names) == 1 else "")
 

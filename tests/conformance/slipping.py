@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import replace
 
 from drivers.clock import SteppedClock
-from fpplab.acquisition.synchronisation import Cause, Fault
+from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.devices import Frame
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import ReferenceBench, ReferenceCamera, ReferenceProjector
@@ -41,7 +41,7 @@ class SlippingBench(ReferenceBench):
         """What is on at each trigger that reaches the camera."""
         if "cause" not in self.options:
             return list(played)
-        fault = Fault(Cause(self.options["cause"]), self.options.get("frame", 0))
+        fault = SyncFault(Cause(self.options["cause"]), self.options.get("frame", 0))
         return [None if k is None else played[k] for k in fault.shown(len(played))]
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from fpplab.acquisition import acquire as acquisition
 from fpplab.acquisition.acquire import acquire, capture
 from fpplab.acquisition.sync_check import SETTLE_S
-from fpplab.acquisition.synchronisation import Cause, Fault
+from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.calibration.model import Calibration
 from fpplab.cli import app
 from fpplab.cli.console import Answered
@@ -38,7 +38,12 @@ FRINGES = (
 COARSE = (FringeSet(axis="x", stripes=1, steps=3),)
 LATENCY_S = 0.015
 """Of a display; shorter than the exposure, so that each frame shows the pattern before."""
-SLIPS = [Fault(Cause.LATE), Fault(Cause.EARLY), Fault(Cause.MISSED, 8), Fault(Cause.DOUBLED, 9)]
+SLIPS = [
+    SyncFault(Cause.LATE),
+    SyncFault(Cause.EARLY),
+    SyncFault(Cause.MISSED, 8),
+    SyncFault(Cause.DOUBLED, 9),
+]
 
 
 def rig(**slip: Any) -> dict[str, Any]:
@@ -51,7 +56,7 @@ def rig(**slip: Any) -> dict[str, Any]:
     }
 
 
-def slipping(fault: Fault | None) -> dict[str, Any]:
+def slipping(fault: SyncFault | None) -> dict[str, Any]:
     return rig(cause=fault.cause.value, frame=fault.frame) if fault else rig()
 
 
@@ -80,7 +85,7 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("fault", SLIPS, ids=lambda f: f.cause)
-def test_a_trigger_that_slips_is_named_and_the_frames_stay(fault: Fault, tmp_path: Path) -> None:
+def test_a_trigger_that_slips_is_named_and_the_frames_stay(fault: SyncFault, tmp_path: Path) -> None:
     with pytest.raises(SyncError) as told:
         taken(slipping(fault), plan("triggered"), tmp_path / "s")
     assert fault.words() in str(told.value)
@@ -92,7 +97,7 @@ def test_a_trigger_that_slips_is_named_and_the_frames_stay(fault: Fault, tmp_pat
 def test_a_display_that_is_slower_than_the_plan_waits_is_named(tmp_path: Path) -> None:
     with pytest.raises(SyncError) as told:
         taken(rig(latency_s=LATENCY_S), plan("stepped"), tmp_path / "short")
-    assert Fault(Cause.LATE).words() in str(told.value)
+    assert SyncFault(Cause.LATE).words() in str(told.value)
     assert "longer settle_s" in str(told.value)
     taken(rig(latency_s=LATENCY_S), plan("stepped", settle_s=LATENCY_S), tmp_path / "long")
 
@@ -105,10 +110,12 @@ def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[FringeSet, ...], 
 
 
 @pytest.mark.parametrize(
-    "fault", [Fault(Cause.LATE), Fault(Cause.EARLY), Fault(Cause.MISSED, 1), Fault(Cause.DOUBLED, 2)],
+    "fault", [SyncFault(Cause.LATE), SyncFault(Cause.EARLY), SyncFault(Cause.MISSED, 1), SyncFault(Cause.DOUBLED, 2)],
     ids=lambda f: f.cause,
 )  # fmt: skip
-def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(fault: Fault, tmp_path: Path) -> None:
+def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(
+    fault: SyncFault, tmp_path: Path
+) -> None:
     with pytest.raises(SyncError, match="no black and then white"):
         taken(slipping(fault), plan("triggered", fringes=COARSE), tmp_path / "s")
 
@@ -126,9 +133,9 @@ def test_what_is_captured_in_memory_is_what_a_session_holds(
 
 
 @pytest.mark.parametrize(
-    ("fringes", "fault"), [(FRINGES, Fault(Cause.DOUBLED, 9)), (COARSE, Fault(Cause.MISSED, 1))]
+    ("fringes", "fault"), [(FRINGES, SyncFault(Cause.DOUBLED, 9)), (COARSE, SyncFault(Cause.MISSED, 1))]
 )
-def test_what_slips_is_not_captured_either(fringes: tuple[FringeSet, ...], fault: Fault) -> None:
+def test_what_slips_is_not_captured_either(fringes: tuple[FringeSet, ...], fault: SyncFault) -> None:
     with opened(slipping(fault)) as bench, pytest.raises(SyncError, match="cable"):
         capture(bench, plan("triggered", fringes=fringes))
 
@@ -136,7 +143,7 @@ def test_what_slips_is_not_captured_either(fringes: tuple[FringeSet, ...], fault
 def test_the_rest_of_an_interrupted_session_is_looked_at_with_what_was_there(tmp_path: Path) -> None:
     wanted = plan("triggered")
     whole = taken(rig(), wanted, tmp_path / "whole")
-    with opened(slipping(Fault(Cause.LATE))) as bench:
+    with opened(slipping(SyncFault(Cause.LATE))) as bench:
         session = Session.create(tmp_path / "s", wanted, bench.described())
         journal = (whole.path / "journal.jsonl").read_text().splitlines(keepends=True)[:8]
         for k, line in enumerate(journal):
@@ -221,7 +228,7 @@ def test_a_sound_bench_passes(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", SLIPS, ids=lambda f: f.cause)
-def test_the_check_names_a_trigger_that_slips(folder: Path, fault: Fault) -> None:
+def test_the_check_names_a_trigger_that_slips(folder: Path, fault: SyncFault) -> None:
     (finding,) = checked(folder, slipping(fault))["findings"]
     assert finding["cause"] == "triggered frames are out of step"
     assert finding["evidence"] == fault.words()

@@ -31,7 +31,7 @@ class Body(Document):
 def load(text: str, tmp_path: Path) -> Body:
     path = tmp_path / "body.yaml"
     path.write_text(text)
-    return config.load(path, Body)
+    return config.load_document(path, Body)
 
 
 def test_a_good_file(tmp_path: Path) -> None:
@@ -89,30 +89,30 @@ def test_what_is_not_yaml_is_refused_with_its_line(tmp_path: Path, text: str, co
 
 def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"body\.yaml: there is no such file"):
-        config.load(tmp_path / "body.yaml", Body)
+        config.load_document(tmp_path / "body.yaml", Body)
     with pytest.raises(ConfigError, match="cannot be read"):
-        config.load(tmp_path, Body)
+        config.load_document(tmp_path, Body)
     (tmp_path / "body.yaml").write_bytes(b"name: \xff\xfe")
     with pytest.raises(ConfigError, match="is not a text file in UTF-8"):
-        config.load(tmp_path / "body.yaml", Body)
+        config.load_document(tmp_path / "body.yaml", Body)
 
 
 def test_a_configuration_is_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    found = config.find("world_demo")
-    assert found == config.find("world_demo.yaml") == config.find("configs/world_demo.yaml")
+    found = config.find_config("world_demo")
+    assert found == config.find_config("world_demo.yaml") == config.find_config("configs/world_demo.yaml")
     assert found.name == "world_demo.yaml"
     with pytest.raises(
         ConfigError, match=r"no_such_world: there is no such file; fpplab brings .*world_demo.yaml"
     ):
-        config.find("no_such_world")
+        config.find_config("no_such_world")
     with pytest.raises(ConfigError, match="there is no such file"):
-        config.find(tmp_path / "world_demo.yaml")
+        config.find_config(tmp_path / "world_demo.yaml")
 
 
 def test_numbers_are_read_as_an_operator_writes_them() -> None:
-    assert config.parse("[1e-3, 2E+5, -1e3, 1.5e2, 7]", "x") == [1e-3, 2e5, -1e3, 150.0, 7]
-    assert config.parse("[1e, e3, '1e3', v1e3]", "x") == ["1e", "e3", "1e3", "v1e3"]
+    assert config.parse_yaml("[1e-3, 2E+5, -1e3, 1.5e2, 7]", "x") == [1e-3, 2e5, -1e3, 150.0, 7]
+    assert config.parse_yaml("[1e, e3, '1e3', v1e3]", "x") == ["1e", "e3", "1e3", "v1e3"]
 
 
 PLAIN = st.recursive(
@@ -125,7 +125,7 @@ PLAIN = st.recursive(
 @given(PLAIN)
 def test_plain_data_survive_the_file(data: object) -> None:
     """Above all words that look like numbers: serial numbers such as 21e7."""
-    assert config.parse(config.to_yaml(data), "x") == data
+    assert config.parse_yaml(config.to_yaml(data), "x") == data
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_plain_data_survive_the_file(data: object) -> None:
     ["21e7", "1e5", "0x10", "1_000", "yes", "null", "2026-11-21", "12:30", "~", "=", "\x85", "a\u2028b"],
 )
 def test_words_that_look_like_something_else_stay_words(word: str) -> None:
-    assert config.parse(config.to_yaml({"serial": word}), "x") == {"serial": word}
+    assert config.parse_yaml(config.to_yaml({"serial": word}), "x") == {"serial": word}
 
 
 def test_every_kind_of_error_has_its_exit_code() -> None:

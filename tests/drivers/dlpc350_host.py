@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500.sequence import SIZE
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, FlashImage, Policy, Pulse
+from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, FlashImage, Pulse, UsbFault
 
 WIDTH, HEIGHT = SIZE
 OK, ERROR = 0x40, 0x60
@@ -27,8 +27,8 @@ FLASH = [flat(10 * i + 1, 10 * i + 2, 10 * i + 3) for i in range(4)]
 class Host:
     """Sends bytes as a client does."""
 
-    policy: Policy
-    faults: dict[int, Fault] | None = None
+    policy: Dlpc350Policy
+    faults: dict[int, UsbFault] | None = None
 
     def __post_init__(self) -> None:
         self.clock = SteppedClock()

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from drivers.clock import Clock, SteppedClock
 from drivers.dlp4500.flash.firmware import Firmware
 from drivers.dlp4500.flash.loader import programming
-from drivers.dlp4500.flash.upload import perform, prepare, verify
-from drivers.dlp4500.framing import Message
+from drivers.dlp4500.flash.upload import perform, prepare, verify_image_count
+from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.transport import Link, connect
-from drivers.emulators.dlpc350 import EmulatedHid, FlashedDlpc350, Policy
+from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedHid, FlashedDlpc350
 
 ENTER, ERASE, DATA, LEAVE = 0x3001, 0x0028, 0x0025, 0x0030
 ADDRESS = 0x0029
@@ -28,14 +28,14 @@ class FailingBoard(FlashedDlpc350):
 
     hid: EmulatedHid
 
-    def __init__(self, clock: Clock, content: bytes, policy: Policy | None) -> None:
+    def __init__(self, clock: Clock, content: bytes, policy: Dlpc350Policy | None) -> None:
         self.fails_at: int | None = None
         self.messages: list[int] = []
         self.erased: list[int] = []
         self._address = 0
         super().__init__(clock, content, policy)
 
-    def answer(self, message: Message) -> Message | None:
+    def answer(self, message: UsbMessage) -> UsbMessage | None:
         number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
         self.messages.append(number)
         if number == ADDRESS:
@@ -45,7 +45,7 @@ class FailingBoard(FlashedDlpc350):
         if len(self.messages) - 1 != self.fails_at:
             return super().answer(message)
         half = message.payload[: 2 + len(data) // 2] if number == DATA else message.payload
-        super().answer(Message(message.flags, message.sequence, half))
+        super().answer(UsbMessage(message.flags, message.sequence, half))
         self.lose_power()
         self.hid.vanish(self.policy.reset_s)
         return None
@@ -54,7 +54,9 @@ class FailingBoard(FlashedDlpc350):
 class Bench:
     """The board on its wire."""
 
-    def __init__(self, content: bytes, policy: Policy | None = None, clock: Clock | None = None) -> None:
+    def __init__(
+        self, content: bytes, policy: Dlpc350Policy | None = None, clock: Clock | None = None
+    ) -> None:
         self.clock = clock or SteppedClock()
         self.board = FailingBoard(self.clock, content, policy)
         self.hid = self.board.hid = EmulatedHid(self.board)
@@ -69,7 +71,7 @@ class Bench:
         with programming(self.link, self.clock, "projector") as loader:
             work = prepare(firmware, loader)
             perform(firmware, loader, work, lambda share: None)
-        verify(firmware, self.link())
+        verify_image_count(firmware, self.link())
         return work.words
 
     def flash(self) -> NDArray[np.uint8]:

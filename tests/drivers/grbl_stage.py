@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from drivers.emulators.grbl import GrblController, Policy, Rail
+from drivers.emulators.grbl import GrblController, GrblPolicy, Rail
 from drivers.emulators.terminal import Terminal
 from drivers.stage_grbl import GrblStage
 
@@ -21,7 +21,7 @@ class Bench:
         self,
         settings: dict[int, float] | None = None,
         times: float = 200.0,
-        policy: Policy | None = None,
+        policy: GrblPolicy | None = None,
         rail: Rail | None = None,
     ) -> None:
         self.controller = GrblController(lambda: times * time.monotonic(), settings, rail, policy)

@@ -13,7 +13,7 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.index import FlashIndex, FlashPattern, shown_image
 from drivers.dlp4500.sequence import SIZE, planes
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, FlashImage, Policy, Pulse
+from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, FlashImage, Pulse, UsbFault
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
 
@@ -59,8 +59,8 @@ class Bench:
 
     patterns: Sequence[Pattern]
     folder: Path
-    policy: Policy = field(default_factory=Policy)
-    faults: Mapping[int, Fault] = field(default_factory=dict)
+    policy: Dlpc350Policy = field(default_factory=Dlpc350Policy)
+    faults: Mapping[int, UsbFault] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.clock = SteppedClock()

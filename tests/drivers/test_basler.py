@@ -14,7 +14,7 @@ import pytest
 from pypylon import genicam, pylon
 
 from drivers.basler import BaslerCamera, frames
-from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon, Policy
+from drivers.emulators.pylon import EmulatedCamera, EmulatedPylon, PylonPolicy
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.errors import (
     ConfigError,
@@ -155,7 +155,7 @@ def test_no_first_trigger_is_lost(camera: BaslerCamera, scene: Counter) -> None:
 
 def test_no_first_pulse_is_lost(scene: Counter) -> None:
     """On a wire that does not wait: armed means ready."""
-    bench = EmulatedPylon(scene=scene, policy=Policy(patient=False))
+    bench = EmulatedPylon(scene=scene, policy=PylonPolicy(patient=False))
     bench.start()
     try:
         with driver(bench) as camera:

@@ -89,14 +89,14 @@ def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
 
 
 def test_nothing_is_found_and_nothing_missed_where_nothing_is(computer: Computer) -> None:
-    assert discovery.find() == discovery.Found([], [])
+    assert discovery.find_devices() == discovery.FoundDevices([], [])
 
 
 def test_a_whole_bench_is_listed(computer: Computer) -> None:
     computer.plug_camera("23456789")
     computer.plug_projector()
     computer.plug_stage("/dev/ttyACM0")
-    found = discovery.find()
+    found = discovery.find_devices()
     assert found.missing == []
     assert found.devices == [
         DeviceInfo("camera", "acA5472-17um", "23456789", "BaslerUsb, USB 3, 5 Gbit/s"),
@@ -108,7 +108,7 @@ def test_a_whole_bench_is_listed(computer: Computer) -> None:
 def test_a_camera_on_usb_2_is_said(computer: Computer) -> None:
     computer.plug_camera("23456789", speed=3)
     assert "camera 23456789: connected by USB 2, 480 Mbit/s; use a USB 3 port" in only(
-        discovery.find().missing
+        discovery.find_devices().missing
     )
 
 
@@ -117,14 +117,14 @@ def test_missing_permissions_on_usb_are_said(node: str, kind: str, computer: Com
     computer.plug_camera("23456789")
     computer.plug_projector()
     computer.forbidden.add(f"/dev/bus/usb/001/{node}")
-    assert only(discovery.find().missing).startswith(
+    assert only(discovery.find_devices().missing).startswith(
         f"{kind}: this user may not open it; copy the udev rules"
     )
 
 
 def test_a_camera_without_its_driver_is_said(computer: Computer) -> None:
     computer.plug_camera("23456789", shown=False)
-    assert "pylon does not show it" in only(discovery.find().missing)
+    assert "pylon does not show it" in only(discovery.find_devices().missing)
 
 
 def test_a_camera_whose_serial_number_is_hidden_has_a_place(computer: Computer) -> None:
@@ -135,23 +135,25 @@ def test_a_camera_whose_serial_number_is_hidden_has_a_place(computer: Computer) 
             raise ValueError("The device has no langid")
 
     computer.usb = [Hidden(idVendor=BASLER_VENDOR, idProduct=1, bus=2, address=7, speed=4)]
-    assert only(discovery.find().missing).startswith("camera at USB 2-7: ")
+    assert only(discovery.find_devices().missing).startswith("camera at USB 2-7: ")
 
 
 def test_a_projector_that_is_no_hid_device_is_said(computer: Computer) -> None:
     computer.plug_projector(shown=False)
-    assert "not as the HID device" in only(discovery.find().missing)
+    assert "not as the HID device" in only(discovery.find_devices().missing)
 
 
 def test_a_port_that_may_not_be_opened_is_said(computer: Computer) -> None:
     computer.plug_stage("/dev/ttyACM0")
     computer.forbidden.add("/dev/ttyACM0")
-    assert "stage on /dev/ttyACM0: this user may not open it; add yourself" in only(discovery.find().missing)
+    assert "stage on /dev/ttyACM0: this user may not open it; add yourself" in only(
+        discovery.find_devices().missing
+    )
 
 
 def test_an_adapter_without_a_driver_is_said(computer: Computer) -> None:
     computer.plug_usb(0x1A86, 0x7523, None, 2)
-    assert only(discovery.find().missing) == (
+    assert only(discovery.find_devices().missing) == (
         "stage at USB 1-1: CH340 is on USB without a serial port; install its driver"
     )
 
@@ -159,7 +161,7 @@ def test_an_adapter_without_a_driver_is_said(computer: Computer) -> None:
 def test_ports_of_the_mainboard_are_left_out(computer: Computer) -> None:
     computer.plug_stage("/dev/ttyS0")
     computer.ports[0].hwid = "n/a"
-    assert discovery.find().devices == []
+    assert discovery.find_devices().devices == []
 
 
 @pytest.mark.parametrize(
@@ -177,7 +179,7 @@ def test_unknown_speeds_are_said(
 
     monkeypatch.setattr(usb.core, "find", broken)
     computer.plug_camera("23456789")
-    found = discovery.find()
+    found = discovery.find_devices()
     assert only(found.missing) == f"USB speeds are unknown: {words}"
     assert only(found.devices).link == "BaslerUsb"
 
@@ -198,7 +200,7 @@ def test_a_missing_library_hides_its_own_devices_alone(
     computer.plug_stage("/dev/ttyACM0")
     monkeypatch.delitem(sys.modules, library)
     monkeypatch.setattr(builtins, "__import__", without)
-    found = discovery.find()
+    found = discovery.find_devices()
     assert len(found.devices) == (3 if library == "usb.core" else 2)
     assert "does not load; install it" in only(found.missing)
 
@@ -215,7 +217,7 @@ def test_permissions_are_those_of_the_file(tmp_path: Path, monkeypatch: pytest.M
 def test_looking_sends_nothing_to_a_stage(computer: Computer) -> None:
     with Bench() as bench:
         computer.plug_stage(bench.terminal.port)
-        assert len(discovery.find().devices) == 1
+        assert len(discovery.find_devices().devices) == 1
         assert bench.heard == b""
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from drivers.dlp4500 import Dlp4500, protocol
-from drivers.dlp4500.protocol import Mode, Run
+from drivers.dlp4500.protocol import DisplayMode, Run
 from drivers.dlp4500.sequence import Slot, flash_program, video_program
-from drivers.emulators.dlpc350 import Fault, Policy, Video
+from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault, Video
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -69,7 +69,7 @@ def test_it_opens_dark_awake_and_in_pattern_mode(bench: Bench, projector: Dlp450
 
 
 def test_it_wakes_a_sleeping_projector(tmp_path: Path) -> None:
-    for policy in (Policy(), Policy(loses_wake_acknowledgement=True)):
+    for policy in (Dlpc350Policy(), Dlpc350Policy(loses_wake_acknowledgement=True)):
         bench = Bench(greys(1), tmp_path, policy)
         bench.controller.asleep = True
         with bench.projector() as projector:
@@ -78,7 +78,7 @@ def test_it_wakes_a_sleeping_projector(tmp_path: Path) -> None:
 
 
 def test_one_that_does_not_wake_is_a_time_out(tmp_path: Path) -> None:
-    bench = Bench(greys(1), tmp_path, Policy(wake_s=100.0))
+    bench = Bench(greys(1), tmp_path, Dlpc350Policy(wake_s=100.0))
     bench.controller.asleep = True
     with pytest.raises(TimeoutError, match="wake: still sleeps after 5 s"):
         bench.projector().open()
@@ -204,7 +204,7 @@ def test_any_order_of_two_images(bench: Bench, projector: Dlp4500, order: tuple[
 
 
 def test_many_images_are_shown_when_they_are_loaded(tmp_path: Path) -> None:
-    bench = Bench(greys(12), tmp_path, Policy(image_load_s=0.09))
+    bench = Bench(greys(12), tmp_path, Dlpc350Policy(image_load_s=0.09))
     with bench.projector() as projector:
         projector.load(bench.patterns)
         projector.play(EXPOSURE_S)
@@ -315,8 +315,8 @@ def test_trigger_delays_are_in_microseconds(bench: Bench) -> None:
         assert bench.pulses[-2].fall_s - begin == pytest.approx(EXPOSURE_S + 1.072e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize("policy", [Policy(), Policy(keeps_the_last_pattern=False)])
-def test_dark_after_blank_and_after_closing(tmp_path: Path, policy: Policy) -> None:
+@pytest.mark.parametrize("policy", [Dlpc350Policy(), Dlpc350Policy(keeps_the_last_pattern=False)])
+def test_dark_after_blank_and_after_closing(tmp_path: Path, policy: Dlpc350Policy) -> None:
     bench = Bench(greys(2), tmp_path, policy)
     projector = bench.projector()
     for end in (projector.blank, projector.close):
@@ -413,7 +413,7 @@ def test_what_the_validation_finds_is_told_in_words(bench: Bench, projector: Dlp
 
 
 def test_a_validation_without_end(tmp_path: Path) -> None:
-    bench = Bench(greys(1), tmp_path, Policy(validation_polls=10**6))
+    bench = Bench(greys(1), tmp_path, Dlpc350Policy(validation_polls=10**6))
     with bench.projector() as projector:
         projector.load(bench.patterns)
         with pytest.raises(TimeoutError, match="validation: does not end after 2 s"):
@@ -429,7 +429,7 @@ def test_a_valid_sequence_that_does_not_run_is_an_error(bench: Bench, projector:
 
 
 def test_a_board_without_numbers_in_its_answers(tmp_path: Path) -> None:
-    bench = Bench(greys(2), tmp_path, Policy(echoes_sequence=False))
+    bench = Bench(greys(2), tmp_path, Dlpc350Policy(echoes_sequence=False))
     with pytest.raises((TimeoutError, ProtocolError)):
         bench.projector().open()
     with bench.projector(checks_echo=False) as projector:
@@ -494,7 +494,7 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
     assert watched(bench, 4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]
     assert bench.controller.sequencer.state is Run.START
-    board.show_mode(Mode.VIDEO)
+    board.show_mode(DisplayMode.VIDEO)
     assert bench.controller.sequencer.state is Run.STOP
 
 
@@ -504,7 +504,7 @@ def test_a_refused_table_leaves_the_mailbox_closed(bench: Bench, projector: Dlp4
     program = flash_program([Slot(0, 0)], 10_000)
     writes = 0
     for n in range(60):
-        bench.hid.faults = {bench.hid.requests + n: Fault.NACK}
+        bench.hid.faults = {bench.hid.requests + n: UsbFault.NACK}
         try:
             board.prepare(program)
         except ProtocolError:

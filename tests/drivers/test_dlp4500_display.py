@@ -18,7 +18,7 @@ from PIL import Image
 
 from drivers.dlp4500 import display as display_module
 from drivers.dlp4500 import screen
-from drivers.dlp4500.display import Frame, SdlDisplay
+from drivers.dlp4500.display import SdlDisplay, VideoFrame
 from drivers.dlp4500.sequence import SIZE
 from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
 
@@ -40,7 +40,7 @@ def opened() -> Iterator[SdlDisplay]:
     display.close()
 
 
-def noise(size: tuple[int, int]) -> Frame:
+def noise(size: tuple[int, int]) -> VideoFrame:
     return np.random.default_rng(2).integers(0, 256, (size[1], size[0], 3), np.uint8)
 
 

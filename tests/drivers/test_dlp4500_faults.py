@@ -10,7 +10,7 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, UsbFault
 from fpplab.core.errors import DisconnectedError, ProtocolError, TimeoutError
 from fpplab.devices import State
 from tests.drivers.projector_bench import Bench, greys
@@ -20,12 +20,12 @@ LONGEST_S = 30.0
 """No sequence of time-outs may take longer, the operator waits for it."""
 
 ERRORS = {
-    Fault.DROP: TimeoutError,
-    Fault.LATE: TimeoutError,
-    Fault.NACK: ProtocolError,
-    Fault.SHORT: ProtocolError,
-    Fault.UNPLUG_BEFORE: DisconnectedError,
-    Fault.UNPLUG_AFTER: DisconnectedError,
+    UsbFault.DROP: TimeoutError,
+    UsbFault.LATE: TimeoutError,
+    UsbFault.NACK: ProtocolError,
+    UsbFault.SHORT: ProtocolError,
+    UsbFault.UNPLUG_BEFORE: DisconnectedError,
+    UsbFault.UNPLUG_AFTER: DisconnectedError,
 }
 
 
@@ -35,7 +35,7 @@ class Trial:
 
     bench: Bench
     at: int | None = None
-    fault: Fault = Fault.DROP
+    fault: UsbFault = UsbFault.DROP
 
     def __post_init__(self) -> None:
         self.clock = SteppedClock()
@@ -86,7 +86,7 @@ def within_time(trial: Trial) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("fault", ERRORS, ids=lambda fault: fault.name)
-def test_a_fault_at_every_command(bench: Bench, requests: int, fault: Fault) -> None:
+def test_a_fault_at_every_command(bench: Bench, requests: int, fault: UsbFault) -> None:
     failed = [at for at in range(requests) if not survives(Trial(bench, at, fault))]
     # What makes dark is tried twice, and so one fault there is got over, but for a lost cable.
     assert len(failed) >= requests - (0 if fault.name.startswith("UNPLUG") else 25)
@@ -136,7 +136,7 @@ def test_unplugged_during_the_set_up_nothing_is_lit(bench: Bench) -> None:
     trial.projector.close()
     lit = []
     for at in range(before, done):
-        for fault in (Fault.UNPLUG_BEFORE, Fault.UNPLUG_AFTER):
+        for fault in (UsbFault.UNPLUG_BEFORE, UsbFault.UNPLUG_AFTER):
             trial = Trial(bench, at, fault)
             trial.projector.open()
             trial.projector.load(bench.patterns)
@@ -149,12 +149,12 @@ def test_unplugged_during_the_set_up_nothing_is_lit(bench: Bench) -> None:
 
 def test_a_doubled_answer_at_every_command_does_no_harm(bench: Bench, requests: int) -> None:
     for at in range(requests):
-        trial = Trial(bench, at, Fault.DUPLICATE)
+        trial = Trial(bench, at, UsbFault.DUPLICATE)
         trial.measure()
         assert trial.hid.requests == requests
 
 
 def test_doubled_answers_to_all_commands_do_no_harm(bench: Bench, requests: int) -> None:
     trial = Trial(bench)
-    trial.hid.faults = dict.fromkeys(range(requests), Fault.DUPLICATE)
+    trial.hid.faults = dict.fromkeys(range(requests), UsbFault.DUPLICATE)
     trial.measure()

@@ -10,9 +10,9 @@ import pytest
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.framing import MOST_PAYLOAD, further_reports
-from drivers.dlp4500.protocol import COMMANDS, Command, Raw, Record
+from drivers.dlp4500.protocol import COMMANDS, Command, Raw, RegisterLayout
 from drivers.dlp4500.transport import Link
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, Policy
+from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, UsbFault
 from fpplab.core.errors import DeviceError
 from fpplab.devices import State
 from tests.drivers.dlpc350_host import FLASH
@@ -30,7 +30,7 @@ def mutated(report: bytes, chance: random.Random) -> bytes:
     return bytes(changed)
 
 
-def data_for(layout: Record | Raw | None, chance: random.Random) -> bytes:
+def data_for(layout: RegisterLayout | Raw | None, chance: random.Random) -> bytes:
     """Data that a layout takes, or nearly."""
     if layout is None:
         return b""
@@ -78,7 +78,7 @@ def batter_emulator(reports: int, seed: int) -> Counter[str]:
     """Send that many reports; what came of the messages in them."""
     chance = random.Random(seed)
     clock = SteppedClock()
-    controller = Dlpc350(clock, FLASH, Policy())
+    controller = Dlpc350(clock, FLASH, Dlpc350Policy())
     hid = EmulatedHid(controller)
     wire, expected, fates = hid.device(), Expected(), Counter[str]()
     wire.open_path(b"emulated:0")
@@ -197,7 +197,7 @@ def batter_driver(requests: int, seed: int) -> Counter[str]:
 def ask(link: Link, wire: LyingWire, command: Command, chance: random.Random) -> str:
     """One question or order; success only for an answer that bears its flags and its number."""
     if command.returned is not None and chance.random() < 0.6:
-        assert isinstance(command.returned, Record)
+        assert isinstance(command.returned, RegisterLayout)
         selector = {f.name: f.values()[0] for f in command.selector.named}
         found = link.read(command, **selector)
         size = command.returned.size
@@ -208,7 +208,7 @@ def ask(link: Link, wire: LyingWire, command: Command, chance: random.Random) ->
         return "read"
     if command.written is None:
         return "nothing"
-    assert isinstance(command.written, Record)
+    assert isinstance(command.written, RegisterLayout)
     link.write(command, **{f.name: f.values()[0] for f in command.written.named})
     assert not command.acknowledged or wire.given[-1][:2] == wire.head
     return "written"
@@ -233,7 +233,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def test_many_faults_at_once_leave_it_dark_or_never_lit(bench: Bench) -> None:
     """Whatever happens on the wire ends in time, and with the cable in nothing stays lit for long."""
     chance = random.Random(5)
-    kinds = [Fault.DROP, Fault.LATE, Fault.DUPLICATE, Fault.NACK, Fault.SHORT]
+    kinds = [UsbFault.DROP, UsbFault.LATE, UsbFault.DUPLICATE, UsbFault.NACK, UsbFault.SHORT]
     for _ in range(40):
         trial = Trial(bench)
         trial.hid.faults = {at: chance.choice(kinds) for at in range(200) if chance.random() < 0.05}

@@ -14,13 +14,13 @@ from drivers.dlp4500.framing import (
     MOST_PAYLOAD,
     READ,
     REPLY_WANTED,
-    Message,
+    UsbMessage,
     further_reports,
     header,
     joined,
     request,
 )
-from drivers.dlp4500.protocol import COMMANDS, ENTRY, VALIDATION, Command, Field, Raw, Record
+from drivers.dlp4500.protocol import COMMANDS, ENTRY, VALIDATION, Command, Raw, RegisterField, RegisterLayout
 
 WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x0200: ({"standby": 1}, "01"),
@@ -166,8 +166,8 @@ RETURNED: dict[int, tuple[dict[str, int], str]] = {
 RAW = {0x1AFF, 0x1A34}
 
 
-def record(layout: object) -> Record:
-    assert isinstance(layout, Record)
+def record(layout: object) -> RegisterLayout:
+    assert isinstance(layout, RegisterLayout)
     return layout
 
 
@@ -229,11 +229,11 @@ RECORDS = [
         ("returned", command.returned),
         ("selector", command.selector),
     )
-    if isinstance(layout, Record) and layout.fields
+    if isinstance(layout, RegisterLayout) and layout.fields
 ] + [("entry", ENTRY), ("validation", VALIDATION)]
 
 
-def values_of(layout: Record) -> st.SearchStrategy[dict[str, int]]:
+def values_of(layout: RegisterLayout) -> st.SearchStrategy[dict[str, int]]:
     return st.fixed_dictionaries({f.name: one_of(f.values()) for f in layout.named})
 
 
@@ -242,7 +242,7 @@ def one_of(values: Sequence[int]) -> st.SearchStrategy[int]:
 
 
 @pytest.mark.parametrize("layout", [r[1] for r in RECORDS], ids=[r[0] for r in RECORDS])
-def test_there_and_back_is_an_identity(layout: Record) -> None:
+def test_there_and_back_is_an_identity(layout: RegisterLayout) -> None:
     @given(values_of(layout), st.binary(min_size=layout.size, max_size=layout.size))
     def check(values: dict[str, int], data: bytes) -> None:
         packed = layout.pack(values)
@@ -257,13 +257,13 @@ def test_there_and_back_is_an_identity(layout: Record) -> None:
     check()
 
 
-def beyond(field: Field) -> list[int]:
+def beyond(field: RegisterField) -> list[int]:
     allowed = field.values()
     return [value for value in (allowed[0] - 1, allowed[-1] + 1) if value not in allowed]
 
 
 @pytest.mark.parametrize("layout", [r[1] for r in RECORDS], ids=[r[0] for r in RECORDS])
-def test_what_is_out_of_range_is_refused_with_its_name(layout: Record) -> None:
+def test_what_is_out_of_range_is_refused_with_its_name(layout: RegisterLayout) -> None:
     good = {field.name: field.values()[0] for field in layout.named}
     for field in layout.named:
         for value in beyond(field):
@@ -332,11 +332,11 @@ def test_what_follows_the_first_report_has_no_header() -> None:
     assert third == data[122:].ljust(64, b"\0")
 
 
-messages = st.builds(Message, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MOST_PAYLOAD))
+messages = st.builds(UsbMessage, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=MOST_PAYLOAD))
 
 
 @given(messages, st.binary(min_size=64, max_size=64))
-def test_a_message_survives_its_reports_and_any_padding(message: Message, rubbish: bytes) -> None:
+def test_a_message_survives_its_reports_and_any_padding(message: UsbMessage, rubbish: bytes) -> None:
     reports = message.reports()
     used = (4 + len(message.payload)) % 64 or 64
     padded = [*reports[:-1], reports[-1][:used] + rubbish[used:]]
@@ -345,7 +345,7 @@ def test_a_message_survives_its_reports_and_any_padding(message: Message, rubbis
 
 
 @given(messages, st.integers(0, 70))
-def test_reports_that_do_not_fit_their_header_are_refused(message: Message, size: int) -> None:
+def test_reports_that_do_not_fit_their_header_are_refused(message: UsbMessage, size: int) -> None:
     reports = message.reports()
     with pytest.raises(ValueError, match="reports for a payload"):
         joined([*reports, bytes(64)])
@@ -356,12 +356,12 @@ def test_reports_that_do_not_fit_their_header_are_refused(message: Message, size
 
 def test_what_no_buffer_holds_is_refused() -> None:
     with pytest.raises(ValueError, match="509 bytes: at most 508"):
-        Message(0, 0, bytes(509)).reports()
+        UsbMessage(0, 0, bytes(509)).reports()
     with pytest.raises(ValueError, match="509 bytes: at most 508"):
         header(bytes.fromhex("4000fd01").ljust(64, b"\0"))
 
 
 def test_the_error_bit() -> None:
-    assert Message(0x60, 0).failed
-    assert Message(0xE0, 0).failed
-    assert not Message(0xC0 & ~ERROR, 0).failed
+    assert UsbMessage(0x60, 0).failed
+    assert UsbMessage(0xE0, 0).failed
+    assert not UsbMessage(0xC0 & ~ERROR, 0).failed

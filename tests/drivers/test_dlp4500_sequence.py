@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dlp4500.protocol import ENTRY, Source, Trigger, TriggerMode
+from drivers.dlp4500.protocol import ENTRY, PatternTrigger, Source, TriggerMode
 from drivers.dlp4500.sequence import (
     LEAST_EXPOSURE_US,
     Entry,
     Program,
     Slot,
-    check,
+    check_sequence,
     flash_program,
     period_us,
     planes,
@@ -66,7 +66,7 @@ def test_a_swap_at_the_first_pattern_and_wherever_the_image_changes() -> None:
     program = flash_program(slots(3, 3, 3, 5, 5, 3), EXPOSURE_US, load_us=LOADS)
     assert [entry.swap for entry in program.entries] == [True, False, False, True, False, True]
     assert program.images == (3, 5, 3)
-    assert all(entry.trigger is Trigger.INTERNAL for entry in program.entries)
+    assert all(entry.trigger is PatternTrigger.INTERNAL for entry in program.entries)
     assert (program.source, program.trigger_mode) == (Source.FLASH, TriggerMode.INTERNAL)
     assert program.image_table() == bytes([3, 5, 3])
     assert len(program.pattern_table()) == 18
@@ -139,7 +139,7 @@ def test_long_sequences_take_the_long_tables() -> None:
     with pytest.raises(ValueError, match="1825 patterns: 1 to 1824"):
         flash_program(slots(*[0] * 1825), EXPOSURE_US)
     with pytest.raises(ValueError, match="0 patterns"):
-        check(replace(long, entries=()))
+        check_sequence(replace(long, entries=()))
 
 
 def test_a_run_takes_its_patterns_times() -> None:
@@ -159,30 +159,34 @@ FIRST = Entry(0, 8, swap=True)
 @pytest.mark.parametrize("gap", [-1, 1, 230])
 def test_gaps_that_no_period_has(gap: int) -> None:
     with pytest.raises(ValueError, match=f"the period is {EXPOSURE_US + gap} µs: 10000, the exposure, or at"):
-        check(program(FIRST, period=EXPOSURE_US + gap))
+        check_sequence(program(FIRST, period=EXPOSURE_US + gap))
 
 
 def test_the_least_gap() -> None:
-    check(program(FIRST, period=EXPOSURE_US + 231))
+    check_sequence(program(FIRST, period=EXPOSURE_US + 231))
 
 
 @pytest.mark.parametrize(
-    "first", [replace(FIRST, swap=False), replace(FIRST, trigger=Trigger.NONE)], ids=["swap", "trigger"]
+    "first",
+    [replace(FIRST, swap=False), replace(FIRST, trigger=PatternTrigger.NONE)],
+    ids=["swap", "trigger"],
 )
 def test_the_first_pattern_needs_a_trigger_and_an_image(first: Entry) -> None:
     with pytest.raises(ValueError, match="the first pattern needs"):
-        check(program(first))
+        check_sequence(program(first))
 
 
 def test_patterns_that_share_a_pulse_share_its_exposure() -> None:
     shared = Entry(1, 8, share_trigger=True)
-    check(program(FIRST, shared, exposure=16_666, period=16_666))
+    check_sequence(program(FIRST, shared, exposure=16_666, period=16_666))
     with pytest.raises(ValueError, match="2 patterns share 16665 µs: at least 16666 µs"):
-        check(program(FIRST, shared, exposure=16_665, period=16_665))
+        check_sequence(program(FIRST, shared, exposure=16_665, period=16_665))
     with pytest.raises(ValueError, match="3 patterns share 16666 µs"):  # the first one counts as well
-        check(program(FIRST, Entry(0, 1, share_trigger=True), shared, exposure=16_666, period=16_666))
+        check_sequence(
+            program(FIRST, Entry(0, 1, share_trigger=True), shared, exposure=16_666, period=16_666)
+        )
     with pytest.raises(ValueError, match="cannot stay high over inserted black"):
-        check(program(replace(FIRST, black_after=True), shared, exposure=20_000, period=20_000))
+        check_sequence(program(replace(FIRST, black_after=True), shared, exposure=20_000, period=20_000))
 
 
 # --- the video port

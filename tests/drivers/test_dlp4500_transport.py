@@ -9,7 +9,7 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.framing import READ, Message
+from drivers.dlp4500.framing import READ, UsbMessage
 from drivers.dlp4500.transport import MOST_STALE, Link, connect
 from fpplab.core.errors import (
     DeviceError,
@@ -19,13 +19,13 @@ from fpplab.core.errors import (
     TimeoutError,
 )
 
-Far = Callable[[Message], list[Message]]
+Far = Callable[[UsbMessage], list[UsbMessage]]
 """What the far end sends after a request."""
 
 
-def request_in(report: bytes) -> Message:
+def request_in(report: bytes) -> UsbMessage:
     flags, sequence, length = report[0], report[1], int.from_bytes(report[2:4], "little")
-    return Message(flags, sequence, report[4 : 4 + min(length, 60)])
+    return UsbMessage(flags, sequence, report[4 : 4 + min(length, 60)])
 
 
 class ScriptedWire:
@@ -60,8 +60,8 @@ class ScriptedWire:
         self.closed = True
 
 
-def echo(request: Message, data: bytes = b"") -> Message:
-    return Message(request.flags, request.sequence, data)
+def echo(request: UsbMessage, data: bytes = b"") -> UsbMessage:
+    return UsbMessage(request.flags, request.sequence, data)
 
 
 def link_to(far: Far, **options: Any) -> tuple[Link, ScriptedWire]:
@@ -109,7 +109,7 @@ def test_every_request_has_another_number_and_they_come_round() -> None:
 
 
 def test_silence_is_no_success() -> None:
-    for far in (lambda r: [], lambda r: [Message(r.flags, (r.sequence + 1) % 256)]):
+    for far in (lambda r: [], lambda r: [UsbMessage(r.flags, (r.sequence + 1) % 256)]):
         link, wire = link_to(far)
         with pytest.raises(TimeoutError, match="projector: sequence: no complete answer within 2 s"):
             link.write(protocol.SEQUENCE, run=2)
@@ -126,18 +126,18 @@ def test_a_missing_continuation_is_silence() -> None:
 
 def test_a_refusal_is_an_error_whatever_else_it_says() -> None:
     for length in (0, 1, 300):
-        link, _ = link_to(lambda r, n=length: [Message(r.flags | 0x20, r.sequence, bytes(n))])
+        link, _ = link_to(lambda r, n=length: [UsbMessage(r.flags | 0x20, r.sequence, bytes(n))])
         with pytest.raises(ProtocolError, match="projector: exposure: the projector refuses it"):
             link.write(protocol.EXPOSURE, exposure_us=1, period_us=1)
         with pytest.raises(ProtocolError, match="main status: the projector refuses it"):
-            link_to(lambda r: [Message(r.flags | 0x20, r.sequence)])[0].read(protocol.MAIN_STATUS)
+            link_to(lambda r: [UsbMessage(r.flags | 0x20, r.sequence)])[0].read(protocol.MAIN_STATUS)
 
 
 def test_late_and_doubled_answers_are_not_taken_for_another() -> None:
     """Without numbers each answer would be the one before it."""
-    late: list[Message] = []
+    late: list[UsbMessage] = []
 
-    def far(request: Message) -> list[Message]:
+    def far(request: UsbMessage) -> list[UsbMessage]:
         value = request.payload[0]  # the command's low byte tells the questions apart
         answers = [*late, echo(request, bytes([value & 1]))]
         late[:] = [echo(request, bytes([value & 1]))]
@@ -150,9 +150,9 @@ def test_late_and_doubled_answers_are_not_taken_for_another() -> None:
 
 
 def test_a_late_long_answer_is_skipped_whole() -> None:
-    late: list[Message] = []
+    late: list[UsbMessage] = []
 
-    def far(request: Message) -> list[Message]:
+    def far(request: UsbMessage) -> list[UsbMessage]:
         long = int.from_bytes(request.payload[:2], "little") == protocol.MAILBOX_DATA.number
         reply = echo(request, bytes([0xC0, 1]) * 100 if long else b"\x01")
         answers = [*late, reply]
@@ -165,7 +165,7 @@ def test_a_late_long_answer_is_skipped_whole() -> None:
 
 
 def test_an_acknowledgement_may_say_anything_after_its_header() -> None:
-    link, _ = link_to(lambda r: [Message(r.flags, r.sequence, b"?" * 56)])
+    link, _ = link_to(lambda r: [UsbMessage(r.flags, r.sequence, b"?" * 56)])
     link.write(protocol.FREEZE, on=1)
 
 
@@ -192,7 +192,7 @@ def test_reports_that_are_none(report: bytes) -> None:
 
 def test_an_endless_flood_ends() -> None:
     link, wire = link_to(lambda r: [])
-    wire.read = lambda n, t=0: list(Message(READ | 0x40, 99, b"\1").reports()[0])
+    wire.read = lambda n, t=0: list(UsbMessage(READ | 0x40, 99, b"\1").reports()[0])
     with pytest.raises(ProtocolError, match="answers to questions that were not asked"):
         link.read(protocol.MAIN_STATUS)
     with pytest.raises(ProtocolError, match="reports keep coming"):
@@ -228,11 +228,11 @@ def test_a_report_that_cannot_be_sent_is_not_waited_for() -> None:
 
 
 def test_without_echo_what_waits_is_thrown_away_first() -> None:
-    link, wire = link_to(lambda r: [Message(r.flags, 0, b"\x01")], checks_echo=False)
-    wire.waiting += Message(READ | 0x40, 0, b"\x00").reports() * 5
+    link, wire = link_to(lambda r: [UsbMessage(r.flags, 0, b"\x01")], checks_echo=False)
+    wire.waiting += UsbMessage(READ | 0x40, 0, b"\x00").reports() * 5
     for _ in range(3):
         assert link.read(protocol.SYSTEM_STATUS) == {"memory_test_passed": 1}
-    link, wire = link_to(lambda r: [Message(r.flags | 0x20, 0)], checks_echo=False)
+    link, wire = link_to(lambda r: [UsbMessage(r.flags | 0x20, 0)], checks_echo=False)
     with pytest.raises(ProtocolError, match="refuses"):
         link.read(protocol.SYSTEM_STATUS)
 

@@ -17,7 +17,7 @@ from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.packing import in_frames, packed
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
-from drivers.emulators.dlpc350 import EmulatedDisplay, Fault
+from drivers.emulators.dlpc350 import EmulatedDisplay, UsbFault
 from drivers.emulators.dlpc350.light import grey
 from fpplab.core.errors import (
     CapabilityError,
@@ -312,8 +312,8 @@ def test_a_signal_lost_between_frames_is_noticed(bench: VideoBench, projector: D
     assert bench.is_dark()
 
 
-@pytest.mark.parametrize("fault", [Fault.DROP, Fault.LATE, Fault.NACK, Fault.UNPLUG_BEFORE])
-def test_a_fault_at_any_command_of_a_run_ends_it(tmp_path: Path, fault: Fault) -> None:
+@pytest.mark.parametrize("fault", [UsbFault.DROP, UsbFault.LATE, UsbFault.NACK, UsbFault.UNPLUG_BEFORE])
+def test_a_fault_at_any_command_of_a_run_ends_it(tmp_path: Path, fault: UsbFault) -> None:
     """No frame later than where it happened, and dark where the cable is still there."""
     quiet = VideoBench(greys(3), tmp_path)
     with quiet.projector() as projector:
@@ -330,7 +330,7 @@ def test_a_fault_at_any_command_of_a_run_ends_it(tmp_path: Path, fault: Fault) -
         try:
             projector.play(0.01)
         except DeviceError:
-            assert fault is Fault.UNPLUG_BEFORE or bench.is_dark()
+            assert fault is UsbFault.UNPLUG_BEFORE or bench.is_dark()
         else:
             assert len(bench.pulsed()) == 3
             assert n == 0, "an order to make dark is given twice"

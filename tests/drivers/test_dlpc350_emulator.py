@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from drivers.emulators.dlpc350 import Policy
+from drivers.emulators.dlpc350 import Dlpc350Policy
 from tests.drivers.dlpc350_host import ERROR, OK, Host
 
 
 @pytest.fixture
 def host() -> Host:
-    return Host(Policy())
+    return Host(Dlpc350Policy())
 
 
 # --- messages
@@ -86,13 +86,13 @@ def test_a_long_table_in_one_message(host: Host, count: int) -> None:
 
 
 def test_other_destinations() -> None:
-    assert Host(Policy()).send("1008 01", 0x41) == b""
-    assert Host(Policy(answers_other_destinations=True)).send("1008 01", 0x41)[0] == 0x61
+    assert Host(Dlpc350Policy()).send("1008 01", 0x41) == b""
+    assert Host(Dlpc350Policy(answers_other_destinations=True)).send("1008 01", 0x41)[0] == 0x61
 
 
 def test_the_number_in_a_reply() -> None:
-    assert Host(Policy()).send("1a0a", 0xC0, 200)[1] == 200
-    assert Host(Policy(echoes_sequence=False)).send("1a0a", 0xC0, 200)[1] == 0
+    assert Host(Dlpc350Policy()).send("1a0a", 0xC0, 200)[1] == 200
+    assert Host(Dlpc350Policy(echoes_sequence=False)).send("1a0a", 0xC0, 200)[1] == 0
 
 
 # --- tables
@@ -177,7 +177,7 @@ def test_the_least_exposure_of_each_depth(host: Host, depth: int) -> None:
 
 def test_exactly_230_us_is_a_policy() -> None:
     for accepts, verdict in ((True, 0), (False, 0b10000)):
-        host = Host(Policy(accepts_a_gap_of_230_us=accepts))
+        host = Host(Dlpc350Policy(accepts_a_gap_of_230_us=accepts))
         host.sequence(period_us=10_230)
         assert host.validate() == verdict
 
@@ -190,7 +190,7 @@ def test_fewer_entries_than_declared(host: Host) -> None:
 
 def test_it_is_busy_for_a_while_and_says_nothing_else() -> None:
     for polls in (0, 2):
-        host = Host(Policy(validation_polls=polls))
+        host = Host(Dlpc350Policy(validation_polls=polls))
         host.sequence(exposure_us=1)
         host.write("1a1a 00")
         assert [host.read("1a1a")[0] for _ in range(4)] == [0x80] * polls + [1] * (4 - polls)
@@ -239,7 +239,7 @@ def test_once_means_as_often_as_patterns_are_counted(host: Host) -> None:
 
 def test_what_stays_after_the_end_is_a_policy() -> None:
     for keeps, after in ((True, 3), (False, -1)):
-        host = Host(Policy(keeps_the_last_pattern=keeps))
+        host = Host(Dlpc350Policy(keeps_the_last_pattern=keeps))
         host.run(repeat=0)
         host.clock.sleep(1.0)
         assert host.grey() == after

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dlp4500.sequence import planes
-from drivers.emulators.dlpc350 import EmulatedDisplay, Fault, Policy, Video
+from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedDisplay, UsbFault, Video
 from drivers.emulators.dlpc350.light import grey
 from tests.drivers.dlpc350_host import ERROR, OK, Host, flat
 
@@ -19,7 +19,7 @@ FRAME_S = 1 / 60
 
 @pytest.fixture
 def host() -> Host:
-    return Host(Policy())
+    return Host(Dlpc350Policy())
 
 
 # --- what stops a start
@@ -27,7 +27,7 @@ def host() -> Host:
 
 def test_a_start_without_validation_is_a_policy() -> None:
     for needs, runs in ((True, False), (False, True)):
-        host = Host(Policy(needs_validation=needs))
+        host = Host(Dlpc350Policy(needs_validation=needs))
         host.sequence()
         assert host.write("1a24 02") == OK
         assert host.running is runs
@@ -63,7 +63,7 @@ def test_an_invalid_sequence_does_not_start(host: Host) -> None:
 
 def test_changes_while_running_are_a_policy() -> None:
     for refuses, flags in ((True, ERROR), (False, OK)):
-        host = Host(Policy(refuses_changes_while_running=refuses))
+        host = Host(Dlpc350Policy(refuses_changes_while_running=refuses))
         host.run()
         assert host.write("1a30 01") == flags
         host.write("1a24 01")
@@ -115,7 +115,7 @@ def run_from_video(host: Host, entries: str, exposure_us: int, repeat: int) -> N
 
 
 def test_without_the_policy_a_signal_may_come_later() -> None:
-    host = Host(Policy(needs_lock_before_pattern_mode=False))
+    host = Host(Dlpc350Policy(needs_lock_before_pattern_mode=False))
     host.pattern_mode()
     host.controller.video = Video(FRAME)
     host.write("1a22 00")
@@ -139,7 +139,7 @@ def test_a_channel_swap_permutes_the_patterns_of_a_frame(
     swap: str, inputs: list[int], outputs: list[int], names_the_input: bool
 ) -> None:
     """Greys of patterns 0, 1, 2; the board's 04 gives green, red, blue."""
-    host = Host(Policy(swap_names_the_input=names_the_input))
+    host = Host(Dlpc350Policy(swap_names_the_input=names_the_input))
     host.controller.video = Video(FRAME, 3 * FRAME_S)
     host.write(f"1a37 {swap}")
     host.pattern_mode()
@@ -198,7 +198,7 @@ def test_leaving_pattern_mode_stops_and_forgets_the_validation(host: Host) -> No
 
 
 def test_standby_refuses_all_but_questions_after_its_state() -> None:
-    host = Host(Policy())
+    host = Host(Dlpc350Policy())
     host.pattern_mode()
     assert host.write("0200 01") == ERROR, "only from video mode"
     host.write("1a1b 00")
@@ -217,7 +217,7 @@ def test_standby_refuses_all_but_questions_after_its_state() -> None:
 
 
 def test_policies_of_standby() -> None:
-    host = Host(Policy(sleeps_in_pattern_mode=True, loses_wake_acknowledgement=True, wake_s=0.5))
+    host = Host(Dlpc350Policy(sleeps_in_pattern_mode=True, loses_wake_acknowledgement=True, wake_s=0.5))
     host.pattern_mode()
     assert host.write("0200 01") == OK
     assert host.send("0200 00") == b""
@@ -324,8 +324,8 @@ def test_an_old_handle_stays_dead_after_plugging_in_again(host: Host) -> None:
 
 
 def test_faults_of_replies() -> None:
-    faults = {0: Fault.DROP, 1: Fault.LATE, 2: Fault.DUPLICATE, 3: Fault.NACK, 4: Fault.SHORT}
-    host = Host(Policy(), faults)
+    faults = {0: UsbFault.DROP, 1: UsbFault.LATE, 2: UsbFault.DUPLICATE, 3: UsbFault.NACK, 4: UsbFault.SHORT}
+    host = Host(Dlpc350Policy(), faults)
     assert host.send("1008 01") == b""
     assert host.send("1009 01", sequence=1) == b""
     host.clock.sleep(3.0)

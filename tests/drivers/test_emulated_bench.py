@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.emulators.bench import EmulatedFixture, Faults
-from drivers.emulators.dlpc350 import Fault
+from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DisconnectedError, SettingError, TimeoutError
 from fpplab.devices import CameraSettings, Frame, State
@@ -290,7 +290,7 @@ def test_a_reply_that_is_late_or_lost(folder: Path) -> None:
         list(taken(rig))
     with rig_file(folder) as rig:
         bench = bench_of(rig)
-        bench.hid.faults[bench.hid.requests + 20] = Fault.DROP
+        bench.hid.faults[bench.hid.requests + 20] = UsbFault.DROP
         with pytest.raises(TimeoutError):
             list(taken(rig))
         assert bench.controller.light() is None

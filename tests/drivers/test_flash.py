@@ -278,7 +278,7 @@ def test_the_command(maker, tmp_path):
     answer = run(*words, "--json").json
     assert (answer["patterns"], answer["images"], answer["firmware"]) == (36 + 26, 21, str(out))
     assert answer["image_bytes"] == out.stat().st_size - BEHIND_PROGRAM
-    index = config.load(answer["index"], FlashIndex)
+    index = config.load_document(answer["index"], FlashIndex)
     assert (index.patterns[5].id, index.patterns[5].slot) == ("00-x-1-005of12", Slot(1, 2))
     assert {f"grey-{grey:03d}" for grey in (0, 17, 116, 255)} <= {pattern.id for pattern in index.patterns}
     shown = stored_images(out.read_bytes())[1].planes[..., 2]

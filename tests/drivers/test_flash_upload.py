@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware
 from drivers.dlp4500.flash.loader import MOST_DATA, Loader, programming
-from drivers.dlp4500.flash.upload import check, prepare, verify
-from drivers.dlp4500.framing import Message
+from drivers.dlp4500.flash.upload import check_firmware, prepare, verify_image_count
+from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
-from drivers.emulators.dlpc350 import Fault, Policy
+from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
 from fpplab.cli import app
 from fpplab.core.errors import (
@@ -46,7 +46,7 @@ TABLE, HEAD, TAIL = 1, 11, 12
 BOUNDARY = HEAD * SECTOR
 
 
-def _messages(policy: Policy | None = None, built: Firmware = BUILT) -> list[int]:
+def _messages(policy: Dlpc350Policy | None = None, built: Firmware = BUILT) -> list[int]:
     """What an upload without interruption sends."""
     bench = Bench(MAKER, policy)
     bench.upload(built)
@@ -85,7 +85,7 @@ def _is_safe(bench: Bench, built: Firmware = BUILT) -> bool:
     return whole and bench.runs_program() == valid and (not valid or images in (0, built.images))
 
 
-def _interrupted(fails_at: int, policy: Policy | None = None, built: Firmware = BUILT) -> Bench:
+def _interrupted(fails_at: int, policy: Dlpc350Policy | None = None, built: Firmware = BUILT) -> Bench:
     bench = Bench(WHOLE, policy)
     bench.board.fails_at = fails_at
     with suppress(DeviceError):  # at the very end it no longer matters
@@ -152,7 +152,7 @@ def test_power_may_fail_about_what_changes_most(fails_at):
     _finish(_interrupted(fails_at))
 
 
-FAST = Policy(sector_erase_s=0.02)
+FAST = Dlpc350Policy(sector_erase_s=0.02)
 
 
 @pytest.mark.slow
@@ -172,7 +172,7 @@ def test_power_may_fail_at_every_message_but_data():
             _finish(_interrupted(fails_at, FAST))
 
 
-@pytest.mark.parametrize("fault", [Fault.UNPLUG_BEFORE, Fault.UNPLUG_AFTER])
+@pytest.mark.parametrize("fault", [UsbFault.UNPLUG_BEFORE, UsbFault.UNPLUG_AFTER])
 @pytest.mark.parametrize("share", [0.02, 0.2, 0.4, 0.6, 0.8, 0.98])
 def test_the_cable_may_be_pulled(fault, share):
     bench = Bench(MAKER)
@@ -184,7 +184,7 @@ def test_the_cable_may_be_pulled(fault, share):
     assert _has(bench, BUILT)
 
 
-@pytest.mark.parametrize("fault", [Fault.DROP, Fault.NACK, Fault.LATE])
+@pytest.mark.parametrize("fault", [UsbFault.DROP, UsbFault.NACK, UsbFault.LATE])
 def test_an_answer_may_be_lost(fault):
     bench = Bench(MAKER)
     bench.hid.faults[MESSAGES.index(ERASE)] = fault
@@ -271,12 +271,12 @@ def _with_images_at(offset: int) -> Firmware:
 @pytest.mark.parametrize("offset", [0x15EFD0, 0x160010, 0x140000, 0x40000, 0])
 def test_images_that_share_sectors_with_the_program_are_refused(offset):
     with pytest.raises(DataError, match="images share sectors with its program"):
-        check(_with_images_at(offset))
+        check_firmware(_with_images_at(offset))
 
 
 def test_a_file_of_the_maker_is_refused():
     with pytest.raises(DataError, match="has no images"):
-        check(firmware(MAKER))
+        check_firmware(firmware(MAKER))
 
 
 def test_another_program_is_refused():
@@ -325,7 +325,7 @@ def test_flash_that_does_not_take_a_bit_is_found():
 
 
 def test_a_flash_that_stays_busy_times_out():
-    bench = Bench(MAKER, Policy(sector_erase_s=100.0))
+    bench = Bench(MAKER, Dlpc350Policy(sector_erase_s=100.0))
     with pytest.raises(TimeoutError, match="still busy after 30 s"):
         bench.upload(BUILT)
 
@@ -337,7 +337,7 @@ class Deaf(Bench):
         super().__init__(MAKER)
         answer = self.board.answer
 
-        def ignoring(message: Message) -> Message | None:
+        def ignoring(message: UsbMessage) -> UsbMessage | None:
             return None if message.payload[:2] == struct.pack("<H", ENTER) else answer(message)
 
         self.board.answer = ignoring
@@ -353,7 +353,7 @@ def test_a_projector_that_finds_other_images_is_reported():
     bench.upload(BUILT)
     fewer = firmware(MAKER).with_patterns(PATTERNS[:3], Path("fewer.bin"))
     with pytest.raises(DeviceError, match="finds 12 images in its flash, not 1"):
-        verify(fewer, bench.link())
+        verify_image_count(fewer, bench.link())
 
 
 # --- command ----------------------------------------------------------------------------------------
@@ -362,7 +362,7 @@ def test_a_projector_that_finds_other_images_is_reported():
 @pytest.fixture
 def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Bench:
     """A projector that the command finds, with the time of the wall."""
-    bench = Bench(MAKER, Policy(sector_erase_s=0.0, checksum_s=0.0, reset_s=0.1), RealClock())
+    bench = Bench(MAKER, Dlpc350Policy(sector_erase_s=0.0, checksum_s=0.0, reset_s=0.1), RealClock())
     monkeypatch.setitem(sys.modules, "hid", bench.hid)
     return bench
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulators.grbl import GrblController, Mode, Policy, Rail
+from drivers.emulators.grbl import GrblController, GrblPolicy, GrblState, Rail
 from drivers.emulators.grbl.gcode import GcodeError, Interpreter
 from drivers.emulators.grbl.ramps import Brake, Ramp
 
@@ -18,7 +18,7 @@ POSITIVE = st.floats(0.01, 500.0)
 class Talk:
     """A controller, and a clock that only the test moves."""
 
-    def __init__(self, settings: dict[int, float] | None = None, policy: Policy | None = None) -> None:
+    def __init__(self, settings: dict[int, float] | None = None, policy: GrblPolicy | None = None) -> None:
         self.now = 0.0
         self.controller = GrblController(lambda: self.now, settings, Rail(), policy)
         self.controller.poll()
@@ -67,7 +67,7 @@ def test_a_move_takes_its_time() -> None:
     assert talk("?", 2.6)[0].startswith("<Run|MPos:-2.000,")
     assert talk("?")[0].startswith("<Run|MPos:-52.000,0.000,0.000|FS:1200,0")
     talk("", 2.59)
-    assert talk.controller.mode is Mode.RUN
+    assert talk.controller.mode is GrblState.RUN
     talk("", 0.02)
     assert talk("?")[0].startswith("<Idle|MPos:-102.000,")
 
@@ -86,7 +86,7 @@ def test_a_hold_stops_and_a_start_completes(at_s: float) -> None:
     speed = talk.controller.drive.speed_mm_s(talk.now)
     talk("!", 1.0)
     stopped = talk.controller.drive.position[0]
-    if talk.controller.mode is Mode.HOLD:
+    if talk.controller.mode is GrblState.HOLD:
         assert where - stopped == pytest.approx(speed**2 / 200, abs=1 / 400)
         assert talk("?")[0].startswith("<Hold:0|")
     talk("~", 10.0)
@@ -146,7 +146,7 @@ def test_a_reset_in_homing_is_an_alarm() -> None:
     talk = Talk()
     talk("$H\n", 1.0)
     assert talk(b"\x18")[:2] == ["ALARM:6", "ok"]
-    assert Talk(policy=Policy(ok_after_abort=False))("$H\n\x18")[:2] == [
+    assert Talk(policy=GrblPolicy(ok_after_abort=False))("$H\n\x18")[:2] == [
         "ALARM:6",
         "Grbl 1.1f ['$' for help]",
     ]
@@ -184,7 +184,7 @@ ERRORS_OF_LINES = {
 def test_wrong_lines_have_their_numbers(line: str) -> None:
     talk = Talk().homed()
     assert talk(line + "\n")[0] == f"error:{ERRORS_OF_LINES[line]}"
-    assert talk.controller.mode is Mode.IDLE
+    assert talk.controller.mode is GrblState.IDLE
 
 
 @given(st.text("GXYZFPLN0123456789.-$=H?!~ JM;()\n", max_size=40), st.binary(max_size=40))

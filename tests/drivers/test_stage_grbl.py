@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.emulators.grbl import Mode, Policy, Rail
+from drivers.emulators.grbl import GrblPolicy, GrblState, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.stage_grbl import GrblStage, device, wire
 from drivers.stage_grbl.device import Mechanics
@@ -53,21 +53,21 @@ def test_homing_ends_at_zero_wherever_it_began(start_mm: float) -> None:
         assert bench.controller.drive.carriage_mm == PULL_OFF_MM
 
 
-SET_UPS: dict[str, tuple[dict[int, float], Policy, bytes]] = {
-    "as delivered": ({}, Policy(), b""),
-    "switch at the negative end": ({23: 1}, Policy(), b""),
-    "origin forced": ({}, Policy(forces_origin=True), b""),
-    "origin forced at the negative end": ({23: 1}, Policy(forces_origin=True), b""),
-    "work positions": ({10: 0}, Policy(), b""),
-    "work positions with an offset": ({10: 0}, Policy(), b"G10L2P1X-12.5\n"),
-    "offset G92": ({10: 0}, Policy(), b"G92X7.25\n"),
-    "machine positions with an offset": ({}, Policy(), b"G10L2P1X-12.5\n"),
-    "inches": ({13: 1}, Policy(), b"G20\n"),
-    "inches with an offset": ({13: 1, 10: 0}, Policy(), b"G10L2P1X-12.5\n"),
-    "relative": ({}, Policy(), b"G91\n"),
-    "coarse steps": ({100: 80.5}, Policy(), b""),
-    "not locked": ({}, Policy(locks_at_power_up=False), b""),
-    "buffers told": ({10: 3}, Policy(), b""),
+SET_UPS: dict[str, tuple[dict[int, float], GrblPolicy, bytes]] = {
+    "as delivered": ({}, GrblPolicy(), b""),
+    "switch at the negative end": ({23: 1}, GrblPolicy(), b""),
+    "origin forced": ({}, GrblPolicy(forces_origin=True), b""),
+    "origin forced at the negative end": ({23: 1}, GrblPolicy(forces_origin=True), b""),
+    "work positions": ({10: 0}, GrblPolicy(), b""),
+    "work positions with an offset": ({10: 0}, GrblPolicy(), b"G10L2P1X-12.5\n"),
+    "offset G92": ({10: 0}, GrblPolicy(), b"G92X7.25\n"),
+    "machine positions with an offset": ({}, GrblPolicy(), b"G10L2P1X-12.5\n"),
+    "inches": ({13: 1}, GrblPolicy(), b"G20\n"),
+    "inches with an offset": ({13: 1, 10: 0}, GrblPolicy(), b"G10L2P1X-12.5\n"),
+    "relative": ({}, GrblPolicy(), b"G91\n"),
+    "coarse steps": ({100: 80.5}, GrblPolicy(), b""),
+    "not locked": ({}, GrblPolicy(locks_at_power_up=False), b""),
+    "buffers told": ({10: 3}, GrblPolicy(), b""),
 }
 
 
@@ -122,7 +122,7 @@ def test_a_halt_brakes_before_it_resets() -> None:
         bench.type(b"$J=G53X-100F1200\n")
         time.sleep(0.1)  # up to speed
         stage.halt()
-        assert bench.controller.mode is Mode.IDLE
+        assert bench.controller.mode is GrblState.IDLE
         drive = bench.controller.drive
         assert drive.motion is None
         assert drive.carriage_mm > PULL_OFF_MM + 2.0  # it was moving
@@ -138,7 +138,7 @@ def test_a_move_that_takes_too_long_is_braked_and_reported() -> None:
         stage.close()
         assert bench.controller.drive.motion is None
         assert bench.controller.drive.carriage_mm < 20.0
-        assert bench.controller.mode is Mode.IDLE  # no alarm: nothing was lost
+        assert bench.controller.mode is GrblState.IDLE  # no alarm: nothing was lost
 
 
 @pytest.mark.parametrize("operation", ["move_to", "home"])
@@ -160,10 +160,10 @@ def test_an_interruption_leaves_it_at_rest(
             patch.setattr(GrblWire, "answered", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 _use(stage, operation)
-        assert bench.controller.mode is (Mode.RUN if operation == "move_to" else Mode.HOME)
+        assert bench.controller.mode is (GrblState.RUN if operation == "move_to" else GrblState.HOME)
         stage.close()
         assert bench.controller.drive.motion is None
-        assert bench.controller.mode is (Mode.IDLE if operation == "move_to" else Mode.ALARM)
+        assert bench.controller.mode is (GrblState.IDLE if operation == "move_to" else GrblState.ALARM)
 
 
 # --- what goes wrong on the rail

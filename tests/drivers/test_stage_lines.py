@@ -16,33 +16,33 @@ from drivers.stage_grbl.lines import (
     ERRORS,
     STATES,
     Alarm,
-    Message,
+    GrblError,
+    GrblMessage,
     Ok,
-    Refused,
-    Report,
     Setting,
+    StatusReport,
     Told,
     Welcome,
     alarm_in_words,
     error_in_words,
-    parse,
+    parse_line,
 )
 from fpplab.core.errors import DeviceError
 from tests.drivers.grbl_stage import DirectLine, VirtualTime
 
-LINES: dict[str, Message] = {
+LINES: dict[str, GrblMessage] = {
     "ok": Ok(),
-    "error:9": Refused(9),
+    "error:9": GrblError(9),
     "ALARM:1": Alarm(1),
     "Grbl 1.1f ['$' for help]": Welcome("1.1f"),
     "Grbl 0.9j ['$' for help]": Welcome("0.9j"),
     "$100=250.000": Setting(100, 250.0),
     "$10=255": Setting(10, 255.0),
-    "<Idle|MPos:0.000,-10.000,5.000|FS:0,0>": Report("Idle", None, (0.0, -10.0, 5.0), None, None, ""),
-    "<Hold:1|WPos:-2.500,0.000,11.000|Bf:15,128|FS:500,8000|Pn:XP>": Report(
+    "<Idle|MPos:0.000,-10.000,5.000|FS:0,0>": StatusReport("Idle", None, (0.0, -10.0, 5.0), None, None, ""),
+    "<Hold:1|WPos:-2.500,0.000,11.000|Bf:15,128|FS:500,8000|Pn:XP>": StatusReport(
         "Hold", 1, None, (-2.5, 0.0, 11.0), None, "XP"
     ),
-    "<Run|MPos:0.0000,0.3937,0.0000|F:5|WCO:0.0000,1.5510,5.6640|Ov:100,100,100|A:SFM>": Report(
+    "<Run|MPos:0.0000,0.3937,0.0000|F:5|WCO:0.0000,1.5510,5.6640|Ov:100,100,100|A:SFM>": StatusReport(
         "Run", None, (0.0, 0.3937, 0.0), None, (0.0, 1.551, 5.664), ""
     ),
     "[MSG:'$H'|'$X' to unlock]": Told("[MSG:'$H'|'$X' to unlock]"),
@@ -54,7 +54,7 @@ LINES: dict[str, Message] = {
 
 @pytest.mark.parametrize("line", LINES)
 def test_every_kind_of_line_is_understood(line: str) -> None:
-    assert parse(line) == LINES[line]
+    assert parse_line(line) == LINES[line]
 
 
 @pytest.mark.parametrize("line", LINES)
@@ -64,13 +64,13 @@ def test_half_a_line_is_not_understood(line: str) -> None:
         if re.fullmatch(r"\$\d+=\d+\.?\d*|error:\d+|ALARM:\d+|\$N\d=.*", line[:end]):
             continue
         with pytest.raises(ValueError, match="not a"):
-            parse(line[:end])
+            parse_line(line[:end])
 
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_line_or_refused(text: str) -> None:
     with suppress(ValueError):
-        assert isinstance(parse(text), Message)
+        assert isinstance(parse_line(text), GrblMessage)
 
 
 COORDINATES = st.tuples(*[st.integers(-999_999, 999_999).map(lambda n: n / 1000)] * 3)
@@ -86,7 +86,7 @@ def test_reports_are_read_as_they_are_written(
     fields = [state, f"MPos:{written(machine)}", "FS:0,0"]
     fields += [f"Pn:{pins}"] if pins else []
     fields += [f"WCO:{written(offset)}"] if offset else []
-    assert parse(f"<{'|'.join(fields)}>") == Report(state, None, machine, None, offset, pins)
+    assert parse_line(f"<{'|'.join(fields)}>") == StatusReport(state, None, machine, None, offset, pins)
 
 
 def test_every_code_has_its_words() -> None:

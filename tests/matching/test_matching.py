@@ -12,7 +12,7 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import Level
+from fpplab.characterisation import DistortionModel
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
@@ -20,8 +20,8 @@ from fpplab.matching import geometry, light, noise, plausibility
 from fpplab.matching.gamma import match_gamma
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from fpplab.matching.match import shares
-from fpplab.matching.record import EPOCHS, Epoch, ParametersFile, Record
-from fpplab.matching.reference import Bench
+from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
+from fpplab.matching.reference import Reference
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.patterns.response import Curve, Response, fit_response
 from fpplab.simulation.matchable import Parameters
@@ -31,11 +31,11 @@ PLAN = Plan(fringes=(FringeSet(axis="x", stripes=12, steps=4), FringeSet(axis="y
 FACING = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
 
 
-def bench_of(truth: Parameters, seed: int = 1) -> Bench:
+def bench_of(truth: Parameters, seed: int = 1) -> Reference:
     """What such a bench would have recorded; only its images are asked for."""
     twin = PlaneTwin(truth, seed)
     sessions = tuple(Remembered.of(twin, PLAN, pose) for pose in range(len(truth.poses)))
-    return Bench(cast(Any, sessions), TARGET, cast(Any, _Known(truth)))
+    return Reference(cast(Any, sessions), TARGET, cast(Any, _Known(truth)))
 
 
 class _Known:
@@ -53,7 +53,7 @@ def truth() -> Parameters:
 
 
 @pytest.fixture(scope="module")
-def bench(truth: Parameters) -> Bench:
+def bench(truth: Parameters) -> Reference:
     return bench_of(truth)
 
 
@@ -99,13 +99,13 @@ def test_board_mask_is_the_boards_outline_less_its_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
-def test_images_put_the_geometry_right(truth: Parameters, bench: Bench) -> None:
+def test_images_put_the_geometry_right(truth: Parameters, bench: Reference) -> None:
     # Off by a tenth of a pixel, light and all else as it is.
     start = moved(truth, 0.04, 0.01)
     twin = PlaneTwin(start)
     held = replace(bench)
     for _ in range(2):
-        twin.become(geometry.by_images(held, twin, Level.K1))
+        twin.become(geometry.by_images(held, twin, DistortionModel.K1))
 
     def places(parameters: Parameters) -> np.ndarray:
         known = parameters.calibration
@@ -119,7 +119,7 @@ def test_images_put_the_geometry_right(truth: Parameters, bench: Bench) -> None:
     assert after < 0.01
 
 
-def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Bench) -> None:
+def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Reference) -> None:
     twin = PlaneTwin(truth)
     view = geometry._look(bench, twin, truth, 0)
     slopes = next(view.slopes(truth, 5))
@@ -136,7 +136,7 @@ def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Bench)
     assert np.std(rest) < 0.1 * np.std(change[looked_at])
 
 
-def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters, bench: Bench) -> None:
+def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters, bench: Reference) -> None:
     """Though it was displaced by a third of a pixel, over which an edge's level is no straight line."""
     twin, move = PlaneTwin(replace(truth, vibration_mm=0.05)), np.array([0.06, -0.04, 0.03])
     view = geometry._look(bench, twin, twin.parameters, 0)
@@ -150,10 +150,10 @@ def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters,
     assert np.std(left) < 0.1 * np.std(view.residual[0])
 
 
-def test_light_is_found(truth: Parameters, bench: Bench) -> None:
+def test_light_is_found(truth: Parameters, bench: Reference) -> None:
     twin = PlaneTwin(replace(truth, white=1.0, ink=0.05, ambient=0.01, projector_blur=0.9))
     looked = light.samples(bench, truth, (0, 2), bench.finest)
-    found = light.fit(bench, twin, ("white", "ink", "ambient", "projector_blur"), looked)
+    found = light.fit_light(bench, twin, ("white", "ink", "ambient", "projector_blur"), looked)
     assert found.white == pytest.approx(truth.white, rel=2e-3)
     assert found.ink == pytest.approx(truth.ink, rel=0.01)
     assert found.ambient == pytest.approx(truth.ambient, abs=2e-3)
@@ -211,9 +211,9 @@ def test_gamma_of_something_else_is_refused(truth: Parameters) -> None:
         )
 
 
-def epoch(step: str, difference: float, accepted: bool = True) -> Epoch:
+def epoch(step: str, difference: float, accepted: bool = True) -> MatchingEpoch:
     parameters = ParametersFile.of(nominal(tilted(1)))
-    return Epoch(
+    return MatchingEpoch(
         epoch=0,
         step=step,
         accepted=accepted,
@@ -246,7 +246,7 @@ def test_one_pose_is_replaced_among_the_others() -> None:
 
 
 def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) -> None:
-    record = Record(tmp_path)
+    record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
     record.add(epoch("points", 3.0).model_copy(update={"parameters": ParametersFile.of(truth)}))
     again = record.read()
@@ -259,7 +259,7 @@ def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) ->
 
 
 def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
-    record = Record(tmp_path)
+    record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
     with (tmp_path / EPOCHS).open("ab") as stream:
         stream.write(b'{"epoch": 1, "st')
@@ -271,10 +271,10 @@ def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
 def test_a_damaged_record_is_named(tmp_path: Path) -> None:
     (tmp_path / EPOCHS).write_text('{"epoch": -1}\n')
     with pytest.raises(DataError, match="line 1: is no epoch"):
-        Record(tmp_path).read()
+        MatchingRecord(tmp_path).read()
 
 
-def test_another_camera_is_told(truth: Parameters, bench: Bench) -> None:
+def test_another_camera_is_told(truth: Parameters, bench: Reference) -> None:
     known = truth.calibration
     small = replace(known.camera, size=(228, 152))
     twin = PlaneTwin(replace(truth, calibration=replace(known, camera=small)))
@@ -304,7 +304,7 @@ def test_a_board_of_another_pitch_is_told_by_the_baseline(truth: Parameters) -> 
         plausibility.check_near(scaled(known, 1.2), known)
 
 
-def test_a_focus_that_moved_is_told(truth: Parameters, bench: Bench) -> None:
+def test_a_focus_that_moved_is_told(truth: Parameters, bench: Reference) -> None:
     plausibility.check_sharpness(bench, PlaneTwin(truth))
     blurred = PlaneTwin(replace(truth, camera_focus_mm=400.0, f_number=3.0), 2)
     sessions = (*bench.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
@@ -314,7 +314,9 @@ def test_a_focus_that_moved_is_told(truth: Parameters, bench: Bench) -> None:
         plausibility.check_sharpness(replace(bench, sessions=sessions), PlaneTwin(truth))
 
 
-def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(truth: Parameters, bench: Bench) -> None:
+def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(
+    truth: Parameters, bench: Reference
+) -> None:
     twin = PlaneTwin(truth, 2)
     seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(bench.sessions))]
     blurred = [replace(s, images=[cv2.GaussianBlur(i, (0, 0), 1.0) for i in s.images]) for s in seen]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fpplab.matching.match import Limits
-from fpplab.matching.record import Record
-from fpplab.matching.run import Outcome, Wanted, match_sessions
+from fpplab.matching.record import MatchingRecord
+from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
@@ -33,7 +33,7 @@ class Matching:
     truth: Parameters
     sessions: list[Session]
     folder: Path
-    outcome: Outcome
+    outcome: MatchingResult
     twin: PlaneTwin
 
 
@@ -49,7 +49,7 @@ def matching(tmp_path_factory: pytest.TempPathFactory) -> Matching:
     )
     sessions = record(PlaneTwin(truth, 1), PLAN, folder / "board")
     twin = PlaneTwin(nominal(()), 7)
-    wanted = Wanted(limits=Limits(epochs=EPOCHS))
+    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS))
     outcome = match_sessions(twin, sessions, TARGET, folder / "matched", wanted)
     return Matching(truth, sessions, folder / "matched", outcome, twin)
 
@@ -83,17 +83,17 @@ def test_light_is_the_benchs(matching: Matching) -> None:
 
 
 def test_every_epoch_is_on_disk_and_the_twin_beside_it(matching: Matching) -> None:
-    epochs = Record(matching.folder).read()
+    epochs = MatchingRecord(matching.folder).read()
     assert [e.step for e in epochs][:4] == ["start", "points", "light", "ambient light"]
     assert len(epochs) == EPOCHS + 1
     assert (matching.folder / "calibration.yaml").is_file()
 
 
 def test_a_matching_goes_on_where_it_ended(matching: Matching) -> None:
-    before = len(Record(matching.folder).read())
-    wanted = Wanted(limits=Limits(epochs=EPOCHS + 1))
+    before = len(MatchingRecord(matching.folder).read())
+    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS + 1))
     again = match_sessions(PlaneTwin(nominal(()), 8), matching.sessions, TARGET, matching.folder, wanted)
-    epochs = Record(matching.folder).read()
+    epochs = MatchingRecord(matching.folder).read()
     assert len(epochs) == before + 1
     assert [e.epoch for e in epochs] == list(range(len(epochs)))
     assert again.matched.ended == f"after {EPOCHS + 1} epochs"

@@ -14,7 +14,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.optimisation.arrangement import Arrangement, Calibrations, drawn
-from fpplab.optimisation.sets import View
+from fpplab.optimisation.sets import MeasuringSetup
 from tests.support.rigs import CAMERA, DIAMOND, PAIR
 from tests.support.rigs import SQUARE as PROJECTOR
 
@@ -156,10 +156,10 @@ def test_only_what_changes_moves() -> None:
     rig.bench = rig
     stand = Arrangement(rig)  # type: ignore[arg-type]
     for view in (
-        View("steps", 0.02, 5.0, 0.0),
-        View("steps", 0.01, 5.0, 0.0),
-        View("steps", 0.01, 6.0, 0.0),
-        View("pillars", 0.01, 6.0, 1.0),
+        MeasuringSetup("steps", 0.02, 5.0, 0.0),
+        MeasuringSetup("steps", 0.01, 5.0, 0.0),
+        MeasuringSetup("steps", 0.01, 6.0, 0.0),
+        MeasuringSetup("pillars", 0.01, 6.0, 1.0),
     ):
         stand(view)
     assert rig.told == [
@@ -169,7 +169,7 @@ def test_only_what_changes_moves() -> None:
 
 def test_a_real_projector_is_not_turned() -> None:
     with pytest.raises(ConfigError, match="'convergence_deg' is 2, but only a simulated projector"):
-        Arrangement(Recorder())(View("steps", 0.02, None, 2.0))  # type: ignore[arg-type]
+        Arrangement(Recorder())(MeasuringSetup("steps", 0.02, None, 2.0))  # type: ignore[arg-type]
 
 
 def test_the_lattice_of_what_lies_between_is_the_projector_s() -> None:

@@ -15,7 +15,7 @@ from fpplab.optimisation import confirm as module
 from fpplab.optimisation.arrangement import Calibrations
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, confirm
-from fpplab.optimisation.scoring import Figures
+from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import FringeSet, Plan
 from tests.support.rigs import CAMERA, PAIR, SQUARE
@@ -25,7 +25,7 @@ AFTER = BEFORE.model_copy(update={"fringes": (BEFORE.fringes[0], FringeSet(axis=
 EXACT = Calibration(CAMERA, SQUARE, PAIR, {})
 SIGMA_PX = 0.5
 UNSURE = replace(EXACT, uncertainty=Uncertainty(("camera.fx",), np.array([[SIGMA_PX**2]])))
-FIGURES = Figures(100, 0.0, 50.0, 43.0, 0.0, 1.0, 0.0, 0.0, 0.05)
+FIGURES = ArtefactFigures(100, 0.0, 50.0, 43.0, 0.0, 1.0, 0.0, 0.0, 0.05)
 
 
 def study() -> Study:
@@ -51,7 +51,7 @@ class Evaluator:
 
     def figures(
         self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
-    ) -> Figures:
+    ) -> ArtefactFigures:
         fine = candidate.fringes[1].stripes == 64
         if calibrations is None:
             self.asked.append((name, fine, seed))
@@ -116,7 +116,7 @@ def test_what_cannot_be_told_is_refused(evaluator: Any) -> None:
 
 
 def test_the_rig_is_let_go_also_when_measuring_fails(evaluator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*asked: object) -> Figures:
+    def fail(*asked: object) -> ArtefactFigures:
         raise ConfigError("no")
 
     monkeypatch.setattr(evaluator, "figures", fail)

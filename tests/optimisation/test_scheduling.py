@@ -16,11 +16,11 @@ import pytest
 from fpplab.core.errors import DeviceError, LimitError
 from fpplab.optimisation import scheduling
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
-from fpplab.optimisation.candidate_runner import Lab, Spent
+from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
 from fpplab.optimisation.methods.coordinate import coordinates
 from fpplab.optimisation.scheduling import Cluster, Here, Opener, Task, Workers, workers_of
 from fpplab.optimisation.space import Space
-from fpplab.optimisation.storage import Journal, Outcome
+from fpplab.optimisation.storage import Journal, ScoresOrReason
 from tests.support.searching import LIMITS, Formula, study
 
 TASKS: list[Task] = [
@@ -31,8 +31,8 @@ TASKS: list[Task] = [
 IMAGES, IMAGE_BYTES = 60, 3_000_000
 
 
-def measured(workers: Workers, tasks: list[Task]) -> dict[int, Outcome]:
-    found: dict[int, Outcome] = {}
+def measured(workers: Workers, tasks: list[Task]) -> dict[int, ScoresOrReason]:
+    found: dict[int, ScoresOrReason] = {}
     workers.measure(tasks, found.__setitem__)
     return found
 
@@ -65,8 +65,8 @@ def test_the_optimum_and_the_order_are_the_same_with_any_number(tmp_path: Path, 
     wanted, found = study(budget=30), []
     for name, workers in (("one", Here(Formula(noise_um=2.0))), ("two", pair)):
         space = Space.of(wanted, LIMITS, "study.yaml")
-        lab = Lab(space, workers, Journal(tmp_path / f"{name}.jsonl", wanted, {}))
-        with pytest.raises(Spent):
+        lab = CandidateRunner(space, workers, Journal(tmp_path / f"{name}.jsonl", wanted, {}))
+        with pytest.raises(BudgetExhausted):
             coordinates(lab, wanted.method)  # type: ignore[arg-type]
         found.append((lab.best, lab.trials))
     assert found[0] == found[1]

@@ -14,7 +14,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import compare
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.optimisation.scoring import SAMPLES, Truth
+from fpplab.optimisation.scoring import SAMPLES, TrueShape
 from fpplab.patterns.plan import FilterRules, FringeSet, Plan
 from fpplab.phase import Decoded
 from tests.comparison.test_comparison import CALIBRATION, PROJECTOR, H, W, perfect_cloud, placed
@@ -51,8 +51,8 @@ def plate() -> trimesh.Trimesh:
 
 
 @cache
-def truth_of(name: str, lit: bool = True, samples: int | None = SAMPLES) -> Truth:
-    return Truth(mesh_of(name), CALIBRATION, lit, samples, DENSITY)
+def truth_of(name: str, lit: bool = True, samples: int | None = SAMPLES) -> TrueShape:
+    return TrueShape(mesh_of(name), CALIBRATION, lit, samples, DENSITY)
 
 
 def mesh_of(name: str) -> trimesh.Trimesh:

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from fpplab.core import config, errors
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
-from fpplab.optimisation.candidate_runner import Lab, Spent
+from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
 from fpplab.optimisation.methods.bayesian import bayes
 from fpplab.optimisation.methods.coordinate import coordinates
 from fpplab.optimisation.methods.gradient import descend
 from fpplab.optimisation.methods.pareto import pareto
-from fpplab.optimisation.objectives import Figures, Judge, Trial
+from fpplab.optimisation.objectives import CandidateFigures, Judge, MeasuredCandidate
 from fpplab.optimisation.scheduling import Here, outcome_of
 from fpplab.optimisation.space import Parameter, Space
 from fpplab.optimisation.storage import Journal
@@ -236,21 +236,21 @@ def _scores(table: dict[tuple[str, int], float], **others: Any) -> tuple[Score, 
 
 
 def test_figures_are_means_over_artefacts_and_seeds() -> None:
-    found = Figures.of(_scores({("a", 1): 10.0, ("b", 1): 20.0, ("a", 2): 14.0, ("b", 2): 24.0}))
+    found = CandidateFigures.of(_scores({("a", 1): 10.0, ("b", 1): 20.0, ("a", 2): 14.0, ("b", 2): 24.0}))
     assert found.surface_smcd_um == 17.0
     assert found.smcd_spread_um == pytest.approx(np.std([15.0, 19.0], ddof=1))
     assert found.worst_smcd_um == 19.0
     assert found.worst_artefact_um == 22.0
-    assert Figures.of(_scores({("a", 1): 10.0})).smcd_spread_um is None
+    assert CandidateFigures.of(_scores({("a", 1): 10.0})).smcd_spread_um is None
 
 
-def _trial(images: int, um: float, **others: Any) -> Trial:
+def _trial(images: int, um: float, **others: Any) -> MeasuredCandidate:
     scores = _scores({("a", 1): um}, images=images, **others)
-    return Trial((images,), Candidate((Fringes("x", 1.0, images),), um), scores)
+    return MeasuredCandidate((images,), Candidate((Fringes("x", 1.0, images),), um), scores)
 
 
 def _judge(**changes: Any) -> Judge:
-    start = Figures.of(_scores({("a", 1): 20.0}))
+    start = CandidateFigures.of(_scores({("a", 1): 20.0}))
     return Judge(
         study(**{"objectives": ["surface_smcd_um", "images"], "method": {"kind": "nsga2"}, **changes}), start
     )
@@ -277,7 +277,7 @@ def test_a_broken_limit_outweighs_every_objective(others: dict[str, Any], limit:
 
 def test_what_cannot_be_measured_comes_last() -> None:
     judge = _judge()
-    failed = Trial((0.0,), Candidate((), 1.0), failed="nothing there")
+    failed = MeasuredCandidate((0.0,), Candidate((), 1.0), failed="nothing there")
     assert judge.rank(_trial(3, 1e9, wrong_orders=1.0)) < judge.rank(failed)
 
 
@@ -369,13 +369,13 @@ def test_gradient_moves_steps_by_one(tmp_path: Path) -> None:
     assert lab.best.candidate.images < 36
 
 
-def _steps(lab: Lab) -> list[Trial]:
+def _steps(lab: CandidateRunner) -> list[MeasuredCandidate]:
     return [epoch.trials[-1] for epoch in lab.epochs if epoch.step == "step"]
 
 
 def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
     lab = lab_of(tmp_path, method={"kind": "bayesian", "batch": 8}, budget=64)
-    with pytest.raises(Spent):
+    with pytest.raises(BudgetExhausted):
         bayes(lab, lab.space.study.method)  # type: ignore[arg-type]
     assert lab.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
     assert lab.judge.wanted(lab.best)
@@ -444,7 +444,7 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
 
 def test_a_budget_is_kept(tmp_path: Path) -> None:
     lab = lab_of(tmp_path, budget=9)
-    with pytest.raises(Spent):
+    with pytest.raises(BudgetExhausted):
         coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
     assert 9 <= len(lab.trials) <= 9 + 6  # a round is not broken
 
@@ -485,7 +485,9 @@ def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
         def close(self) -> None: ...
 
     wanted = study()
-    lab = Lab(Space.of(wanted, LIMITS, "s"), Here(Broken), Journal(tmp_path / "j.jsonl", wanted, {}))
+    lab = CandidateRunner(
+        Space.of(wanted, LIMITS, "s"), Here(Broken), Journal(tmp_path / "j.jsonl", wanted, {})
+    )
     with pytest.raises(LimitError):
         lab.measure([lab.space.start])
 

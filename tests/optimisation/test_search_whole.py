@@ -12,9 +12,9 @@ import pytest
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.candidate_runner import Epoch
-from fpplab.optimisation.goal import What
-from fpplab.optimisation.run import Found, calibrated, optimise, processes
+from fpplab.optimisation.candidate_runner import SearchEpoch
+from fpplab.optimisation.goal import Goal
+from fpplab.optimisation.run import SearchResult, calibrated, processes, run_search
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
@@ -34,13 +34,13 @@ FRONT: dict[str, Any] = {
 }
 
 
-def searched(what: What, wanted: Study, out: Path, **more: Any) -> Found:
-    return optimise(what, "rig_demo", wanted, out, "study.yaml", opener=Formula(noise_um=1.0), **more)
+def searched(what: Goal, wanted: Study, out: Path, **more: Any) -> SearchResult:
+    return run_search(what, "rig_demo", wanted, out, "study.yaml", opener=Formula(noise_um=1.0), **more)
 
 
 def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
-    seen: list[Epoch] = []
-    found = searched(What.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
+    seen: list[SearchEpoch] = []
+    found = searched(Goal.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
     assert [p.name for p in found.plans] == [
         f"plan_{i:02d}_{n}images.yaml" for i, n in enumerate(range(19, 12, -1), 1)
     ]
@@ -59,8 +59,8 @@ def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
 def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> None:
     log = tmp_path / "log"
     wanted = study(artefacts=ITEMS, seeds=[3, 7])
-    found = optimise(
-        What.STRIPES, "rig_demo", wanted, tmp_path / "p.yaml", "s", opener=Formula(log=log, noise_um=1.0)
+    found = run_search(
+        Goal.STRIPES, "rig_demo", wanted, tmp_path / "p.yaml", "s", opener=Formula(log=log, noise_um=1.0)
     )
     seeds = [int(line.split()[1]) for line in log.read_text().splitlines()]
     assert set(seeds) == {3, 7, 8, 9}
@@ -76,7 +76,7 @@ def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> N
 def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
     wanted = study(artefacts=ITEMS, constraints={"smcd_of_start": 0.5}, budget=40)
     with pytest.raises(DataError, match="keeps the study's limits; the best breaks surface_smcd_um by"):
-        searched(What.STRIPES, wanted, tmp_path / "p.yaml")
+        searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
     assert not (tmp_path / "p.yaml").exists()
     assert (tmp_path / "p.jsonl").exists()
 
@@ -84,14 +84,14 @@ def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("what", "changes", "words"),
     [
-        (What.PHASES, {"artefacts": ITEMS}, r"searches stripes\[1\], stripes\[2\], which `optimise phases`"),
-        (What.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
-        (What.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
-        (What.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
+        (Goal.PHASES, {"artefacts": ITEMS}, r"searches stripes\[1\], stripes\[2\], which `optimise phases`"),
+        (Goal.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
+        (Goal.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
+        (Goal.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
     ],
 )
 def test_a_study_for_something_else_is_refused(
-    tmp_path: Path, what: What, changes: dict[str, Any], words: str
+    tmp_path: Path, what: Goal, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         searched(what, study(**changes), tmp_path / "p.yaml")
@@ -100,7 +100,7 @@ def test_a_study_for_something_else_is_refused(
 def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> None:
     start = {"fringes": FRINGES, "filter": None, "settle_s": 0.05, "masks": {"modulation_min": 7.0}}
     wanted = study(artefacts=ITEMS, start=start, constraints={"completeness_of_start": 0.9}, budget=12)
-    found = searched(What.STRIPES, wanted, tmp_path / "p.yaml")
+    found = searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
     written = Plan.load(tmp_path / "p.yaml")
     assert written == found.optimum.candidate.plan(wanted.start)
     assert written.filter is None
@@ -110,7 +110,7 @@ def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> 
 def test_a_search_shows_in_the_viewer(tmp_path: Path) -> None:
     with Viewer.open(tmp_path / "search.rrd") as viewer:
         searched(
-            What.BASELINE,
+            Goal.BASELINE,
             study(artefacts=ITEMS, space={"stage_mm": [-40, 40]}),
             tmp_path / "p.yaml",
             observe=viewer.search,

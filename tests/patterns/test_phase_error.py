@@ -15,7 +15,7 @@ from fpplab.patterns.phase_error import (
     ALLOWED_RAD,
     corrected_phase_error,
     harmonics,
-    judge,
+    judge_response,
     least_steps,
     phase_error,
 )
@@ -87,7 +87,7 @@ def test_least_steps_are_the_first_that_do() -> None:
 
 
 def test_a_straight_response_is_good_enough() -> None:
-    found = judge(response(1.002), plan(), SIZE)
+    found = judge_response(response(1.002), plan(), SIZE)
     assert found.good_enough
     assert found.sentence.startswith("3 steps of 64 stripes, patterns as they are: RMS phase error")
     assert "good enough, at most 0.01 rad" in found.sentence
@@ -95,24 +95,24 @@ def test_a_straight_response_is_good_enough() -> None:
 
 
 def test_a_bent_response_is_not_and_the_sentence_says_what_is() -> None:
-    found = judge(response(2.2), plan(), SIZE)
+    found = judge_response(response(2.2), plan(), SIZE)
     assert not found.good_enough
     assert found.phase_rad == pytest.approx(0.205, abs=1e-3)
     assert "pre-correct the patterns ('response' in the plan), which leaves 0.0027 rad" in found.sentence
     assert "or take 4 steps or more" in found.sentence
-    assert judge(response(2.2), plan(steps=12), SIZE).good_enough
+    assert judge_response(response(2.2), plan(steps=12), SIZE).good_enough
 
 
 def test_a_plan_that_corrects_is_judged_with_its_correction() -> None:
-    corrected = judge(response(2.2), plan(response=Curve(a=1.0, b=0.0, g=2.2)), SIZE)
+    corrected = judge_response(response(2.2), plan(response=Curve(a=1.0, b=0.0, g=2.2)), SIZE)
     assert corrected.good_enough
     assert "corrected patterns" in corrected.sentence
-    wrong = judge(response(2.2), plan(response=Curve(a=1.0, b=0.0, g=1.5)), SIZE)
+    wrong = judge_response(response(2.2), plan(response=Curve(a=1.0, b=0.0, g=1.5)), SIZE)
     assert not wrong.good_enough
 
 
 def test_an_uncertain_exponent_is_judged_at_its_worse_end() -> None:
-    found = judge(response(1.0, sigma=0.05), plan(), SIZE)
+    found = judge_response(response(1.0, sigma=0.05), plan(), SIZE)
     assert found.phase_rad < 1e-6
     assert found.worst_rad == pytest.approx(phase_error(1.1, 3), rel=0.2)
     assert not found.good_enough
@@ -126,6 +126,6 @@ def test_the_finest_set_that_suffers_most_is_judged() -> None:
         FringeSet(axis="x", stripes=64, steps=12),
         FringeSet(axis="y", stripes=32, steps=4),
     )
-    found = judge(response(2.2), Plan(fringes=sets), SIZE)
+    found = judge_response(response(2.2), Plan(fringes=sets), SIZE)
     assert (found.axis, found.stripes, found.steps) == ("y", 32, 4)
     assert found.phase_px == pytest.approx(found.phase_rad / TWO_PI * 1140 / 32)

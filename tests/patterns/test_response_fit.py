@@ -15,7 +15,7 @@ from fpplab.patterns.response_fit import (
     NOISE,
     SPREAD,
     WHITE,
-    Greys,
+    GreyLevelImages,
     fit_greys,
     levels_of,
     pixels_of_regions,
@@ -40,7 +40,7 @@ def make(
     repeats: int = 4,
     exponent: float | Floats = 0.0,
     lamp: float = 0.0,
-) -> Greys:
+) -> GreyLevelImages:
     """Frames of `gain (a I^(g + exponent) + b)`, noise in integers; the lamp varies by a share from frame to
     frame.
     """
@@ -55,7 +55,7 @@ def make(
 
     seen = [[statistics(frame(a * i ** (g + exponent) + b), bits) for i in SHOWN] for _ in range(repeats)]
     dark = statistics(frame(0.0), bits)
-    return Greys(SHOWN, np.array(seen), dark, pixels_of_regions(np.zeros(SHAPE, np.uint8)), bits)
+    return GreyLevelImages(SHOWN, np.array(seen), dark, pixels_of_regions(np.zeros(SHAPE, np.uint8)), bits)
 
 
 def only(index: int, value: float, others: float) -> Floats:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import FringeSet, OrderVote, Plan
-from fpplab.phase.unwrapping import build_ladder, climb, vote_orders
+from fpplab.phase.unwrapping import unwrap, vote_orders, wavelength_sequence
 
 
 def make_plan(stripes, unwrapping="hierarchical", steps=4, axis="x", **more):
@@ -28,14 +28,14 @@ def wrapped(ladder_plan, position, noise=0.0, seed=0):
 
 
 def test_hierarchical_rungs_are_the_sets_by_their_stripes():
-    ladder = build_ladder(make_plan([64, 1, 8]), "x", "plan")
+    ladder = wavelength_sequence(make_plan([64, 1, 8]), "x", "plan")
     assert ladder.sets == (1, 2, 0)
     assert [r.stripes for r in ladder.rungs] == [1, 8, 64]
     assert [r.coefficients for r in ladder.rungs] == [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
 
 
 def test_heterodyne_rungs_are_the_beats_and_the_sets():
-    ladder = build_ladder(make_plan([64, 49, 56], "heterodyne"), "x", "plan")
+    ladder = wavelength_sequence(make_plan([64, 49, 56], "heterodyne"), "x", "plan")
     assert [(r.stripes, r.coefficients) for r in ladder.rungs] == [
         (1, (1, -2, 1)),
         (7, (-1, 1, 0)),
@@ -61,7 +61,7 @@ def test_heterodyne_rungs_are_the_beats_and_the_sets():
 )
 def test_an_ambiguous_plan_is_refused(stripes, unwrapping, message):
     with pytest.raises(ConfigError, match=message):
-        build_ladder(make_plan(stripes, unwrapping), "x", "f.yaml")
+        wavelength_sequence(make_plan(stripes, unwrapping), "x", "f.yaml")
 
 
 @given(
@@ -70,12 +70,12 @@ def test_an_ambiguous_plan_is_refused(stripes, unwrapping, message):
 )
 def test_the_stripes_that_a_refusal_names_do(stripes, unwrapping):
     try:
-        build_ladder(make_plan(stripes, unwrapping), "x", "plan")
+        wavelength_sequence(make_plan(stripes, unwrapping), "x", "plan")
     except ConfigError as error:
         named = re.search(r"for example stripes ([\d., ]*\d)", str(error))
         assert named
         remedy = [float(s) for s in named[1].split(",")]
-        assert build_ladder(make_plan(remedy, unwrapping), "x", "plan").rungs[0].stripes <= 1
+        assert wavelength_sequence(make_plan(remedy, unwrapping), "x", "plan").rungs[0].stripes <= 1
     else:
         assume(False)
 
@@ -89,7 +89,7 @@ def test_any_number_of_sets_climbs_to_the_truth(ratios, base):
     stripes = base * np.cumprod([1.0, *ratios])
     plan = make_plan(stripes)
     position = np.linspace(0.01, 0.99, 200)
-    found = climb(wrapped(plan, position), build_ladder(plan, "x", "plan"))
+    found = unwrap(wrapped(plan, position), wavelength_sequence(plan, "x", "plan"))
     np.testing.assert_allclose(found.position, position, atol=1e-9)
     assert found.disagreement.max() < 1e-6
 
@@ -100,7 +100,7 @@ def test_heterodyne_climbs_to_the_truth(fine, step):
     assume(fine > 2 * step)
     plan = make_plan([fine, fine - step, fine - 2 * step + 1], "heterodyne")
     position = np.linspace(0.01, 0.99, 200)
-    found = climb(wrapped(plan, position), build_ladder(plan, "x", "plan"))
+    found = unwrap(wrapped(plan, position), wavelength_sequence(plan, "x", "plan"))
     np.testing.assert_allclose(found.position, position, atol=1e-9)
     assert found.certain.all()
 
@@ -108,10 +108,10 @@ def test_heterodyne_climbs_to_the_truth(fine, step):
 @pytest.mark.parametrize("stripes", [(1, 8, 64), (1, 9.43, 142.05), (0.9, 7, 50), (0.9, 9, 90)])
 def test_the_base_may_wrap_at_the_edges(stripes):
     plan = make_plan(stripes)
-    ladder, width = build_ladder(plan, "x", "plan"), 912
+    ladder, width = wavelength_sequence(plan, "x", "plan"), 912
     position = np.repeat((np.array([0, 1, width - 2, width - 1]) + 0.5) / width, 5000)
     sigma = 0.03 / (2 * np.pi * stripes[-1])
-    found = climb(wrapped(plan, position, noise=0.03, seed=3), ladder, sigma, seam=0.05 / width)
+    found = unwrap(wrapped(plan, position, noise=0.03, seed=3), ladder, sigma, seam=0.05 / width)
     off = np.abs(found.position - position)[found.certain]
     assert off.max() < 6 * sigma
     assert found.certain.mean() > 0.999
@@ -119,14 +119,14 @@ def test_the_base_may_wrap_at_the_edges(stripes):
 
 def test_what_lies_on_the_seam_of_repeating_stripes_is_not_certain():
     plan = make_plan([1, 8, 64])
-    ladder = build_ladder(plan, "x", "plan")
-    found = climb(wrapped(plan, np.array([0.0, 1e-5, 0.01, 1 - 1e-5])), ladder, sigma=1e-5)
+    ladder = wavelength_sequence(plan, "x", "plan")
+    found = unwrap(wrapped(plan, np.array([0.0, 1e-5, 0.01, 1 - 1e-5])), ladder, sigma=1e-5)
     np.testing.assert_array_equal(found.certain, [False, False, True, False])
 
 
 def test_light_from_beyond_the_projector_is_not_certain():
     plan = make_plan([0.5, 5.3, 40.7])
-    found = climb(wrapped(plan, np.array([-0.2, 0.5, 1.3])), build_ladder(plan, "x", "plan"))
+    found = unwrap(wrapped(plan, np.array([-0.2, 0.5, 1.3])), wavelength_sequence(plan, "x", "plan"))
     np.testing.assert_array_equal(found.certain, [False, True, False])
 
 
@@ -134,11 +134,11 @@ def test_a_biased_base_shows_as_disagreement():
     plan = make_plan([1, 16])
     phases = wrapped(plan, np.full(1, 0.4))
     phases[0] += 2 * np.pi * 0.3 / 16
-    ladder = build_ladder(plan, "x", "plan")
-    found = climb(phases, ladder)
+    ladder = wavelength_sequence(plan, "x", "plan")
+    found = unwrap(phases, ladder)
     assert found.position == pytest.approx(0.4)
     assert found.disagreement == pytest.approx(0.3)
-    other = climb(phases, ladder, nudged=found.doubted)
+    other = unwrap(phases, ladder, nudged=found.doubted)
     assert other.position == pytest.approx(0.4 + 1 / 16)
     assert other.disagreement == pytest.approx(0.7)
 

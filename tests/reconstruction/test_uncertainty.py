@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import characterise
-from fpplab.characterisation.bundle import Level, vectors_of
+from fpplab.characterisation.bundle import DistortionModel, vectors_of
 from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import Cloud
 from fpplab.core.errors import CalibrationError
@@ -28,9 +28,9 @@ from fpplab.reconstruction.uncertainty import (
     point_covariance,
     with_uncertainty,
 )
-from tests.support import rigs
 from tests.reconstruction.test_triangulation import CALIBRATION as DISTORTED
 from tests.reconstruction.test_triangulation import Maps, maps_of, plane, sphere
+from tests.support import rigs
 
 RIG = small_rig()
 ONE_AXIS, TWO_AXES = "plan_paper", "plan_board"
@@ -280,7 +280,9 @@ def test_characterisations_repeated_spread_the_points_as_each_predicts() -> None
 
     def measured(seed: int) -> Cloud:
         observations = rigs.observed(held, noise_px=0.05, seed=seed)
-        found = characterise(observations, rigs.BOARD, size, tall, level=Level.TANGENTIAL).calibration
+        found = characterise(
+            observations, rigs.BOARD, size, tall, level=DistortionModel.TANGENTIAL
+        ).calibration
         cloud = triangulate(decoded, found, normals=False)
         return with_uncertainty(cloud, found, coordinate_noise(decoded))
 

@@ -116,7 +116,7 @@ def test_the_cyclic_map_has_no_seam_at_zero() -> None:
     assert colours[0] == pytest.approx(colours[1], abs=0.01)
     phase = np.full((48, 64), 0.01, np.float32)
     phase[:, ::2] = 2 * np.pi - 0.01
-    picture = rgb(figures.wrapped_phase(phase))
+    picture = rgb(figures.wrapped_phase_figure(phase))
     height, width = picture.shape[:2]
     inside = picture[height // 3 : height // 2, width // 4 : width // 2]
     assert inside.reshape(-1, 3).std(0).max() < 3
@@ -143,7 +143,7 @@ def test_every_other_picture_is_drawn() -> None:
     pictures = [
         figures.relief(cloud()),
         figures.depth(cloud()),
-        figures.residuals(pixels, rng.normal(0, 0.05, (30, 2)), SIZE, "camera"),
+        figures.residuals_figure(pixels, rng.normal(0, 0.05, (30, 2)), SIZE, "camera"),
         figures.coverage([pixels[:15], pixels[15:]], SIZE, "projector"),
         figures.response_curve(response, np.stack([levels, 0.9 * levels**2.2 + 0.02], axis=1)),
         figures.pose_rms(["a", "b"], [0.05, 0.06], [0.07, 0.08]),
@@ -154,7 +154,7 @@ def test_every_other_picture_is_drawn() -> None:
 
 def test_residuals_without_points_are_refused() -> None:
     with pytest.raises(DataError, match="camera: 0 residuals"):
-        figures.residuals(np.empty((0, 2)), np.empty((0, 2)), SIZE, "camera")
+        figures.residuals_figure(np.empty((0, 2)), np.empty((0, 2)), SIZE, "camera")
 
 
 def test_the_colour_range_holds_98_per_cent() -> None:

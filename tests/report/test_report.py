@@ -21,7 +21,7 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.patterns.response import Level, Region, Response
+from fpplab.patterns.response import Region, Response, ResponseLevel
 from fpplab.phase import Decoded, Wrapped
 from fpplab.report import ScanSection, figures, write_report
 from fpplab.report.uncertainty import caption, sigma_maps
@@ -278,7 +278,9 @@ def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_the_caption_of_a_response_says_what_is_drawn(tmp_path: Path) -> None:
     fitted, levels = response()
     parts = {
-        "measured": tuple(Level(shown=x, seen=y, sigma=0.001, residual=0.0) for x, y in levels.tolist()),
+        "measured": tuple(
+            ResponseLevel(shown=x, seen=y, sigma=0.001, residual=0.0) for x, y in levels.tolist()
+        ),
         "regions": tuple(Region(row=0, column=k, a=0.9, b=0.02, g=2.2, sigma_g=0.003) for k in range(3)),
     }
     for name, drawn in (("curve", fitted), ("regions", fitted.model_copy(update=parts))):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import Characterisation, Level, characterise
+from fpplab.characterisation import Characterisation, DistortionModel, characterise
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
@@ -39,7 +39,7 @@ def bent() -> Floats:
 def refined() -> Characterisation:
     seen = observed(poses(6), noise_px=0.01, points=bent())
     return characterise(
-        seen, BOARD, CAMERA.size, SQUARE.size, level=Level.TANGENTIAL, refine_board=True
+        seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.TANGENTIAL, refine_board=True
     )  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def test_the_shape_is_the_board_s(refined: Characterisation) -> None:
 
 def test_a_board_taken_as_drawn_has_no_shape_to_show() -> None:
     flat = characterise(
-        observed(poses(4)), BOARD, CAMERA.size, SQUARE.size, level=Level.TANGENTIAL
+        observed(poses(4)), BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.TANGENTIAL
     )  # fmt: skip
     assert flat.drawn is None
     with pytest.raises(DataError, match="as it is drawn"):

@@ -24,7 +24,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
-from fpplab.matching.record import Epoch, ParametersFile
+from fpplab.matching.record import MatchingEpoch, ParametersFile
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.phase import Decoded
@@ -176,7 +176,7 @@ def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
         for number, loss in enumerate(losses):
             figures = dict.fromkeys(names, 1.0) | {"loss": loss}
             viewer.epoch(
-                Epoch(
+                MatchingEpoch(
                     epoch=number,
                     step="light",
                     accepted=True,

@@ -19,9 +19,10 @@ import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpplab.acquisition.acquire import Observer, unseen
+from fpplab.acquisition.acquire import FrameObserver
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError
+from fpplab.core.progress import ignore
 from fpplab.devices import Frame
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.sessions.frame_writer import MOST_WAITING, recording
@@ -56,7 +57,7 @@ def check_begun(session: Session, length: int) -> None:
         np.testing.assert_array_equal(found.read(index), image_of(index))
 
 
-def give(session: Session, given: Iterator[Frame], observe: Observer = unseen) -> None:
+def give(session: Session, given: Iterator[Frame], observe: FrameObserver = ignore) -> None:
     """Have them all recorded."""
     with recording(session, observe) as record:
         for one in given:

@@ -14,8 +14,8 @@ from fpplab.core.conventions import Floats
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from sim.devices import SimCamera, SimFixture, SimProjector, SimStage, VirtualBench
-from sim.light import Light, Picture, Setup, Show
-from sim.light.table import Table
+from sim.light import Light, PatternLevels, Setup, Show
+from sim.light.table import LightTable
 from sim.worker import Blender
 from sim.world import World
 
@@ -140,7 +140,7 @@ def levels(function: Any, of: World) -> Pattern:
     return Pattern("test", quantise(np.broadcast_to(np.asarray(function(u, v), np.float64), u.shape)))
 
 
-def seen(blender: Blender, of: World, setup: Setup, *patterns: Pattern) -> list[Picture]:
+def seen(blender: Blender, of: World, setup: Setup, *patterns: Pattern) -> list[PatternLevels]:
     """What the camera sees of `setup` under each pattern."""
     light = Light(of, blender)
     return [light.irradiance(setup, Show(patterns, i)) for i in range(len(patterns))]
@@ -163,7 +163,7 @@ def grid(of: World) -> Floats:
     return np.stack([u, v], axis=-1)
 
 
-def samples_of_image(table: Table) -> Picture:
+def samples_of_image(table: LightTable) -> PatternLevels:
     """A table's samples (K, height, width, 4) for the whole image, zeros where it has none."""
     views, h, w, channels = table.samples.shape
     (left, top), samples = table.corner, np.zeros((views, *table.albedo.shape, channels), np.float32)

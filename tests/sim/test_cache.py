@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import FringeSet, Plan
-from sim.light import Light, Picture, Setup, Show
+from sim.light import Light, PatternLevels, Setup, Show
 from sim.light import cache as module
 from sim.light.cache import TableCache
-from sim.light.table import Table
+from sim.light.table import LightTable
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import plain, world
@@ -48,16 +48,16 @@ def fringes(of: World, steps: int = 4, stripes: float = 8) -> tuple[Pattern, ...
     return tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
 
 
-def picture(of: World, blender: Blender, cache: TableCache, setup: Setup = PILLARS) -> Picture:
+def picture(of: World, blender: Blender, cache: TableCache, setup: Setup = PILLARS) -> PatternLevels:
     return Light(of, blender, cache).irradiance(setup, Show(fringes(of), 1))
 
 
-def small_table(seed: int = 0, shape: tuple[int, int] = (6, 5)) -> Table:
+def small_table(seed: int = 0, shape: tuple[int, int] = (6, 5)) -> LightTable:
     random = np.random.default_rng(seed)
-    return Table(random.random((2, *shape, 4), np.float32), random.random(shape, np.float32))
+    return LightTable(random.random((2, *shape, 4), np.float32), random.random(shape, np.float32))
 
 
-def same(one: Table | None, other: Table) -> bool:
+def same(one: LightTable | None, other: LightTable) -> bool:
     return (
         one is not None
         and np.array_equal(one.samples, other.samples)
@@ -321,7 +321,7 @@ def test_a_damaged_table_is_rendered_again_and_mended(
 def test_a_full_disk_only_warns(
     blender: Blender, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(stream: BinaryIO, table: Table) -> None:
+    def full(stream: BinaryIO, table: LightTable) -> None:
         stream.write(b"half")
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -456,7 +456,7 @@ def test_many_at_once_never_see_half_a_table(tmp_path: Path, caplog: pytest.LogC
     TableCache(tmp_path).store("k", tables[0])
     wrong: list[str] = []
 
-    def write(table: Table) -> None:
+    def write(table: LightTable) -> None:
         for _ in range(15):
             TableCache(tmp_path).store("k", table)
 

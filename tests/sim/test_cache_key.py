@@ -11,11 +11,11 @@ import pytest
 
 from sim.build import Setup, build_scene
 from sim.light.cache import digest
-from sim.scene import Scene, View
+from sim.scene import RenderScene, SubpixelView
 from tests.sim.conftest import plain, world
 
 
-def scene() -> Scene:
+def scene() -> RenderScene:
     """A scene with a value in every field that can have one."""
     of = world(
         camera={**plain()["camera"], "focus_mm": 450.0},
@@ -27,7 +27,7 @@ def scene() -> Scene:
 
 
 SCENE = scene()
-SHIFTED = [View((0.25, -0.25), (0.5, 0.1)), View((-0.25, 0.25), (-0.5, 0.3))]
+SHIFTED = [SubpixelView((0.25, -0.25), (0.5, 0.1)), SubpixelView((-0.25, 0.25), (-0.5, 0.3))]
 KNOWN = digest(SCENE, SHIFTED)
 
 

@@ -27,14 +27,14 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.dataset import Dataset
 from fpplab.dataset.card import begin
 from fpplab.dataset.labels import labels_of
-from fpplab.dataset.making import Maker, Wanted
+from fpplab.dataset.making import DatasetRequest, Maker
 from fpplab.dataset.scenes import Scenes, draw
 from fpplab.dataset.shard import claimed, shard_name
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.reconstruction.triangulation import triangulate
-from fpplab.simulation.arrangeable import Truth, need_simulation
+from fpplab.simulation.arrangeable import SceneTruth, need_simulation
 from fpplab.targets import Target
 from tests.sessions.test_disk import FullAt
 from tests.sim.conftest import RIG, plain, world, write_world
@@ -63,7 +63,7 @@ def opened(folder: Path, scenes: Scenes = BOARDS, samples: int = 5, **options: A
     write_world(folder, plain(render={"subpixels": 3}))
     (folder / "rig.yaml").write_text(RIG_OF_BOARDS)
     with Rig.load(folder / "rig.yaml") as rig:
-        wanted = Wanted(PLAN, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
+        wanted = DatasetRequest(PLAN, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
         yield Maker(rig, wanted)
 
 
@@ -149,7 +149,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     meshes = [trimesh.creation.box(bounds=np.array(bounds, float)) for bounds in corners]
     mesh = trimesh.util.concatenate(meshes).apply_transform(pose.matrix)
     devices = Calibration(of.camera_model(), of.projector_model(), of.T_projector_camera(), {})
-    labels = labels_of(Truth(mesh, devices))
+    labels = labels_of(SceneTruth(mesh, devices))
     caster = Caster(devices.camera, devices.projector, devices.T_projector_camera, 475.0, 1.0)
     seen = caster.look(boxes, 1)
     wide, high = devices.projector.size
@@ -177,12 +177,12 @@ def test_labels_of_a_plate_from_behind_are_dark() -> None:
     )
     camera = Pinhole.from_focal((64, 48), (400.0, 400.0), (31.5, 23.5))
     behind = RigidTransform.from_vectors(np.array([0.0, np.pi, 0.0]), np.array([0.0, 0.0, 900.0]))
-    labels = labels_of(Truth(plate, Calibration(camera, camera, behind, {})))
+    labels = labels_of(SceneTruth(plate, Calibration(camera, camera, behind, {})))
     assert np.isfinite(labels.depth).sum() > 1000
     assert not labels.mask.any()
     assert (labels.normals[2][np.isfinite(labels.depth)] == -1).all()
     beside = RigidTransform.from_vectors(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
-    assert labels_of(Truth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
+    assert labels_of(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
 
 
 def test_boards_agree_with_their_labels(boards: Dataset) -> None:
@@ -438,7 +438,7 @@ def test_a_rig_that_is_no_simulation_is_refused_before_it_opens(name: str) -> No
     ],
 )
 def test_wrong_ranges_are_refused(tmp_path: Path, change: dict[str, Any], named: str) -> None:
-    data = {**config.parse(config.read_text(config.find("dataset_demo.yaml")), ""), **change}
+    data = {**config.parse_yaml(config.read_text(config.find_config("dataset_demo.yaml")), ""), **change}
     (tmp_path / "ranges.yaml").write_text(config.to_yaml(data))
     with pytest.raises(ConfigError, match=named):
         Scenes.load(tmp_path / "ranges.yaml")

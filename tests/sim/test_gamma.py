@@ -15,7 +15,7 @@ from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.phase_error import corrected_phase_error, judge, phase_error
+from fpplab.patterns.phase_error import corrected_phase_error, judge_response, phase_error
 from fpplab.patterns.plan import FringeSet, GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
@@ -144,7 +144,7 @@ def test_the_judgement_is_what_the_bench_shows(rig: Rig, tmp_path: Path) -> None
     as_it_is = corrected.model_copy(update={"response": None})
     truth, strong = phase(rig, 30)
     size = rig.projector.caps.size
-    told = judge(response, as_it_is, size)
+    told = judge_response(response, as_it_is, size)
     error = rms((phase(rig, 4)[0] - truth)[strong])
     assert told.phase_rad == pytest.approx(error, rel=0.15)
-    assert judge(response, corrected, size).good_enough
+    assert judge_response(response, corrected, size).good_enough

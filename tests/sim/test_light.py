@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import FringeSet, Plan
-from sim.light.basis import span
-from sim.light.table import Table
+from sim.light.basis import smallest_basis
+from sim.light.table import LightTable
 
 SIZE = (57, 64)
 ROUNDING = 1 / np.sqrt(12) / 255
@@ -31,7 +31,7 @@ def stack(plan: Plan, response: float = 1.0) -> np.ndarray[tuple[int, ...], np.d
 def test_fringe_sets_need_one_channel_and_two_each(stripes: tuple[float, ...], channels: int) -> None:
     plan = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=8) for s in stripes))
     levels = stack(plan)
-    basis = span(levels, ROUNDING)
+    basis = smallest_basis(levels, ROUNDING)
     assert len(basis.channels) == channels
     assert basis.channels.min() >= -1e-6
     assert basis.channels.max() <= 1 + 1e-6
@@ -42,7 +42,7 @@ def test_fringe_sets_need_one_channel_and_two_each(stripes: tuple[float, ...], c
 def test_bent_response_needs_its_harmonics_and_is_still_right() -> None:
     plan = Plan(fringes=(FringeSet(axis="y", stripes=3, steps=8),))
     levels = stack(plan, 2.2)
-    basis = span(levels, 2.2 * ROUNDING)
+    basis = smallest_basis(levels, 2.2 * ROUNDING)
     assert len(basis.channels) > 3
     error = np.einsum("nc,cvu->nvu", basis.weights, basis.channels) - levels
     assert np.sqrt((error**2).mean(axis=(1, 2))).max() <= 2.2 * ROUNDING * 1.001
@@ -50,27 +50,27 @@ def test_bent_response_needs_its_harmonics_and_is_still_right() -> None:
 
 def test_uniform_patterns_need_white_alone() -> None:
     levels = np.stack([p.image for p in uniform_patterns([0, 77, 255], SIZE)]).astype(np.float32) / 255
-    basis = span(levels, ROUNDING)
+    basis = smallest_basis(levels, ROUNDING)
     assert len(basis.channels) == 1
     np.testing.assert_allclose(basis.weights[:, 0], np.array([0, 77, 255]) / 255, atol=1e-6)
 
 
 def test_unrelated_patterns_come_back_exactly() -> None:
     levels = (np.random.default_rng(3).random((5, *SIZE[::-1])) > 0.5).astype(np.float32)
-    basis = span(levels, ROUNDING)
+    basis = smallest_basis(levels, ROUNDING)
     assert len(basis.channels) == 6
     np.testing.assert_allclose(np.einsum("nc,cvu->nvu", basis.weights, basis.channels), levels, atol=1e-4)
 
 
-def table(points: Floats, shade: float, circle: float = 0.0, views: int = 1) -> Table:
+def table(points: Floats, shade: float, circle: float = 0.0, views: int = 1) -> LightTable:
     """Pixels (1, n / views) that see the projector at points (n, 2), column and row."""
     samples = np.full((views, 1, len(points) // views, 4), shade, np.float32)
     samples[..., :2] = points.reshape(views, 1, -1, 2)
     samples[..., 2] = circle
-    return Table(samples, np.zeros(samples.shape[1:3], np.float32))
+    return LightTable(samples, np.zeros(samples.shape[1:3], np.float32))
 
 
-def seen(of: Table, *textures: NDArray[Any], fill: float | None = None) -> NDArray[np.float32]:
+def seen(of: LightTable, *textures: NDArray[Any], fill: float | None = None) -> NDArray[np.float32]:
     """One row of pixels under one texture for each circle."""
     stacked = np.stack(textures)[..., None].astype(np.float32)
     row: NDArray[np.float32] = of.look_up(stacked, fill)[0, 0]
@@ -154,8 +154,8 @@ def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> Non
     samples[:, 3:9, 4:11, 3] = random.uniform(0.1, 1, (2, 6, 7))
     samples[0, 5, 5, :2] = 1e9, -1e9
     albedo = np.zeros((12, 15), np.float32)
-    whole = Table(samples, albedo)
-    window = Table(np.ascontiguousarray(samples[:, 3:9, 4:11]), albedo, (4, 3))
+    whole = LightTable(samples, albedo)
+    window = LightTable(np.ascontiguousarray(samples[:, 3:9, 4:11]), albedo, (4, 3))
     textures = random.random((2, 40, 30, 5), np.float32)
     for of in (whole, window):
         left, top, right, bottom = of.part((40, 30))
@@ -167,7 +167,7 @@ def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> Non
 
 
 def test_a_table_that_sees_nothing_lit_is_dark() -> None:
-    dark = Table(np.zeros((1, 3, 0, 4), np.float32), np.zeros((3, 5), np.float32), (5, 0))
+    dark = LightTable(np.zeros((1, 3, 0, 4), np.float32), np.zeros((3, 5), np.float32), (5, 0))
     left, top, right, bottom = dark.part((40, 30))
     cut = np.ones((1, bottom - top, right - left, 2), np.float32)
     np.testing.assert_array_equal(dark.look_up(cut, None, (left, top)), np.zeros((2, 3, 5)))

@@ -14,7 +14,7 @@ from sim.build import build_scene
 from sim.light import Light, Setup, Show
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
-from sim.scene import View
+from sim.scene import SubpixelView
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
@@ -93,7 +93,7 @@ def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -
     def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
         places = shifts(subpixels)
         lens = lens_points(len(places)) if focus_mm else [(0.0, 0.0)] * len(places)
-        return computed(scene, [View(*both) for both in zip(places, lens, strict=True)], spots).albedo
+        return computed(scene, [SubpixelView(*both) for both in zip(places, lens, strict=True)], spots).albedo
 
     scene = build_scene(_world(1, focus_mm, None), Setup("board", pose))[0]
 
@@ -110,7 +110,7 @@ def test_light_by_formula_is_that_of_rays(turned: list[float]) -> None:
     pose = {"rotation_deg": turned, "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})
     scene = build_scene(of, Setup("card"))[0]
-    table = computed(scene, [View((0.0, 0.0))])
+    table = computed(scene, [SubpixelView((0.0, 0.0))])
     held = of.items["card"].pose.transform()  # type: ignore[union-attr]
     normal = held.rotation[:, 2] * -np.sign(held.rotation[:, 2] @ held.translation)
     caster = Caster(of.camera_model(), of.projector_model(), of.T_projector_camera(), 475.0, 0.7)
@@ -131,7 +131,7 @@ def test_a_card_between_camera_and_projector_is_dark(turned: float, is_lit: bool
     """Its plane passes 120 mm beside the camera: to the left of it, or between it and the projector."""
     pose = {"rotation_deg": [0, turned, 0], "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [100, 100], "pose": pose}})
-    table = computed(build_scene(of, Setup("card"))[0], [View((0.0, 0.0))])
+    table = computed(build_scene(of, Setup("card"))[0], [SubpixelView((0.0, 0.0))])
     assert table.albedo.max() == np.float32(0.9)
     assert bool(table.samples[..., 3].any()) is is_lit
 
@@ -143,7 +143,7 @@ def test_a_white_surface_that_faces_the_projector_has_irradiance_1() -> None:
         "translation_mm": axis.apply(np.array([0.0, -200.0, 475.0])).tolist(),
     }
     of = world(items={"card": {"card_mm": [100, 100], "pose": pose}}, material={"reflectance": 1.0})
-    shade = computed(build_scene(of, Setup("card"))[0], [View((0.0, 0.0))]).samples[..., 3]
+    shade = computed(build_scene(of, Setup("card"))[0], [SubpixelView((0.0, 0.0))]).samples[..., 3]
     np.testing.assert_allclose(shade[shade > 0], 1.0, rtol=1e-6)
 
 

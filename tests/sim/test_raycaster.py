@@ -18,7 +18,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
-from sim.scene import DIRECT, Effort, View, X, Z
+from sim.scene import DIRECT, Effort, SubpixelView, X, Z
 from sim.worker import Blender
 from sim.world import World
 from tests.sim.conftest import plain, samples_of_image, world
@@ -208,7 +208,7 @@ def _pixel_error(of: World, points: Floats, shift: tuple[float, float]) -> Float
 def test_points_seen_beside_a_pixel_s_middle_project_there(blender: Blender) -> None:
     of, shift = _distorting(Lattice.DIAMOND), (0.25, -0.375)
     scene, _ = build_scene(of, Setup("card"))
-    seen = blender.render(scene, None, [View(shift)], Effort(survey=True), 60)
+    seen = blender.render(scene, None, [SubpixelView(shift)], Effort(survey=True), 60)
     points = seen[0, ::2, ::2, X : Z + 1].astype(np.float64)
     model = of.camera_model()
     straight = Pinhole(model.size, model.matrix)
@@ -226,7 +226,7 @@ def test_points_seen_through_a_wide_lens_project_to_their_pixels(
     pose = {"rotation_deg": [3, -5, 0], "translation_mm": [0, 0, 450]}
     of = world(camera=camera, items={"card": {"card_mm": [4000, 4000], "pose": pose}})
     scene, _ = build_scene(of, Setup("card"))
-    rendered = blender.render(scene, None, [View((0.0, 0.0))], Effort(survey=True), 60)
+    rendered = blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(survey=True), 60)
     points = rendered[0, ..., X : Z + 1].astype(np.float64)
     assert points[..., 2].min() > 100
     assert np.abs(_pixel_error(of, points, (0.0, 0.0))).max() < 0.002
@@ -250,9 +250,9 @@ def test_light_comes_from_the_mirrors_that_points_project_to(
     scene, texture = build_scene(of, Setup("card"))
     row, column = np.mgrid[0 : texture.shape[0], 0 : texture.shape[1]] / max(texture.shape)
     ramps = np.stack([np.ones(texture.shape), column, row], axis=-1).astype(np.float32)[None]
-    rendered = blender.render(scene, ramps, [View((0.0, 0.0))], Effort(survey=True), 60)[0, ::2, ::2].astype(
-        np.float64
-    )
+    rendered = blender.render(scene, ramps, [SubpixelView((0.0, 0.0))], Effort(survey=True), 60)[
+        0, ::2, ::2
+    ].astype(np.float64)
     pose = of.T_projector_camera()
     points = rendered[..., X : Z + 1]
     assert np.abs(_pixel_error(of, points, (0.0, 0.0))).max() < 0.002

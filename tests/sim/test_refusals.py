@@ -253,7 +253,7 @@ def moved_away(folder: Path, **items: Any) -> Path:
     """A world file in a folder of its own, with a part and a target beside it."""
     (folder / "parts").mkdir(parents=True)
     (folder / "parts" / "box.stl").write_bytes(stl(BOX))
-    target = config.load(config.find("target_paper.yaml"), Target)
+    target = config.load_document(config.find_config("target_paper.yaml"), Target)
     (folder / "mine.yaml").write_text(config.dump(target.model_copy(update={"size_mm": (90.0, 70.0)})))
     return Path(write_world(folder, plain(items=items)))
 

@@ -12,7 +12,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
-from sim.scene import Effort, View
+from sim.scene import Effort, SubpixelView
 from sim.worker import Blender
 from tests.sim.conftest import card_points, grid, levels, seen, world
 
@@ -188,7 +188,7 @@ def test_picture_does_not_depend_on_the_window(blender: Blender) -> None:
     of = world()
     scene, _ = build_scene(of, PILLARS)
     assert scene.window != (0, 0, *of.camera.size)
-    views = [View((0.0, 0.0))]
+    views = [SubpixelView((0.0, 0.0))]
     part = blender.render(scene, None, views, Effort(), 60).copy()
     whole = blender.render(replace(scene, window=(0, 0, *of.camera.size)), None, views, Effort(), 60)
     np.testing.assert_array_equal(part, whole)

@@ -14,7 +14,7 @@ from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import Calibrations
 from fpplab.optimisation.candidate import Fringes
-from fpplab.optimisation.sets import FringeSets, View
+from fpplab.optimisation.sets import FringeSets, MeasuringSetup
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from sim.build import Setup
@@ -22,7 +22,7 @@ from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
 
 LIKE = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=3),))
-CARD = View("card", 0.02)
+CARD = MeasuringSetup("card", 0.02)
 BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
 
 Sets = Callable[..., FringeSets]
@@ -45,7 +45,9 @@ def sets(rig: Rig) -> Sets:
     return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
 
 
-def stack(sets: FringeSets, *fringes: Fringes, seed: int = 1, view: View = CARD) -> NDArray[np.uint8]:
+def stack(
+    sets: FringeSets, *fringes: Fringes, seed: int = 1, view: MeasuringSetup = CARD
+) -> NDArray[np.uint8]:
     return np.stack(sets.frames(view, fringes, seed))
 
 
@@ -112,13 +114,13 @@ def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None
 
 
 def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
-    stood: list[View] = []
+    stood: list[MeasuringSetup] = []
     store = FringeSets(rig, LIKE, stood.append)
     rig.fixture.mount("card")  # type: ignore[union-attr]
     stack(store, BASE)
     stack(store, fewer(BASE, 6))
     assert stood == [CARD]
-    brighter = View("card", 0.03)
+    brighter = MeasuringSetup("card", 0.03)
     assert stack(store, BASE, view=brighter).mean() > 1.2 * stack(store, BASE).mean()
     assert stood == [CARD, brighter]
 

@@ -19,14 +19,14 @@ from fpplab.devices import CameraSettings, State
 from fpplab.patterns.fringes import uniform_patterns
 from sim.build import Setup, build_scene
 from sim.devices import SimCamera, SimFixture, SimProjector, VirtualBench
-from sim.scene import Effort, View
+from sim.scene import Effort, SubpixelView
 from sim.worker import Blender, missing_library
 from tests.sim.conftest import plain, world, write_world
 
 ROOT = Path(__file__).parents[2]
 
 
-MIDDLE = [View((0.0, 0.0))]
+MIDDLE = [SubpixelView((0.0, 0.0))]
 """One ray through the middle of every pixel."""
 
 

@@ -183,7 +183,7 @@ def test_a_world_is_saved_and_read_again(tmp_path: Path) -> None:
     assert not (tmp_path / "without/calibration.yaml").exists()
     fitted = of.model_copy(update={"calibration": CalibrationFile.of(_measured(of))})
     path = fitted.save(tmp_path / "with")
-    assert config.parse(path.read_text(), path)["calibration"] == "calibration.yaml"
+    assert config.parse_yaml(path.read_text(), path)["calibration"] == "calibration.yaml"
     assert World.load(path) == fitted
 
 

@@ -17,14 +17,14 @@ from scipy.ndimage import map_coordinates
 from fpplab import artefacts
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.core.conventions import Floats, Image, Lattice, Pixels, full_scale
+from fpplab.core.conventions import Floats, Image, Lattice, PixelIndices, full_scale
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import Levels, Parameters
+from fpplab.simulation.matchable import ExpectedLevels, Parameters
 from fpplab.targets import Target
 
 CAMERA = Pinhole.from_focal((456, 304), (1216, 1216), (230, 150), (-0.08, 0.1, 4e-4, -3e-4, 0))
@@ -98,15 +98,15 @@ class PlaneTwin:
     def become(self, parameters: Parameters) -> None:
         self._now = parameters
 
-    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(self._now.poses[pose], patterns, settings, board=True)
 
     def expected_at(
-        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: Pixels
-    ) -> Levels:
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> ExpectedLevels:
         return self.expected(pose, patterns, settings)[:, *pixels]
 
-    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> Levels:
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
         return self._seen(CARD, patterns, settings, board=False)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
@@ -129,7 +129,7 @@ class PlaneTwin:
         return folder / "rig.yaml"
 
     def _shaken(
-        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, expected: Levels
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, expected: ExpectedLevels
     ) -> NDArray[np.float32]:
         now, step = self._now, 0.02
         by_axis = []
@@ -139,7 +139,7 @@ class PlaneTwin:
         shake = self._random.normal(0, now.vibration_mm, (len(patterns), 3)).astype(np.float32)
         return np.einsum("na,anvu->nvu", shake, np.stack(by_axis))
 
-    def _digitised(self, expected: Levels, settings: CameraSettings) -> list[Image]:
+    def _digitised(self, expected: ExpectedLevels, settings: CameraSettings) -> list[Image]:
         now, full = self._now, full_scale(settings.bits)
         per_electron = full * (1 - now.black_level) / (16 * now.full_well_e)
         signal = np.maximum(expected - full * now.black_level, 0)
@@ -149,7 +149,7 @@ class PlaneTwin:
 
     def _seen(
         self, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings, board: bool
-    ) -> Levels:
+    ) -> ExpectedLevels:
         now, full = self._now, full_scale(settings.bits)
         width, height = now.calibration.camera.size
         out = np.zeros((len(patterns), height, width), np.float32)

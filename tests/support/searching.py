@@ -13,7 +13,7 @@ import numpy as np
 from fpplab.core import config
 from fpplab.core.errors import DataError
 from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.candidate_runner import Lab
+from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scheduling import Here
 from fpplab.optimisation.space import Space
@@ -121,11 +121,13 @@ class Calculated:
         return float(np.clip(max([*excess, 0.0]), 0.0, 1.0))
 
 
-def lab_of(folder: Path, formula: Formula | None = None, limits: RigLimits = LIMITS, **changes: Any) -> Lab:
+def lab_of(
+    folder: Path, formula: Formula | None = None, limits: RigLimits = LIMITS, **changes: Any
+) -> CandidateRunner:
     """A lab in this process."""
     wanted = study(**changes)
     space = Space.of(wanted, limits, "study.yaml")
-    return Lab(space, Here(formula or Formula()), Journal(folder / "study.jsonl", wanted, {}))
+    return CandidateRunner(space, Here(formula or Formula()), Journal(folder / "study.jsonl", wanted, {}))
 
 
 def with_stage(travel: tuple[float, float] | None) -> RigLimits:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from multiprocessing.managers import BaseManager
 
 from drivers.clock import RealClock
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, Fault, Light, Pulse
+from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
 from drivers.emulators.dlpc350.usbip import PluggedIn
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
@@ -28,7 +28,7 @@ class Projector:
 
     def __init__(self) -> None:
         images, self._index = flash()
-        self._caught: deque[Light | None] = deque(maxlen=MOST_PULSES)
+        self._caught: deque[ProjectedLight | None] = deque(maxlen=MOST_PULSES)
         self._controller = Dlpc350(RealClock(), images, on_pulse=self._pulsed)
         self._hid = EmulatedHid(self._controller)
         self._cable = PluggedIn(self._hid)
@@ -51,7 +51,7 @@ class Projector:
         with self._cable.lock:
             self._hid.plug()
 
-    def fail(self, faults: Mapping[int, Fault]) -> None:
+    def fail(self, faults: Mapping[int, UsbFault]) -> None:
         """Have requests fail: those that many after the next one, and no others."""
         with self._cable.lock:
             self._hid.faults = {self._hid.requests + ahead: fault for ahead, fault in faults.items()}

@@ -18,7 +18,7 @@ from drivers.clock import RealClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.flash.firmware import Firmware, arranged
 from drivers.dlp4500.flash.loader import programming
-from drivers.dlp4500.flash.upload import perform, prepare, verify
+from drivers.dlp4500.flash.upload import perform, prepare, verify_image_count
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.transport import Link, connect
 from fpplab.core import config
@@ -75,7 +75,7 @@ def test_it_is_a_projector_until_it_is_ended(
     with programming(link, RealClock(), "projector") as loader:
         perform(more, loader, prepare(more, loader), lambda share: None)
     with closing(link()) as checked:
-        verify(more, checked)
+        verify_image_count(more, checked)
 
     served.send_signal(signal.SIGINT)
     _, said = served.communicate(timeout=60)

@@ -14,7 +14,7 @@ from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import TIMEOUT_S, Wire, connect
-from drivers.emulators.dlpc350 import Fault
+from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
 from fpplab.devices import State
 from fpplab.patterns.fringes import Pattern
@@ -98,10 +98,10 @@ def play_and_blank(driver: Dlp4500) -> None:
         driver.blank()
 
 
-@pytest.mark.parametrize("fault", [Fault.UNPLUG_BEFORE, Fault.UNPLUG_AFTER])
+@pytest.mark.parametrize("fault", [UsbFault.UNPLUG_BEFORE, UsbFault.UNPLUG_AFTER])
 @pytest.mark.parametrize("step", [0, 3, 9, 16, 24])
 def test_the_cable_is_pulled_at_a_step_of_a_sequence(
-    driver: Dlp4500, emulated: Projector, patterns: list[Pattern], step: int, fault: Fault
+    driver: Dlp4500, emulated: Projector, patterns: list[Pattern], step: int, fault: UsbFault
 ) -> None:
     driver.open()
     driver.load(patterns[:3])
@@ -150,14 +150,14 @@ def test_a_reset_takes_it_off_the_bus_and_back(
 @pytest.mark.parametrize(
     ("fault", "error"),
     [
-        (Fault.DROP, TimeoutError),
-        (Fault.LATE, TimeoutError),
-        (Fault.NACK, ProtocolError),
-        (Fault.SHORT, ProtocolError),
+        (UsbFault.DROP, TimeoutError),
+        (UsbFault.LATE, TimeoutError),
+        (UsbFault.NACK, ProtocolError),
+        (UsbFault.SHORT, ProtocolError),
     ],
 )
 def test_a_bad_answer_is_an_error_and_the_projector_dark(
-    driver: Dlp4500, emulated: Projector, patterns: list[Pattern], fault: Fault, error: type[DeviceError]
+    driver: Dlp4500, emulated: Projector, patterns: list[Pattern], fault: UsbFault, error: type[DeviceError]
 ) -> None:
     with driver:
         driver.load(patterns)
@@ -176,7 +176,7 @@ def test_an_answer_that_comes_twice_is_no_fault(
 ) -> None:
     with driver:
         driver.load(patterns)
-        emulated.fail(dict.fromkeys(range(100), Fault.DUPLICATE))
+        emulated.fail(dict.fromkeys(range(100), UsbFault.DUPLICATE))
         for i in (0, 4, 8):
             driver.show(i)
             shown = emulated.lit()

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Pixels = NDArray[np.uint8]
+ImageBytes = NDArray[np.uint8]
 
 LINES = 4
 LONGEST = 255
@@ -35,7 +35,7 @@ class Compressed:
     data: bytes
 
 
-def compress(image: Pixels) -> Compressed:
+def compress(image: ImageBytes) -> Compressed:
     """Store an image in the shortest way that loses nothing.
 
     Four lines where every row repeats four rows further down, as vertical fringes do on
@@ -49,12 +49,12 @@ def compress(image: Pixels) -> Compressed:
     return Compressed(Compression.NONE, image.tobytes())
 
 
-def repeats_by_lines(image: Pixels) -> bool:
+def repeats_by_lines(image: ImageBytes) -> bool:
     """Whether every row is the one four rows above it; of one colour plane as of all."""
     return len(image) > LINES and np.array_equal(image[LINES:], image[:-LINES])
 
 
-def run_lengths(image: Pixels) -> bytes:
+def run_lengths(image: ImageBytes) -> bytes:
     """An image row by row as runs and literals.
 
     A byte n of 1 … 255: the pixel after it n times. 0 and n of 2 … 255: n pixels follow as they are.
@@ -68,7 +68,7 @@ def run_lengths(image: Pixels) -> bytes:
 
 
 @njit(cache=True)
-def _encode(image: Pixels, stored: Pixels) -> int:
+def _encode(image: ImageBytes, stored: ImageBytes) -> int:
     """Fill `stored`, which is all zeros, and return how many bytes of it are used."""
     at = 0
     for row in image:
@@ -92,7 +92,7 @@ def _encode(image: Pixels, stored: Pixels) -> int:
 
 
 @njit(inline="always")
-def _run(row: Pixels, column: int) -> int:
+def _run(row: ImageBytes, column: int) -> int:
     """How often the pixel at `column` comes in a row from there on, at most LONGEST."""
     end = column + 1
     while end < len(row) and end - column < LONGEST and _same(row, column, end):
@@ -101,12 +101,12 @@ def _run(row: Pixels, column: int) -> int:
 
 
 @njit(inline="always")
-def _same(row: Pixels, a: int, b: int) -> bool:
+def _same(row: ImageBytes, a: int, b: int) -> bool:
     return bool(row[a, 0] == row[b, 0] and row[a, 1] == row[b, 1] and row[a, 2] == row[b, 2])
 
 
 @njit(inline="always")
-def _put(row: Pixels, column: int, count: int, stored: Pixels, at: int) -> int:
+def _put(row: ImageBytes, column: int, count: int, stored: ImageBytes, at: int) -> int:
     """Copy `count` pixels and return where the next byte goes."""
     for i in range(column, column + count):
         for plane in range(3):

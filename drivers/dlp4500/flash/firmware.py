@@ -56,7 +56,7 @@ _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 
 @dataclass(frozen=True)
-class Block:
+class FlashBlock:
     """Neighbouring bytes of the flash, `offset` from its first."""
 
     offset: int
@@ -89,18 +89,18 @@ class Firmware:
         return firmware
 
     @property
-    def splash(self) -> Block:
+    def splash(self) -> FlashBlock:
         """The splash area, to the end of the file."""
         (address,) = struct.unpack_from("<I", self.content, SPLASH_ENTRY)
         offset = address - memory.ADDRESS
-        return Block(offset, len(self.content) - offset)
+        return FlashBlock(offset, len(self.content) - offset)
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[FlashBlock, ...]:
         """Program and configuration: every block that the table lists but splash."""
         table = self.content[_BLOCKS : _BLOCKS + _BLOCK_COUNT * _BLOCK.size]
         listed = [
-            Block(address - memory.ADDRESS, size)
+            FlashBlock(address - memory.ADDRESS, size)
             for i, (address, size) in enumerate(_BLOCK.iter_unpack(table))
             if address != _UNUSED and i not in _SPLASH_BLOCKS
         ]

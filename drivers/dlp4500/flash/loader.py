@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.protocol import VERSION, Command, Field, Raw, Record
+from drivers.dlp4500.protocol import VERSION, Command, Raw, RegisterField, RegisterLayout
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
@@ -24,24 +24,26 @@ from fpplab.core.errors import (
     TimeoutError,
 )
 
-_NUMBER = Record((Field("value", 32),))
+_NUMBER = RegisterLayout((RegisterField("value", 32),))
 MOST_DATA = 504
 """Bytes of one data message; two less than fit, for the loader's sake."""
 
-ENTER = Command("enter the boot loader", 0x3001, Record(), acknowledged=False)
+ENTER = Command("enter the boot loader", 0x3001, RegisterLayout(), acknowledged=False)
 TELL = Command(
     "boot loader's answer",
     0x0015,
     returned=Raw(10, 60),
-    selector=Record((Field("what", 8, (0x00, 0x0C, 0x0D)),)),
+    selector=RegisterLayout((RegisterField("what", 8, (0x00, 0x0C, 0x0D)),)),
 )
-FLASH_TYPE = Command("flash type", 0x002F, Record((Field("algorithm", 8),)))
+FLASH_TYPE = Command("flash type", 0x002F, RegisterLayout((RegisterField("algorithm", 8),)))
 ADDRESS = Command("flash address", 0x0029, _NUMBER)
-ERASE = Command("erase sector", 0x0028, Record())
+ERASE = Command("erase sector", 0x0028, RegisterLayout())
 UPLOAD_SIZE = Command("upload size", 0x002C, _NUMBER)
 DATA = Command("flash data", 0x0025, Raw(1, MOST_DATA), acknowledged=False)
-SUM = Command("start checksum", 0x0026, Record(), acknowledged=False)
-LEAVE = Command("leave the boot loader", 0x0030, Record((Field("how", 8, (2,)),)), acknowledged=False)
+SUM = Command("start checksum", 0x0026, RegisterLayout(), acknowledged=False)
+LEAVE = Command(
+    "leave the boot loader", 0x0030, RegisterLayout((RegisterField("how", 8, (2,)),)), acknowledged=False
+)
 
 _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
 _BUSY = 0x08
@@ -97,7 +99,7 @@ class Loader:
         for start in range(0, len(data), MOST_DATA):
             self.link.write_bytes(DATA, data[start : start + MOST_DATA])
         self._wait("flash data")
-        found, wanted = self.checksum(offset, len(data)), memory.checksum(data)
+        found, wanted = self.checksum(offset, len(data)), memory.flash_checksum(data)
         if found != wanted:
             raise DeviceError(
                 self.name,

@@ -19,7 +19,7 @@ BOOT_SECTOR = 0
 ERASED = 0xFF
 
 
-def checksum(data: bytes) -> int:
+def flash_checksum(data: bytes) -> int:
     """The loader's checksum: the sum of the bytes, 32 bits of it."""
     return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint64)) & 0xFFFFFFFF
 

@@ -14,12 +14,12 @@ import hashlib
 from dataclasses import dataclass
 
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Block, Firmware
+from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
 from drivers.dlp4500.flash.loader import Loader
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
-from fpplab.cli.console import Report
 from fpplab.core.errors import DataError, DeviceError
+from fpplab.core.progress import Progress
 
 _SLOT = 16
 """Bytes of the digest and of each mark on the page of progress."""
@@ -62,7 +62,7 @@ class Work:
         return [*sentences, "The boot loader and the rest of the program stay as they are."]
 
 
-def check(firmware: Firmware) -> range:
+def check_firmware(firmware: Firmware) -> range:
     """The sectors of the images. Raises `DataError` for a file that was not built for upload."""
     splash, images = firmware.splash, firmware.images
     if splash.offset % memory.SECTOR or splash.offset < firmware.behind_program or not images:
@@ -76,15 +76,15 @@ def check(firmware: Firmware) -> range:
 def prepare(firmware: Firmware, loader: Loader) -> Work:
     """Find out what is to be done, without changing anything.
 
-    Raises `DataError` as `check`, `DeviceError` when the projector has another program than the file.
+    Raises `DataError` as `check_firmware`, `DeviceError` when the projector has another program than the file.
     """
-    images = check(firmware)
+    images = check_firmware(firmware)
     _check_program(firmware, loader)
     page = _Page(firmware, loader, images)
     return Work(images, page.written() if page.is_there() else None, _table_differs(firmware, loader))
 
 
-def perform(firmware: Firmware, loader: Loader, work: Work, report: Report) -> None:
+def perform(firmware: Firmware, loader: Loader, work: Work, report: Progress) -> None:
     """Erase, write and compare every sector of `work`. Raises `DeviceError`; the same again then goes on."""
     page = _Page(firmware, loader, work.images)
     if work.written is None:
@@ -97,7 +97,7 @@ def perform(firmware: Firmware, loader: Loader, work: Work, report: Report) -> N
             page.mark(sector)
 
 
-def verify(firmware: Firmware, link: Link) -> None:
+def verify_image_count(firmware: Firmware, link: Link) -> None:
     """Have the projector's program count the images. Raises `DeviceError` when there are more or fewer."""
     found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
     if found != wanted % MOST_IMAGES:  # 256 do not fit its byte
@@ -138,7 +138,7 @@ class _Page:
         return self._offset + _SLOT * (sector - self._images[0])
 
     def _is_marked(self, sector: int) -> bool:
-        return self._loader.checksum(self._mark_of(sector), _SLOT) == memory.checksum(_MARK)
+        return self._loader.checksum(self._mark_of(sector), _SLOT) == memory.flash_checksum(_MARK)
 
     def _holds(self, sector: int) -> bool:
         return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
@@ -148,7 +148,7 @@ def _check_program(firmware: Firmware, loader: Loader) -> None:
     """Refuse a projector whose program differs outside of the table's sector, which may be half written."""
     for block in firmware.blocks:
         start = max(block.offset, (TABLE_SECTOR + 1) * memory.SECTOR)
-        rest = Block(start, block.end - start)
+        rest = FlashBlock(start, block.end - start)
         if rest.size > 0 and not _is_same(firmware, loader, rest):
             raise DeviceError(
                 loader.name,
@@ -166,16 +166,16 @@ def _table_differs(firmware: Firmware, loader: Loader) -> bool:
     )
 
 
-def _is_same(firmware: Firmware, loader: Loader, part: Block) -> bool:
+def _is_same(firmware: Firmware, loader: Loader, part: FlashBlock) -> bool:
     """Whether the projector's flash sums up to what the file has there."""
-    wanted = memory.checksum(firmware.content[part.offset : part.end])
+    wanted = memory.flash_checksum(firmware.content[part.offset : part.end])
     return loader.checksum(part.offset, part.size) == wanted
 
 
-def _part(firmware: Firmware, sector: int) -> Block:
+def _part(firmware: Firmware, sector: int) -> FlashBlock:
     """A sector, as far as the file goes."""
     start = sector * memory.SECTOR
-    return Block(start, min(memory.SECTOR, len(firmware.content) - start))
+    return FlashBlock(start, min(memory.SECTOR, len(firmware.content) - start))
 
 
 def _content(firmware: Firmware, sector: int) -> bytes:

@@ -1,7 +1,7 @@
 """A DLPC350 as it looks from its USB end: messages in, answers out, light and trigger pulses beside them.
 
 It does what the maker's client, GUI and SDK show of the firmware; where they are silent it follows a named
-`Policy`.
+`Dlpc350Policy`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.display import Frame
-from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, Message
+from drivers.dlp4500.display import VideoFrame
+from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.dlp4500.protocol import (
     COLOURS,
     COMMANDS,
@@ -21,18 +21,18 @@ from drivers.dlp4500.protocol import (
     MOST_IMAGES,
     MOST_VARIABLE_IMAGES,
     Command,
+    DisplayMode,
     Mailbox,
-    Mode,
     Raw,
-    Record,
+    RegisterLayout,
     Run,
     Source,
     TriggerMode,
     Values,
 )
 from drivers.dlp4500.sequence import SIZE, SOLID
-from drivers.emulators.dlpc350.light import FlashImage, Light
-from drivers.emulators.dlpc350.policy import Policy
+from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
+from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG, power_on
 from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, Tables, delay_s
 from drivers.emulators.dlpc350.tables import PatternTables
@@ -43,7 +43,7 @@ _VSYNC_MODES = (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
 _VARIABLE_MODES = (TriggerMode.INTERNAL_VARIABLE, TriggerMode.VSYNC_VARIABLE)
 
 
-class Refused(Exception):  # noqa: N818 - a message of the wire, no fault of the program
+class CommandRejected(Exception):  # noqa: N818 - a message of the wire, no fault of the program
     """What is answered with the error bit."""
 
 
@@ -62,10 +62,10 @@ class Dlpc350:
         self,
         clock: Clock,
         images: Sequence[FlashImage],
-        policy: Policy | None = None,
+        policy: Dlpc350Policy | None = None,
         on_pulse: Callable[[Pulse], None] = lambda pulse: None,
     ) -> None:
-        self.clock, self.images, self.policy = clock, images, policy or Policy()
+        self.clock, self.images, self.policy = clock, images, policy or Dlpc350Policy()
         self.on_pulse = on_pulse
         self.on_restart: Callable[[float], None] = lambda seconds: None
         self.load_s = [self.policy.image_load_s] * len(images)
@@ -78,11 +78,11 @@ class Dlpc350:
     def restart(self) -> None:
         """As after switching it on."""
         self.sequencer = Sequencer(self._tell, self._take_frame)
-        self._frame: Frame | None = None
+        self._frame: VideoFrame | None = None
         self._was_locked = False
         self._registers = power_on()
         self.asleep, self._awake_at_s = False, 0.0
-        self._mode, self._next_mode = Mode.VIDEO, (Mode.VIDEO, 0.0)
+        self._mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
         self._aborted, self._dirty = False, True
         self._busy_polls = 0
         self._verdict = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
@@ -103,11 +103,11 @@ class Dlpc350:
         self.sequencer.advance(now)
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> DisplayMode:
         """What it displays by."""
         return self._mode
 
-    def light(self) -> Light | None:
+    def light(self) -> ProjectedLight | None:
         """What leaves the lens at this moment; None when it is dark.
 
         In video mode the content of the port is not followed: it counts as white.
@@ -115,20 +115,22 @@ class Dlpc350:
         self.advance()
         return self.light_at(self.clock.now())
 
-    def light_at(self, time_s: float) -> Light | None:
+    def light_at(self, time_s: float) -> ProjectedLight | None:
         """What leaves the lens at a time from the last event on: for whom a pulse has just reached."""
         if self.asleep:
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]
-        if self._mode is Mode.VIDEO:
-            return self._lit(Light(_dark(), 1, SOLID, True, self._levels(enabled, COLOURS), None))
+        if self._mode is DisplayMode.VIDEO:
+            return self._lit(ProjectedLight(_dark(), 1, SOLID, True, self._levels(enabled, COLOURS), None))
         shown = self.sequencer.lit(time_s, self.policy.keeps_the_last_pattern)
         if shown is None:
             return None
         inverted = bool(shown.entry["invert"]) != bool(self._registers[protocol.INVERT.number]["on"])
         levels = self._levels(enabled, tuple(colour for colour in COLOURS if shown.entry[colour]))
         content, entry = self._content(shown.image), shown.entry
-        return self._lit(Light(content, entry["depth"], entry["pattern"], inverted, levels, shown.image))
+        return self._lit(
+            ProjectedLight(content, entry["depth"], entry["pattern"], inverted, levels, shown.image)
+        )
 
     @property
     def inverts_output_1(self) -> bool:
@@ -145,7 +147,7 @@ class Dlpc350:
         return {colour: self._led_level(colour) for colour in on}
 
     @staticmethod
-    def _lit(light: Light) -> Light | None:
+    def _lit(light: ProjectedLight) -> ProjectedLight | None:
         return light if any(light.levels.values()) else None
 
     def _led_level(self, colour: str) -> float:
@@ -170,7 +172,7 @@ class Dlpc350:
 
     # --- messages
 
-    def answer(self, message: Message) -> Message | None:
+    def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Do what a message asks; the reply, if it is to have one."""
         self.advance()
         if message.flags & DESTINATION and not self.policy.answers_other_destinations:
@@ -180,7 +182,7 @@ class Dlpc350:
         try:
             data = self._execute(message, number)
             self.executed.append(number)
-        except (Refused, ValueError):
+        except (CommandRejected, ValueError):
             flags |= ERROR
         if not message.flags & REPLY_WANTED:
             return None
@@ -189,21 +191,21 @@ class Dlpc350:
             return None
         return self.reply(message, flags, data)
 
-    def refusal(self, message: Message) -> Message | None:
+    def refusal(self, message: UsbMessage) -> UsbMessage | None:
         """The answer to a message that is not obeyed."""
         wanted = message.flags & REPLY_WANTED
         return self.reply(message, message.flags | ERROR, b"") if wanted else None
 
-    def reply(self, message: Message, flags: int, data: bytes) -> Message:
+    def reply(self, message: UsbMessage, flags: int, data: bytes) -> UsbMessage:
         """An answer to `message`."""
-        return Message(flags, message.sequence if self.policy.echoes_sequence else 0, data)
+        return UsbMessage(flags, message.sequence if self.policy.echoes_sequence else 0, data)
 
-    def _execute(self, message: Message, number: int) -> bytes:
+    def _execute(self, message: UsbMessage, number: int) -> bytes:
         command = COMMANDS.get(number)
         if command is None or len(message.payload) < 2 or message.flags & DESTINATION:
-            raise Refused
+            raise CommandRejected
         if self.is_asleep() and number not in ANSWERED_ASLEEP:
-            raise Refused
+            raise CommandRejected
         if message.flags & READ:
             return self._read(command, message.payload[2:])
         self._write(command, message.payload[2:])
@@ -223,8 +225,8 @@ class Dlpc350:
             return self._variable_bytes()
         if command is protocol.FIRMWARE_TAG:
             return TAG
-        if not isinstance(command.returned, Record):
-            raise Refused
+        if not isinstance(command.returned, RegisterLayout):
+            raise CommandRejected
         return command.returned.pack(self._values(command))
 
     def _make_readers(self) -> dict[int, Callable[[], Values]]:
@@ -250,7 +252,7 @@ class Dlpc350:
         if command.number in self._readers:
             return self._readers[command.number]()
         if command.number not in self._registers:
-            raise Refused
+            raise CommandRejected
         return self._registers[command.number]
 
     def _hardware_status(self) -> Values:
@@ -273,7 +275,7 @@ class Dlpc350:
         }
 
     def _video_signal(self) -> Values:
-        assert isinstance(protocol.VIDEO_SIGNAL.returned, Record)
+        assert isinstance(protocol.VIDEO_SIGNAL.returned, RegisterLayout)
         found = dict.fromkeys((field.name for field in protocol.VIDEO_SIGNAL.returned.named), 0)
         if self._is_locked():
             width, height = SIZE
@@ -298,24 +300,24 @@ class Dlpc350:
             return self._tables.pattern_bytes(entries)
         if self._open() is Mailbox.IMAGES:
             return self._tables.image_bytes(images)
-        raise Refused
+        raise CommandRejected
 
     def _variable_bytes(self) -> bytes:
         address = self._registers[protocol.VARIABLE_ADDRESS.number]["address"]
         if self._open() is not Mailbox.VARIABLE or address not in self._tables.variable:
-            raise Refused
-        assert isinstance(protocol.VARIABLE_DATA.returned, Record)
+            raise CommandRejected
+        assert isinstance(protocol.VARIABLE_DATA.returned, RegisterLayout)
         return protocol.VARIABLE_DATA.returned.pack(self._tables.variable[address])
 
     # --- writing
 
     def _write(self, command: Command, data: bytes) -> None:
         if command.written is None:
-            raise Refused
+            raise CommandRejected
         running = self.sequencer.state is not Run.STOP
         if command.number in SEQUENCE_COMMANDS:
             if running and self.policy.refuses_changes_while_running:
-                raise Refused
+                raise CommandRejected
             self._dirty = True
         if isinstance(command.written, Raw):
             command.written.check(data)
@@ -343,8 +345,8 @@ class Dlpc350:
 
     def _set_power(self, values: Values) -> None:
         if values["standby"]:
-            if self._mode is Mode.PATTERN and not self.policy.sleeps_in_pattern_mode:
-                raise Refused
+            if self._mode is DisplayMode.PATTERN and not self.policy.sleeps_in_pattern_mode:
+                raise CommandRejected
             self.asleep, self._awake_at_s = True, 0.0
         elif self.asleep:
             self.asleep, self._awake_at_s = False, self.clock.now() + self.policy.wake_s
@@ -354,7 +356,7 @@ class Dlpc350:
         self.on_restart(self.policy.reset_s)
 
     def _set_mode(self, values: Values) -> None:
-        mode = Mode(values["mode"])
+        mode = DisplayMode(values["mode"])
         if mode is not self._next_mode[0]:
             self._was_locked = self._is_locked()
             self.sequencer.stop()
@@ -368,8 +370,8 @@ class Dlpc350:
         elif order is Run.PAUSE:
             self.sequencer.pause()
         elif self._open() is not Mailbox.CLOSED:
-            raise Refused
-        elif self._mode is Mode.PATTERN and not self._busy_polls and not self.sequencer.running:
+            raise CommandRejected
+        elif self._mode is DisplayMode.PATTERN and not self._busy_polls and not self.sequencer.running:
             self._start(now)
 
     def _start(self, now: float) -> None:
@@ -384,7 +386,7 @@ class Dlpc350:
     def _time_images(self, values: Values) -> None:
         first, count = values["first"], values["count"]
         if not count or first + count > len(self.images):
-            raise Refused
+            raise CommandRejected
         self._timing = round(sum(self.load_s[first : first + count]) * 1e3 * protocol.TICKS_PER_MS)
 
     def _open(self) -> Mailbox:
@@ -406,11 +408,11 @@ class Dlpc350:
         elif self._open() is Mailbox.IMAGES:
             self._tables.fill_images(short, data, MOST_IMAGES)
         else:
-            raise Refused
+            raise CommandRejected
 
     def _fill_variable(self, values: Values) -> None:
         if self._open() is not Mailbox.VARIABLE:
-            raise Refused
+            raise CommandRejected
         self._tables.fill_variable(self._registers[protocol.VARIABLE_ADDRESS.number]["address"], values)
 
     # --- the sequence
@@ -438,7 +440,7 @@ class Dlpc350:
 
     def _validate(self) -> None:
         if self._open() is not Mailbox.CLOSED:
-            raise Refused
+            raise CommandRejected
         flash = self._is_from_flash()
         found = examine(
             self._entries(),

@@ -17,7 +17,7 @@ FlashImage = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class ProjectedLight:
     """A pattern on the mirrors and the LEDs behind it.
 
     content: the image whose planes are shown, by depth, number and inversion. levels: 0 to 1 by colour of the

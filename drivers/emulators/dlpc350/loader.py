@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from drivers.clock import Clock
-from drivers.dlp4500.framing import ERROR, READ, REPLY_WANTED, Message
-from drivers.emulators.dlpc350.firmware import Dlpc350, Refused
+from drivers.dlp4500.framing import ERROR, READ, REPLY_WANTED, UsbMessage
+from drivers.emulators.dlpc350.firmware import CommandRejected, Dlpc350
 from drivers.emulators.dlpc350.flash import SECTOR, Flash, stored_images
-from drivers.emulators.dlpc350.policy import Policy
+from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
 ENTER = 0x3001
@@ -25,14 +25,14 @@ _BUSY = 0x08
 class BootLoader:
     """What the projector runs while its flash is written. left: it was told to start the projector again."""
 
-    def __init__(self, flash: Flash, clock: Clock, policy: Policy) -> None:
+    def __init__(self, flash: Flash, clock: Clock, policy: Dlpc350Policy) -> None:
         self._flash, self._clock, self._policy = flash, clock, policy
         self._address = self._size = self._taken = self._sum = 0
         self._busy_until_s = 0.0
         self._erasing: int | None = None
         self.left = False
 
-    def answer(self, message: Message) -> Message | None:
+    def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Do what a message asks; the reply, if it is to have one."""
         number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
         flags, told = message.flags, b""
@@ -41,11 +41,11 @@ class BootLoader:
                 told = self._tell(number, data)
             else:
                 self._do(number, data)
-        except Refused:
+        except CommandRejected:
             flags |= ERROR
         if not message.flags & REPLY_WANTED:
             return None
-        return Message(flags, message.sequence if self._policy.echoes_sequence else 0, told)
+        return UsbMessage(flags, message.sequence if self._policy.echoes_sequence else 0, told)
 
     def lose_power(self) -> None:
         """Stop at once, with whatever is half done."""
@@ -58,13 +58,13 @@ class BootLoader:
     def _tell(self, number: int, data: bytes) -> bytes:
         values = {0x00: self._sum, 0x0C: _MANUFACTURER, 0x0D: _PART}
         if number != _TELL or len(data) != 1 or data[0] not in values:
-            raise Refused
+            raise CommandRejected
         status = _BUSY if self._is_busy() else 0
         return bytes([status, 0, 0, 0, 0, 0]) + values[data[0]].to_bytes(4, "little") + bytes(6)
 
     def _do(self, number: int, data: bytes) -> None:
         if self._is_busy():
-            raise Refused
+            raise CommandRejected
         doers: dict[int, Callable[[bytes], None]] = {
             0x0029: self._set_address,
             0x0028: self._erase,
@@ -77,7 +77,7 @@ class BootLoader:
         doers.get(number, self._refuse)(data)
 
     def _refuse(self, data: bytes) -> NoReturn:
-        raise Refused
+        raise CommandRejected
 
     def _set_address(self, data: bytes) -> None:
         self._address, self._taken = _number(data), 0
@@ -87,11 +87,11 @@ class BootLoader:
 
     def _set_type(self, data: bytes) -> None:
         if data != b"\0":
-            raise Refused
+            raise CommandRejected
 
     def _erase(self, data: bytes) -> None:
         if data or self._address % SECTOR:
-            raise Refused
+            raise CommandRejected
         self._guard()
         self._erasing = self._address // SECTOR
         self._flash.erase(self._erasing)
@@ -99,14 +99,14 @@ class BootLoader:
 
     def _take(self, data: bytes) -> None:
         if self._taken + len(data) > self._size or len(data) > self._policy.most_loader_data:
-            raise Refused
+            raise CommandRejected
         self._guard()
         self._flash.write(self._address + self._taken, data)
         self._taken += len(data)
 
     def _guard(self) -> None:
         if self._address < SECTOR and self._policy.protects_boot_sector:
-            raise Refused
+            raise CommandRejected
 
     def _add_up(self, data: bytes) -> None:
         self._sum = self._flash.checksum(self._address, self._size)
@@ -115,13 +115,13 @@ class BootLoader:
 
     def _leave(self, data: bytes) -> None:
         if data != b"\2":
-            raise Refused
+            raise CommandRejected
         self.left = True
 
 
 def _number(data: bytes) -> int:
     if len(data) != 4:
-        raise Refused
+        raise CommandRejected
     return int.from_bytes(data, "little")
 
 
@@ -137,7 +137,7 @@ class FlashedDlpc350(Dlpc350):
         self,
         clock: Clock,
         content: bytes,
-        policy: Policy | None = None,
+        policy: Dlpc350Policy | None = None,
         on_pulse: Callable[[Pulse], None] = lambda pulse: None,
     ) -> None:
         super().__init__(clock, [], policy, on_pulse)
@@ -163,7 +163,7 @@ class FlashedDlpc350(Dlpc350):
             self.loader.lose_power()
         self.switch_on()
 
-    def answer(self, message: Message) -> Message | None:
+    def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Do what a message asks, as the program or as the boot loader; the reply, if it is to have one."""
         if self.loader is None:
             if int.from_bytes(message.payload[:2], "little") != ENTER:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Policy:
+class Dlpc350Policy:
     """Assumptions about the firmware.
 
     echoes_sequence: a reply bears the number of its request, as the DLPC900's does; otherwise 0.

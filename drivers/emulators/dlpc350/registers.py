@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.protocol import COMMANDS, Command, Record, Source, TriggerMode, Values
+from drivers.dlp4500.protocol import COMMANDS, Command, RegisterLayout, Source, TriggerMode, Values
 
 SEQUENCE_COMMANDS = {
     command.number
@@ -60,7 +60,7 @@ def power_on() -> dict[int, Values]:
     """The registers by command number."""
     registers = {}
     for command in COMMANDS.values():
-        if isinstance(command.written, Record) and command.written == command.returned:
+        if isinstance(command.written, RegisterLayout) and command.written == command.returned:
             least = {field.name: field.values()[0] for field in command.written.named}
             registers[command.number] = POWER_ON.get(command, least)
     return registers

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, Run, Trigger, TriggerMode, Values
+from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, PatternTrigger, Run, TriggerMode, Values
 
 LEAD_S = 1e-9
 """A frame or an image that is awaited this much too early, by rounding alone, is there."""
@@ -131,7 +131,7 @@ class Sequencer:
         self.advance(now)
         if not self.running or self._tables is None:
             return
-        edge = Trigger.RISING if rising else Trigger.FALLING
+        edge = PatternTrigger.RISING if rising else PatternTrigger.FALLING
         if self._tables.mode is TriggerMode.ALTERNATING:
             pair, other = divmod(self._count - 1, 2)
             self._count = 2 * pair + 1 - other if number == 1 else 2 * (pair + 1)
@@ -165,7 +165,7 @@ class Sequencer:
     def _is_swap(self, count: int) -> bool:
         return bool(self._entry(count)["swap"]) or count == 0
 
-    def _awaits(self, trigger: Trigger) -> bool:
+    def _awaits(self, trigger: PatternTrigger) -> bool:
         return self._entry(self._count)["trigger"] == trigger
 
     def _await(self, earliest_s: float) -> None:
@@ -174,7 +174,7 @@ class Sequencer:
         assert tables is not None
         self._ready_s = earliest_s
         ended = not tables.repeat and self._count >= tables.patterns
-        if ended or self._awaits(Trigger.INTERNAL) or self._awaits(Trigger.NONE):
+        if ended or self._awaits(PatternTrigger.INTERNAL) or self._awaits(PatternTrigger.NONE):
             self._next_s = earliest_s
         elif tables.mode in (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE):
             frames = -(-(earliest_s - LEAD_S) // tables.vsync_s)

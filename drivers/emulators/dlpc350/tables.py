@@ -7,7 +7,7 @@ from typing import TypeVar
 from drivers.dlp4500.protocol import ENTRY, MOST_ENTRIES, Values
 
 Content = TypeVar("Content")
-Table = dict[int, Content]
+RegisterContents = dict[int, Content]
 
 POWER_ON_PATTERNS = bytes.fromhex("001806 042802 084802")
 POWER_ON_IMAGES = bytes([1])
@@ -17,9 +17,9 @@ class PatternTables:
     """What was written, by place. Each writing raises `ValueError` for what does not fit."""
 
     def __init__(self) -> None:
-        self.patterns: Table[Values] = {}
-        self.variable: Table[Values] = {}
-        self.images: Table[int] = {}
+        self.patterns: RegisterContents[Values] = {}
+        self.variable: RegisterContents[Values] = {}
+        self.images: RegisterContents[int] = {}
         self.fill_patterns(0, POWER_ON_PATTERNS)
         self.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
 
@@ -60,7 +60,7 @@ class PatternTables:
         return bytes(self.images.get(i, 0) for i in range(count))
 
 
-def _continue(table: Table[Content], address: int, content: list[Content]) -> None:
+def _continue(table: RegisterContents[Content], address: int, content: list[Content]) -> None:
     """Write from an address on; the table ends there until more is written."""
     for beyond in [i for i in table if i >= address]:
         del table[beyond]

@@ -15,10 +15,10 @@ from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware, arranged
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.packing import packed
-from drivers.dlp4500.protocol import Mode, Run
+from drivers.dlp4500.protocol import DisplayMode, Run
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.firmware import Dlpc350
-from drivers.emulators.dlpc350.light import Light
+from drivers.emulators.dlpc350.light import ProjectedLight
 from drivers.emulators.dlpc350.loader import FlashedDlpc350
 from drivers.emulators.dlpc350.sequencer import Sequencer
 from drivers.emulators.dlpc350.usb import EmulatedHid
@@ -35,7 +35,7 @@ LOOK_S = 0.1
 
 
 @contextmanager
-def served(firmware: Path | None = None) -> Iterator[dict[str, str]]:
+def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
     """A projector on USB in real time; gives what to do with it.
 
     firmware: its flash, which can be written; without it the patterns of `DEFAULT_PLAN` are there for good.
@@ -99,12 +99,12 @@ def described(controller: Dlpc350) -> str:
     began_s = sequencer.shown.begin_s if sequencer.running and sequencer.shown else controller.clock.now()
     light = controller.light_at(began_s)
     leds = ", ".join(f"{name} {level:.0%}" for name, level in light.levels.items()) if light else "dark"
-    if controller.mode is Mode.VIDEO:
+    if controller.mode is DisplayMode.VIDEO:
         return f"video mode: {leds}"
     return f"pattern mode, {_sequence(sequencer, light)}: {leds}"
 
 
-def _sequence(sequencer: Sequencer, light: Light | None) -> str:
+def _sequence(sequencer: Sequencer, light: ProjectedLight | None) -> str:
     tables = sequencer.tables
     if sequencer.running and tables is not None and len(tables.entries) > 1:
         exposure_s, _ = tables.times[0]

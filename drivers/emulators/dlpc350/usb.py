@@ -8,14 +8,14 @@ from enum import Enum, auto
 from itertools import count
 from typing import Any
 
-from drivers.dlp4500.framing import REPORT_BYTES, Message, further_reports, header, joined
+from drivers.dlp4500.framing import REPORT_BYTES, UsbMessage, further_reports, header, joined
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.firmware import Dlpc350
 
 LATE_S = 3.0
 
 
-class Fault(Enum):
+class UsbFault(Enum):
     """What becomes of one request or of its reply."""
 
     DROP = auto()
@@ -44,7 +44,9 @@ class EmulatedHid:
     faults: by number of the request since the beginning. requests: how many there were.
     """
 
-    def __init__(self, controller: Dlpc350, serial: str = "LCR3", faults: Mapping[int, Fault] | None = None):
+    def __init__(
+        self, controller: Dlpc350, serial: str = "LCR3", faults: Mapping[int, UsbFault] | None = None
+    ):
         self.controller, self.serial = controller, serial
         self.faults = dict(faults or {})
         self.requests = 0
@@ -154,21 +156,21 @@ class EmulatedDevice:
             message, self._incoming = joined(self._incoming), []
             self._serve(message)
 
-    def _serve(self, message: Message) -> None:
+    def _serve(self, message: UsbMessage) -> None:
         hid, controller = self._hid, self._hid.controller
         fault = hid.faults.get(hid.requests)
         hid.requests += 1
-        if fault is Fault.UNPLUG_BEFORE:
+        if fault is UsbFault.UNPLUG_BEFORE:
             hid.unplug()
             return
-        reply = controller.refusal(message) if fault is Fault.NACK else controller.answer(message)
-        if fault is Fault.UNPLUG_AFTER:
+        reply = controller.refusal(message) if fault is UsbFault.NACK else controller.answer(message)
+        if fault is UsbFault.UNPLUG_AFTER:
             hid.unplug()
-        elif reply is not None and fault is not Fault.DROP:
+        elif reply is not None and fault is not UsbFault.DROP:
             self._send(reply, fault)
 
-    def _send(self, reply: Message, fault: Fault | None) -> None:
-        due = self._clock.now() + (LATE_S if fault is Fault.LATE else 0.0)
-        for report in reply.reports() * (2 if fault is Fault.DUPLICATE else 1):
-            sent = report[: REPORT_BYTES // 2] if fault is Fault.SHORT else report
+    def _send(self, reply: UsbMessage, fault: UsbFault | None) -> None:
+        due = self._clock.now() + (LATE_S if fault is UsbFault.LATE else 0.0)
+        for report in reply.reports() * (2 if fault is UsbFault.DUPLICATE else 1):
+            sent = report[: REPORT_BYTES // 2] if fault is UsbFault.SHORT else report
             heapq.heappush(self._outgoing, (due, next(self._order), sent))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from drivers.dlp4500.protocol import Trigger, Values
+from drivers.dlp4500.protocol import PatternTrigger, Values
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, planes
 
 LEAST_GAP_US = 230
@@ -40,7 +40,7 @@ def examine(
         "trigger_overlap": int(any(a["black_after"] and b["share_trigger"] for a, b in pairwise(entries))),
         "black_missing": int(
             any(
-                b["trigger"] in (Trigger.RISING, Trigger.FALLING) and not a["black_after"]
+                b["trigger"] in (PatternTrigger.RISING, PatternTrigger.FALLING) and not a["black_after"]
                 for a, b in pairwise(entries)
             )
             and vsync_us is None
@@ -83,6 +83,6 @@ def _too_short(entries: Sequence[Values], times_us: Sequence[tuple[int, int]]) -
 
 
 def _beyond_frame(entries: Sequence[Values], times_us: Sequence[tuple[int, int]], vsync_us: float) -> bool:
-    starts = [i for i, entry in enumerate(entries) if entry["trigger"] != Trigger.NONE or i == 0]
+    starts = [i for i, entry in enumerate(entries) if entry["trigger"] != PatternTrigger.NONE or i == 0]
     frames = zip(starts, [*starts[1:], len(entries)], strict=True)
     return any(sum(exposure for exposure, _ in times_us[a:b]) > vsync_us for a, b in frames)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.dlp4500.display import Frame
+from drivers.dlp4500.display import VideoFrame
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.light import FlashImage
 
@@ -29,23 +29,23 @@ class Video:
     locked: whether the controller follows it.
     """
 
-    def __init__(self, frame: Frame, vsync_s: float = 1 / 60) -> None:
+    def __init__(self, frame: VideoFrame, vsync_s: float = 1 / 60) -> None:
         self.vsync_s, self.locked = vsync_s, True
         self._frame = self._next = frame.copy()
         self._next_from_s = 0.0
 
-    def put(self, frame: Frame, now_s: float) -> float:
+    def put(self, frame: VideoFrame, now_s: float) -> float:
         """Have another frame from the next VSYNC on; returns when that is."""
         self._frame, self._next = self.at(now_s), frame.copy()
         self._next_from_s = (math.floor((now_s + EARLY_S) / self.vsync_s) + 1) * self.vsync_s
         return self._next_from_s
 
-    def at(self, time_s: float) -> Frame:
+    def at(self, time_s: float) -> VideoFrame:
         """The frame at a time since the last but one was put up."""
         return self._next if time_s + EARLY_S >= self._next_from_s else self._frame
 
 
-def planes_of(frame: Frame, swap: int, names_the_input: bool) -> FlashImage:
+def planes_of(frame: VideoFrame, swap: int, names_the_input: bool) -> FlashImage:
     """The planes that a frame fills under a channel swap; for `names_the_input` see `Policy`."""
     channels = [PORT.index(letter) for letter in SWAPS[swap]]
     return frame[..., channels if names_the_input else np.argsort(channels)]
@@ -68,7 +68,7 @@ class EmulatedDisplay:
         """Show black."""
         self.show(np.zeros_like(self._desktop))
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: VideoFrame) -> None:
         """Put up a frame; returns once it is on the wire."""
         clock = self._controller.clock
         self._controller.advance()  # what was due had the frame before

@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.emulators.grbl.controller import GrblController, Mode, Policy
+from drivers.emulators.grbl.controller import GrblController, GrblPolicy, GrblState
 from drivers.emulators.grbl.drive import Rail
 from drivers.emulators.terminal import Terminal
 
-__all__ = ["GrblController", "Mode", "Policy", "Rail", "served"]
+__all__ = ["GrblController", "GrblPolicy", "GrblState", "Rail", "serve_stage"]
 
 
 @contextmanager
-def served() -> Iterator[dict[str, str]]:
+def serve_stage() -> Iterator[dict[str, str]]:
     """A controller on a pseudo-terminal in real time; gives its port, and the stage of a rig file for it."""
     with Terminal(GrblController()) as terminal:
         backend = f'{{backend: "drivers.stage_grbl:GrblStage", port: {terminal.port}}}'

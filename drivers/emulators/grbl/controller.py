@@ -14,11 +14,11 @@ from drivers.emulators.grbl.gcode import (
     AXES,
     MM_PER_INCH,
     ORIGIN,
+    AxisPositions,
     Dwell,
     GcodeError,
     Interpreter,
     Move,
-    Vector,
 )
 from drivers.emulators.grbl.settings import DEFAULTS, Settings
 
@@ -30,7 +30,7 @@ WCO_EVERY, OVERRIDES_EVERY = (10, 30), (10, 20)
 _COMMENT = re.compile(r"\([^)]*\)?|;.*|\s")
 
 
-class Mode(StrEnum):
+class GrblState(StrEnum):
     """The first word of a report."""
 
     IDLE = "Idle"
@@ -42,7 +42,7 @@ class Mode(StrEnum):
 
 
 @dataclass(frozen=True)
-class Policy:
+class GrblPolicy:
     """What depends on how GRBL was compiled, or is seen in its source and logs but not in its documentation.
 
     locks_at_power_up: HOMING_INIT_LOCK. forces_origin: HOMING_FORCE_SET_ORIGIN, zero where homing ends.
@@ -66,9 +66,9 @@ class GrblController:
         clock: Callable[[], float] = time.monotonic,
         settings: dict[int, float] | None = None,
         rail: Rail | None = None,
-        policy: Policy | None = None,
+        policy: GrblPolicy | None = None,
     ) -> None:
-        self._clock, self._policy = clock, policy or Policy()
+        self._clock, self._policy = clock, policy or GrblPolicy()
         self.settings = Settings(DEFAULTS | (settings or {}))
         self.drive = Drive(self.settings, rail or Rail())
         self.spoil: Callable[[str], str] = lambda line: line
@@ -103,7 +103,7 @@ class GrblController:
         return said
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> GrblState:
         """The state that a report would tell."""
         return self._mode
 
@@ -112,7 +112,7 @@ class GrblController:
         self.drive.forget()
         self._program = Interpreter()
         locked = self._policy.locks_at_power_up and self.settings.flag(22)
-        self._mode = Mode.ALARM if locked else Mode.IDLE
+        self._mode = GrblState.ALARM if locked else GrblState.IDLE
         self._start()
 
     # --- starting and stopping
@@ -127,12 +127,12 @@ class GrblController:
         self._wco_in = self._overrides_in = 0
         self._program.reset()
         self._say(f"\r\nGrbl {VERSION} ['$' for help]")
-        if self._mode is Mode.ALARM:
+        if self._mode is GrblState.ALARM:
             self._say("[MSG:'$H'|'$X' to unlock]")
 
     def _reset(self) -> None:
-        broken_off = self._dwell is not None or self._mode is Mode.HOME or self._critical
-        if self._mode is Mode.HOME:
+        broken_off = self._dwell is not None or self._mode is GrblState.HOME or self._critical
+        if self._mode is GrblState.HOME:
             self._alarm(6)
         elif self.drive.motion is not None:
             self._alarm(3)
@@ -141,14 +141,14 @@ class GrblController:
     def _restart(self, broken_off: bool) -> None:
         if broken_off and self._policy.ok_after_abort:
             self._say("ok")
-        if self._mode is not Mode.ALARM:
-            self._mode = Mode.IDLE
+        if self._mode is not GrblState.ALARM:
+            self._mode = GrblState.IDLE
         self._start()
 
     def _alarm(self, code: int) -> None:
         self.drive.motion = None
         self._queue.clear()
-        self._mode = Mode.ALARM
+        self._mode = GrblState.ALARM
         self._say(f"ALARM:{code}")
 
     def _lock(self, code: int) -> None:
@@ -174,32 +174,32 @@ class GrblController:
 
     def _go_on(self, at_s: float) -> None:
         """What follows when a motion has ended."""
-        if self._mode is Mode.HOLD:
+        if self._mode is GrblState.HOLD:
             self._holding = True
             return
         while self._queue and self.drive.motion is None:
             self.drive.begin(self._queue.popleft(), at_s)
         if self.drive.motion is None:
-            self._mode, self._rested_s = Mode.IDLE, at_s
+            self._mode, self._rested_s = GrblState.IDLE, at_s
 
     def _end_dwell(self, now: float) -> None:
-        if self._dwell and self._mode is Mode.IDLE and now >= self._rested_s + self._dwell.seconds:
+        if self._dwell and self._mode is GrblState.IDLE and now >= self._rested_s + self._dwell.seconds:
             self._dwell = None
             self._say("ok")
 
-    def _plan(self, move: Move, mode: Mode) -> None:
+    def _plan(self, move: Move, mode: GrblState) -> None:
         self._queue.append(move)
-        if self._mode is Mode.IDLE:
+        if self._mode is GrblState.IDLE:
             self._mode = mode
             self._go_on(self._clock())
 
     @property
-    def _planned_end(self) -> Vector:
+    def _planned_end(self) -> AxisPositions:
         if self._queue:
             return self._queue[-1].target
         return self.drive.motion.target if self.drive.motion else self.drive.position
 
-    def _leaves_travel(self, target: Vector) -> bool:
+    def _leaves_travel(self, target: AxisPositions) -> bool:
         for i, mm in enumerate(target):
             travel = self.settings.travel_mm(i)
             upwards = self._policy.forces_origin and self.settings.homes_down(i)
@@ -211,10 +211,10 @@ class GrblController:
     # --- real-time commands
 
     def _hold(self) -> None:
-        if self._mode is Mode.IDLE:
-            self._mode, self._holding = Mode.HOLD, True
-        elif self._mode is Mode.RUN:
-            self._mode = Mode.HOLD
+        if self._mode is GrblState.IDLE:
+            self._mode, self._holding = GrblState.HOLD, True
+        elif self._mode is GrblState.RUN:
+            self._mode = GrblState.HOLD
             rest = self.drive.brake(self._clock())
             if rest:
                 self._queue.appendleft(rest)
@@ -224,7 +224,7 @@ class GrblController:
             self._cancel_jog()
 
     def _cancel_jog(self) -> None:
-        if self._mode is Mode.JOG:
+        if self._mode is GrblState.JOG:
             self._queue.clear()
             self.drive.brake(self._clock())
             if self.drive.motion is None:
@@ -232,15 +232,15 @@ class GrblController:
 
     def _resume(self) -> None:
         if self._holding:
-            self._holding, self._mode = False, Mode.RUN
+            self._holding, self._mode = False, GrblState.RUN
             self._go_on(self._clock())
 
     def _report(self) -> None:
-        if self._critical or self._mode is Mode.HOME:
+        if self._critical or self._mode is GrblState.HOME:
             return
         inches, offset = self.settings.flag(13), self._program.offset
-        in_motion = self._mode in (Mode.RUN, Mode.JOG, Mode.HOLD)
-        fields = [f"Hold:{0 if self._holding else 1}" if self._mode is Mode.HOLD else str(self._mode)]
+        in_motion = self._mode in (GrblState.RUN, GrblState.JOG, GrblState.HOLD)
+        fields = [f"Hold:{0 if self._holding else 1}" if self._mode is GrblState.HOLD else str(self._mode)]
         if int(self.settings[10]) & 1:
             fields.append(f"MPos:{_axes(self.drive.position, inches)}")
         else:
@@ -278,7 +278,12 @@ class GrblController:
     def _is_deaf(self) -> bool:
         """Whether lines wait: real-time commands are obeyed all the same."""
         full = len(self._queue) >= PLANNED_MOVES
-        return full or self._critical or self._dwell is not None or self._mode in (Mode.HOME, Mode.HOLD)
+        return (
+            full
+            or self._critical
+            or self._dwell is not None
+            or self._mode in (GrblState.HOME, GrblState.HOLD)
+        )
 
     def _execute(self, line: str) -> None:
         if len(line) >= LINE_CHARACTERS:
@@ -290,7 +295,7 @@ class GrblController:
         elif line.startswith("$"):
             self._system(line)
             self._say("ok")
-        elif line and self._mode in (Mode.ALARM, Mode.JOG):
+        elif line and self._mode in (GrblState.ALARM, GrblState.JOG):
             raise GcodeError(9)
         else:
             self._gcode(line)
@@ -308,21 +313,21 @@ class GrblController:
             if self._leaves_travel(asked.target):
                 self._lock(2)
                 return
-            self._plan(asked, Mode.RUN)
+            self._plan(asked, GrblState.RUN)
         self._say("ok")
 
     def _jog(self, line: str) -> None:
-        if self._mode not in (Mode.IDLE, Mode.JOG):
+        if self._mode not in (GrblState.IDLE, GrblState.JOG):
             raise GcodeError(8)
         asked = self._program.jog(line, self._planned_end)
         if self._leaves_travel(asked.target):
             raise GcodeError(15)
-        self._plan(asked, Mode.JOG)
+        self._plan(asked, GrblState.JOG)
         self._say("ok")
 
     def _system(self, line: str) -> None:
         if line == "$$":
-            if self._mode is Mode.RUN:
+            if self._mode is GrblState.RUN:
                 raise GcodeError(8)
             self._say("\r\n".join(self.settings.told()))
         elif line == "$G":
@@ -330,10 +335,10 @@ class GrblController:
         elif line == "$":
             self._say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
         elif line == "$X":
-            if self._mode is Mode.ALARM:
-                self._mode = Mode.IDLE
+            if self._mode is GrblState.ALARM:
+                self._mode = GrblState.IDLE
                 self._say("[MSG:Caution: Unlocked]")
-        elif self._mode not in (Mode.IDLE, Mode.ALARM):
+        elif self._mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
         elif line == "$#":
             self._tell_offsets()
@@ -357,11 +362,11 @@ class GrblController:
     # --- homing
 
     def _home(self) -> None:
-        if self._mode not in (Mode.IDLE, Mode.ALARM):
+        if self._mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
         if not self.settings.flag(22):
             raise GcodeError(5)
-        self._mode = Mode.HOME
+        self._mode = GrblState.HOME
         self._homed_s = self._clock() + self.drive.homing()[0]
 
     def _end_homing(self) -> None:
@@ -371,7 +376,7 @@ class GrblController:
             self._alarm(alarm)
             self._restart(broken_off=True)
             return
-        self._homed_s, self._mode = None, Mode.IDLE
+        self._homed_s, self._mode = None, GrblState.IDLE
         self.drive.set_home(carriage_mm, self._policy.forces_origin)
         self._say("ok")
 
@@ -379,5 +384,5 @@ class GrblController:
         self._said += self.spoil(line + "\r\n").encode("ascii")
 
 
-def _axes(vector: Vector, inches: bool) -> str:
+def _axes(vector: AxisPositions, inches: bool) -> str:
     return ",".join(f"{mm / MM_PER_INCH:.4f}" if inches else f"{mm:.3f}" for mm in vector)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.emulators.grbl.gcode import Move, Vector
+from drivers.emulators.grbl.gcode import AxisPositions, Move
 from drivers.emulators.grbl.ramps import Brake, Ramp
 from drivers.emulators.grbl.settings import Settings
 
@@ -32,8 +32,8 @@ class Rail:
 class Motion:
     """One move under way."""
 
-    origin: Vector
-    target: Vector
+    origin: AxisPositions
+    target: AxisPositions
     ramp: Ramp | Brake
     began_s: float
 
@@ -42,13 +42,13 @@ class Motion:
         """When it is at rest."""
         return self.began_s + self.ramp.duration_s
 
-    def after(self, travelled_mm: float) -> Vector:
+    def after(self, travelled_mm: float) -> AxisPositions:
         """Where it is when it has gone so far, mm of the machine."""
         share = travelled_mm / self.ramp.distance_mm
         x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
         return x, y, z
 
-    def at(self, now: float) -> Vector:
+    def at(self, now: float) -> AxisPositions:
         """Where it is, mm of the machine."""
         return self.target if now >= self.ends_s else self.after(self.ramp.travelled_mm(now - self.began_s))
 
@@ -73,7 +73,7 @@ class Drive:
         return self._rail.axis
 
     @property
-    def position(self) -> Vector:
+    def position(self) -> AxisPositions:
         """Steps counted, in mm of the machine."""
         x, y, z = (steps / self._settings.steps_per_mm(i) for i, steps in enumerate(self._steps))
         return x, y, z

@@ -13,8 +13,8 @@ MM_PER_INCH = 25.4
 AXES = "XYZ"
 SYSTEMS = (54.0, 55.0, 56.0, 57.0, 58.0, 59.0)
 
-Vector = tuple[float, float, float]
-ORIGIN: Vector = (0.0, 0.0, 0.0)
+AxisPositions = tuple[float, float, float]
+ORIGIN: AxisPositions = (0.0, 0.0, 0.0)
 
 _GROUP = {
     **dict.fromkeys((4.0, 10.0, 53.0, 92.0, 92.1), "once"),
@@ -41,7 +41,7 @@ class GcodeError(Exception):
 class Move:
     """To a target in mm of the machine; rate in mm/s, or None for as fast as it can."""
 
-    target: Vector
+    target: AxisPositions
     rate_mm_s: float | None
 
 
@@ -53,7 +53,7 @@ class Dwell:
 
 
 @dataclass
-class Block:
+class GcodeBlock:
     """The words of one line."""
 
     commands: dict[str, float] = field(default_factory=dict)
@@ -65,9 +65,9 @@ class Block:
         return any(axis in self.values for axis in AXES)
 
 
-def read_block(line: str) -> Block:
+def read_block(line: str) -> GcodeBlock:
     """Split a line, without blanks and in capitals, into words; raise `GcodeError`."""
-    block, at = Block(), 0
+    block, at = GcodeBlock(), 0
     while at < len(line):
         found = _WORD.match(line, at)
         if found is None:
@@ -79,7 +79,7 @@ def read_block(line: str) -> Block:
     return block
 
 
-def _add(block: Block, letter: str, value: float) -> None:
+def _add(block: GcodeBlock, letter: str, value: float) -> None:
     if letter == "G":
         if value not in _GROUP:
             raise GcodeError(20)
@@ -113,7 +113,7 @@ class Interpreter:
         self.shift = ORIGIN
 
     @property
-    def offset(self) -> Vector:
+    def offset(self) -> AxisPositions:
         """Machine position where the work position is zero, mm."""
         x, y, z = (a + b for a, b in zip(self.systems[self.system], self.shift, strict=True))
         return x, y, z
@@ -131,7 +131,7 @@ class Interpreter:
         feed = (self.feed_mm_s or 0.0) * 60 / (MM_PER_INCH if self.inches else 1.0)
         return f"[GC:{' '.join(f'G{word:g}' for word in words)} M5 M9 T0 F{feed:.0f} S0]"
 
-    def execute(self, line: str, here: Vector) -> Move | Dwell | None:
+    def execute(self, line: str, here: AxisPositions) -> Move | Dwell | None:
         """What a line of G-code asks for; here: where the motion before it ends, mm of the machine.
 
         Raises `GcodeError`, and has then changed nothing.
@@ -161,7 +161,7 @@ class Interpreter:
             return None
         return Move(self._target(block, here, self.relative), feed if motion == 1.0 else None)
 
-    def jog(self, line: str, here: Vector) -> Move:
+    def jog(self, line: str, here: AxisPositions) -> Move:
         """What `$J=` asks for; its modes hold for this line alone."""
         block = read_block(line)
         absolute = block.commands.pop("once", None)
@@ -177,20 +177,20 @@ class Interpreter:
         relative = block.commands.get("distance", 91.0 if self.relative else 90.0) == 91.0
         return Move(self._target(block, here, relative), feed)
 
-    def _scale(self, block: Block) -> float:
+    def _scale(self, block: GcodeBlock) -> float:
         inches = block.commands.get("units", 20.0 if self.inches else 21.0) == 20.0
         return MM_PER_INCH if inches else 1.0
 
-    def _feed(self, block: Block) -> float | None:
+    def _feed(self, block: GcodeBlock) -> float | None:
         return block.values["F"] * self._scale(block) / 60 if "F" in block.values else None
 
-    def _take_modes(self, block: Block, motion: float, feed: float | None) -> None:
+    def _take_modes(self, block: GcodeBlock, motion: float, feed: float | None) -> None:
         self.motion, self.feed_mm_s = motion, feed
         self.inches = self._scale(block) != 1.0
         self.relative = block.commands.get("distance", 91.0 if self.relative else 90.0) == 91.0
         self.system = SYSTEMS.index(block.commands.get("system", SYSTEMS[self.system]))
 
-    def _target(self, block: Block, here: Vector, relative: bool) -> Vector:
+    def _target(self, block: GcodeBlock, here: AxisPositions, relative: bool) -> AxisPositions:
         scale, machine = self._scale(block), block.commands.get("once") == 53.0
         target = list(here)
         for i, axis in enumerate(AXES):
@@ -199,7 +199,7 @@ class Interpreter:
                 target[i] = base + block.values[axis] * scale
         return target[0], target[1], target[2]
 
-    def _take_offset(self, once: float, block: Block, here: Vector) -> None:
+    def _take_offset(self, once: float, block: GcodeBlock, here: AxisPositions) -> None:
         if once == 92.1:
             self.shift = ORIGIN
             return
@@ -214,6 +214,6 @@ class Interpreter:
         self.systems[number] = _with(self.systems[number], given)
 
 
-def _with(vector: Vector, changed: dict[int, float]) -> Vector:
+def _with(vector: AxisPositions, changed: dict[int, float]) -> AxisPositions:
     x, y, z = (changed.get(i, mm) for i, mm in enumerate(vector))
     return x, y, z

@@ -11,8 +11,8 @@ import optuna
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import TrialState
 
-from fpplab.optimisation.candidate_runner import Lab
-from fpplab.optimisation.objectives import Trial
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.space import Parameter, Point
 
 TRIES = 50
@@ -32,19 +32,19 @@ def quiet() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def study_of(lab: Lab, sampler: Any) -> Any:
+def study_of(lab: CandidateRunner, sampler: Any) -> Any:
     """An optuna study in memory: what it forgets, the journal answers again."""
     return optuna.create_study(directions=["minimize"] * len(lab.space.study.objectives), sampler=sampler)
 
 
-def enqueue(study: Any, lab: Lab, points: Sequence[Point]) -> None:
+def enqueue(study: Any, lab: CandidateRunner, points: Sequence[Point]) -> None:
     """Have these asked first."""
     for point in points:
         named = zip(lab.space.parameters, point, strict=True)
         study.enqueue_trial({p.name: int(v) if p.whole else v for p, v in named})
 
 
-def round_of(study: Any, lab: Lab, size: int) -> list[Trial]:
+def round_of(study: Any, lab: CandidateRunner, size: int) -> list[MeasuredCandidate]:
     """`size` points that can be shown, asked together, measured, and told in the order asked.
 
     What is refused is told as failed, and another asked in its place; empty when there is no other.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import optuna
 
-from fpplab.optimisation.candidate_runner import Lab
+from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.methods.asking import enqueue, quiet, round_of, study_of
 from fpplab.optimisation.study import Bayesian
 
 
-def bayes(lab: Lab, settings: Bayesian) -> str:
+def bayes(lab: CandidateRunner, settings: Bayesian) -> str:
     """Search until the budget is used up, which raises `Spent`, or nothing is left to ask."""
     with quiet():
         seed = lab.space.study.seeds[0]

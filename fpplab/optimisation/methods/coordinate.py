@@ -13,18 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
 
-from fpplab.optimisation.candidate_runner import Lab
-from fpplab.optimisation.objectives import Rank, Trial
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.objectives import MeasuredCandidate, Rank
 from fpplab.optimisation.space import Parameter, Point
 from fpplab.optimisation.study import Coordinate
 
 
 def coordinates(
-    lab: Lab,
+    lab: CandidateRunner,
     settings: Coordinate,
-    begin: Trial | None = None,
+    begin: MeasuredCandidate | None = None,
     free: Sequence[int] | None = None,
-    rank: Callable[[Trial], Rank] | None = None,
+    rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
     """Search along the parameters at places `free`, or all; returns why it ended. Raises `Spent`.
 
@@ -57,7 +57,7 @@ def _whole(parameter: Parameter, length: float) -> int:
     return max(1, round(length * (parameter.most - parameter.least)))
 
 
-def _moves(lab: Lab, point: Point, places: Sequence[int], length: float) -> Iterator[Point]:
+def _moves(lab: CandidateRunner, point: Point, places: Sequence[int], length: float) -> Iterator[Point]:
     parameters = lab.space.parameters
     for i in places:
         for sign in (-1, 1):
@@ -91,7 +91,7 @@ def _moved(parameter: Parameter, value: float, length: float) -> float | None:
     return moved if moved != value else None
 
 
-def _further(lab: Lab, here: Point, there: Point) -> Iterator[Point]:
+def _further(lab: CandidateRunner, here: Point, there: Point) -> Iterator[Point]:
     """As far again in the direction that was better, where that is in the range."""
     further = []
     for parameter, a, b in zip(lab.space.parameters, here, there, strict=True):

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from fpplab.optimisation.candidate_runner import Lab
-from fpplab.optimisation.objectives import Trial
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.space import Parameter, Point
 from fpplab.optimisation.study import Gradient
 
@@ -21,7 +21,7 @@ LONGEST = 0.1
 HALVINGS = 5
 
 
-def descend(lab: Lab, settings: Gradient) -> str:
+def descend(lab: CandidateRunner, settings: Gradient) -> str:
     """Go down from the start; returns why it ended. Raises `Spent`."""
     here = lab.start
     lowest = [_objective(lab, here)]
@@ -47,13 +47,13 @@ def descend(lab: Lab, settings: Gradient) -> str:
             return f"not down by {settings.gain:g} for {settings.patience} epochs"
 
 
-def _objective(lab: Lab, trial: Trial) -> float:
+def _objective(lab: CandidateRunner, trial: MeasuredCandidate) -> float:
     """The objective; of a plan that breaks a limit with its penalty, in the objective's own unit."""
     value, own = lab.judge.values(trial)[0], abs(lab.judge.values(lab.start)[0])
     return value + PENALTY * own * lab.judge.violation(trial)
 
 
-def _around(lab: Lab, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
+def _around(lab: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
     """For each parameter a point below and one above, the point itself where its range ends."""
     pairs = []
     for i, parameter in enumerate(lab.space.parameters):
@@ -72,7 +72,12 @@ def _beside(parameter: Parameter, value: float, share: float, whole: int) -> flo
 
 
 def _move(
-    lab: Lab, parameter: Parameter, here: Trial, pair: tuple[Trial, Trial], settings: Gradient, i: int
+    lab: CandidateRunner,
+    parameter: Parameter,
+    here: MeasuredCandidate,
+    pair: tuple[MeasuredCandidate, MeasuredCandidate],
+    settings: Gradient,
+    i: int,
 ) -> float:
     """How far to go along parameter `i`: a share of its range, or 1 for a whole one; 0 to stay."""
     known = [trial for trial in pair if trial.measured]
@@ -91,7 +96,7 @@ def _move(
     return min(max(share + down, 0.0), 1.0) - share
 
 
-def _go(lab: Lab, point: Point, moves: Sequence[float]) -> Trial | None:
+def _go(lab: CandidateRunner, point: Point, moves: Sequence[float]) -> MeasuredCandidate | None:
     """The first that can be measured of the whole step, half of it, and so on."""
     for halving in range(HALVINGS):
         gone = lab.measure([_moved(lab, point, moves, 0.5**halving)])[0]
@@ -100,7 +105,7 @@ def _go(lab: Lab, point: Point, moves: Sequence[float]) -> Trial | None:
     return None
 
 
-def _moved(lab: Lab, point: Point, moves: Sequence[float], length: float) -> Point:
+def _moved(lab: CandidateRunner, point: Point, moves: Sequence[float], length: float) -> Point:
     return tuple(
         value + math.trunc(length * move)
         if parameter.whole

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 
 import optuna
 
-from fpplab.optimisation.candidate_runner import Lab
+from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.methods.asking import enqueue, quiet, round_of, study_of
 from fpplab.optimisation.methods.coordinate import coordinates
-from fpplab.optimisation.objectives import Trial
+from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.space import Point
 from fpplab.optimisation.study import Coordinate, Nsga2
 
@@ -24,7 +24,7 @@ STALE = 3
 """Generations without a change of the front after which it ends."""
 
 
-def pareto(lab: Lab, settings: Nsga2) -> str:
+def pareto(lab: CandidateRunner, settings: Nsga2) -> str:
     """Search until the front stands still; returns why it ended. Raises `Spent`."""
     first = _singles(lab)
     with quiet():
@@ -42,7 +42,7 @@ def pareto(lab: Lab, settings: Nsga2) -> str:
     return f"the front stood still for {STALE} generations, and was polished"
 
 
-def _polish(lab: Lab) -> None:
+def _polish(lab: CandidateRunner) -> None:
     """Settle what is real of each plan of the front, of which evolution finds the neighbourhood alone.
 
     Then look at every plan of the front with an image more and one less in each set, until it stands still.
@@ -60,14 +60,14 @@ def _polish(lab: Lab) -> None:
         lab.epoch("neighbours", lab.measure(asked))
 
 
-def _beside(lab: Lab, point: Point) -> Iterator[Point]:
+def _beside(lab: CandidateRunner, point: Point) -> Iterator[Point]:
     for i, parameter in enumerate(lab.space.parameters):
         for value in (point[i] - 1, point[i] + 1):
             if parameter.name.startswith("steps") and parameter.holds(value):
                 yield (*point[:i], value, *point[i + 1 :])
 
 
-def _singles(lab: Lab) -> list[Point]:
+def _singles(lab: CandidateRunner) -> list[Point]:
     """The start, the single-parameter optima, and phase plans grown at the best stripes and geometry."""
     space = lab.space
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
@@ -85,13 +85,13 @@ def _singles(lab: Lab) -> list[Point]:
     return list(dict.fromkeys(point for point in singles if lab.admits(point)))
 
 
-def _differs(trial: Trial, begin: Trial, places: Sequence[int]) -> bool:
+def _differs(trial: MeasuredCandidate, begin: MeasuredCandidate, places: Sequence[int]) -> bool:
     """Whether a trial is `begin` but for the parameters at `places`."""
     pairs = zip(trial.point, begin.point, strict=True)
     return all(a == b for i, (a, b) in enumerate(pairs) if i not in places)
 
 
-def _grow(lab: Lab, point: Point, places: Sequence[int]) -> list[Trial]:
+def _grow(lab: CandidateRunner, point: Point, places: Sequence[int]) -> list[MeasuredCandidate]:
     """Phase plans from the fewest images up, each image added to the set where it helps most."""
     parameters = lab.space.parameters
     steps = [i for i in places if parameters[i].name.startswith("steps")]

@@ -1,0 +1,28 @@
+"""Progress reports and observers: the one type of each, and what stands for them where nobody asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[float], None]
+"""Called with the share of the work that is done, 0 … 1. What it raises ends the work."""
+
+
+def no_progress(share: float) -> None:
+    """Report no progress; the default of every `progress` parameter.
+
+    Parameters
+    ----------
+    share : float
+        Share of the work that is done, 0 … 1; not used.
+    """
+
+
+def ignore(observed: object) -> None:
+    """Ignore what is observed; the default of every `observe` parameter.
+
+    Parameters
+    ----------
+    observed : object
+        A frame, an epoch or a candidate; not used.
+    """
