@@ -35,7 +35,7 @@ lint: setup
 	$(BIN)/lint-imports
 
 bench: setup
-	$(BIN)/python -m fpplab bench
+	$(BIN)/python -m benchmarks
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -1,14 +1,17 @@
 """Benchmarks: each figure beside its baseline, both measured in the same run.
 
-A benchmark is a function without arguments that returns `Result`s. `REGISTRY` maps
-the names that `fpplab bench NAME` takes to "module:function", loaded when asked for.
+    python -m benchmarks [NAME] [--json]
+
+A benchmark is a module of this package whose function `run`, without arguments, returns `Result`s; its name
+is the module's. They need a checkout: they are not installed.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from pkgutil import iter_modules
 
 from fpplab.core.errors import ConfigError
 
@@ -34,23 +37,40 @@ def above(name: str, value: float, unit: str, least: float) -> Result:
     return Result(name, value, unit, least, value / least)
 
 
-REGISTRY = {
-    "decode": "benchmarks.decode:run",
-    "triangulate": "benchmarks.triangulate:run",
-    "compare": "benchmarks.compare:run",
-    "acquire": "benchmarks.acquire:run",
-    "projector": "benchmarks.projector:run",
-    "twin": "benchmarks.twin:run",
-    "characterise": "benchmarks.characterise:run",
-    "match": "benchmarks.match:run",
-    "optimise": "benchmarks.optimise:run",
-}
+SHARED = ("peak", "virtual")
+"""Modules of this package that are no benchmarks."""
+
+
+def benchmark_names() -> list[str]:
+    """List the benchmarks: every other module of this package.
+
+    Returns
+    -------
+    list of str
+        Sorted.
+    """
+    return sorted(m.name for m in iter_modules(__path__) if m.name not in SHARED and m.name[0] != "_")
 
 
 def benchmark(name: str) -> Callable[[], list[Result]]:
-    """The benchmark of that name, or a `ConfigError` that lists them."""
-    if name not in REGISTRY:
-        raise ConfigError(f"there is no benchmark '{name}'; there are {', '.join(REGISTRY)}")
-    module, function = REGISTRY[name].split(":")
-    run: Callable[[], list[Result]] = getattr(importlib.import_module(module), function)
+    """Find a benchmark by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `benchmark_names()`.
+
+    Returns
+    -------
+    callable
+        The module's `run`: without arguments, gives its results.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name.
+    """
+    if name not in benchmark_names():
+        raise ConfigError(f"there is no benchmark '{name}'; there are {', '.join(benchmark_names())}")
+    run: Callable[[], list[Result]] = import_module(f"{__name__}.{name}").run
     return run

@@ -19,6 +19,7 @@ from statistics import fmean
 import numpy as np
 
 from benchmarks import Result, below
+from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
@@ -98,7 +99,7 @@ def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
                 out = folder / SCANS / item
                 take(rig, scan_plan, out, (item, 0), complete_too=True, progress=report)
         with console.progress(f"Recording {MOVED} poses with the focus moved"):
-            rig.bench.become(_refocused(rig.bench.world, trial.focus_moved_mm))
+            virtual_bench(rig).become(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
             for pose in range(trial.few - MOVED, trial.few):
                 out = folder / REFOCUSED / f"pose_{pose:02d}"
                 take(rig, plan, out, (BOARD, pose), complete_too=True)
@@ -119,7 +120,7 @@ def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Resul
     plain = MatchingRequest(board=BOARD, card=CARD, response=response, limits=trial.limits)
     results = []
     with Rig.load(trial.hidden) as bench, Rig.load(trial.twin) as rig:
-        truth = truth_of(bench, rig.bench.world)
+        truth = truth_of(bench, virtual_bench(rig).world)
         for name, wanted in (
             ("match", replace(plain, scans=scans)),
             ("match_perturbed", replace(plain, start=perturbed)),
@@ -143,7 +144,7 @@ def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Matchin
 def truth_of(bench: Rig, nominal: World) -> Parameters:
     """What a matching of the twin `nominal` ought to find of an open virtual bench."""
     known = twin_of(bench, BOARD).parameters
-    return replace(known, white=brightest(bench.bench.world) / brightest(nominal))
+    return replace(known, white=brightest(virtual_bench(bench).world) / brightest(nominal))
 
 
 def _seen_in(sessions: Sequence[Session], truth: Parameters) -> Parameters:
@@ -218,7 +219,7 @@ def _judgement(name: str, found: MatchingResult) -> list[Result]:
 
 def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: MatchingRequest) -> list[Result]:
     """Twins that are not the bench's, and benches that are none."""
-    world, few = rig.bench.world, sessions[:FEW]
+    world, few = virtual_bench(rig).world, sessions[:FEW]
     board = twin_of(rig, BOARD).target
     folder.mkdir(parents=True, exist_ok=True)
     cases = {
@@ -229,7 +230,7 @@ def _refusals(rig: Rig, sessions: Sequence[Session], folder: Path, wanted: Match
         "moved_focus": (world, [*few[:-MOVED], *recorded_sessions([folder.parent / REFOCUSED])]),
     }
     return [
-        _refusal(name, SimTwin(nominal, BOARD, rig.bench.blender), seen, folder / name, wanted)
+        _refusal(name, SimTwin(nominal, BOARD, virtual_bench(rig).blender), seen, folder / name, wanted)
         for name, (nominal, seen) in cases.items()
     ]
 

@@ -32,6 +32,7 @@ import numpy as np
 import psutil
 
 from benchmarks import Result, above, below
+from benchmarks.virtual import virtual_bench
 from fpplab.cli import console
 from fpplab.core.errors import DataError
 from fpplab.devices.rig import Rig
@@ -285,9 +286,9 @@ def own_cache(folder: Path) -> Iterator[None]:
 def _seconds_rendered(rig: str, study: Study, count: int) -> float:
     """Of one image, the mean over so many of each artefact; each is a render of its own."""
     with Rig.load(rig) as opened, console.progress(f"Rendering {count} images of each artefact"):
-        world = opened.bench.world
+        world = virtual_bench(opened).world
         render = world.render.model_copy(update={"path": "reference", "cache": False})
-        opened.bench.become(world.model_copy(update={"render": render}))
+        virtual_bench(opened).become(world.model_copy(update={"render": render}))
         caps, plan = opened.projector.caps, study.start
         opened.projector.load(make_patterns(plan, caps.size, caps.lattice))
         opened.camera.configure(opened.camera_settings(plan.exposure_s))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.devices import DeviceInfo
+from fpplab.devices.discovery import FoundDevices
 
 DLP4500_VENDOR, DLP4500_PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350, the LightCrafter 4500's controller."""
@@ -36,14 +37,6 @@ SPEEDS = {
 """By libusb's number."""
 USB_3 = 4
 RULES = "copy the udev rules of docs/hardware.md, and plug it in anew"
-
-
-@dataclass(frozen=True)
-class FoundDevices:
-    """Devices, and a sentence for everything that is missing."""
-
-    devices: list[DeviceInfo]
-    missing: list[str]
 
 
 @dataclass(frozen=True)

@@ -39,14 +39,14 @@ from fpplab.devices import (
     Trigger,
 )
 from fpplab.patterns.fringes import Pattern, quantise
-from fpplab.simulation.arrangeable import Arrangeable
+from fpplab.simulation.arrangeable import SceneStudio
 from fpplab.simulation.matchable import Twin
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, Show
 from sim.scene import Effort, SubpixelView
 from sim.sensor import SensorModel
-from sim.studio import SimScenes
+from sim.studio import SimStudio
 from sim.timing import is_whole, plane_weights
 from sim.twin import SimTwin
 from sim.vibration import displaced, with_vibration
@@ -159,9 +159,9 @@ class VirtualBench:
         """Turn the projector towards the camera, in degrees from how the world has it."""
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
-    def studio(self) -> Arrangeable:
+    def studio(self) -> SceneStudio:
         """Scenes of this world's devices with everything known about them; see `fpplab.dataset`."""
-        return SimScenes(self)
+        return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
         """What reaches the sensor during a frame, (height, width), 1 for white.

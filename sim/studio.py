@@ -9,8 +9,8 @@ import trimesh
 
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.dataset.scenes import DatasetScene
 from fpplab.simulation.arrangeable import SceneTruth
+from fpplab.simulation.scene import DatasetScene
 from sim.items import item_poses, item_shape
 from sim.world import World
 
@@ -21,7 +21,7 @@ ITEM = "item"
 """What a scene's one item is called."""
 
 
-class SimScenes:
+class SimStudio:
     """A `fpplab.simulation.arrangeable.Arrangeable` of the world that the bench stands in when it is made."""
 
     def __init__(self, bench: VirtualBench) -> None:

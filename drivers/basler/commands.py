@@ -11,11 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import Force, Json
-from fpplab.cli.camera import camera
+from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json
 
 if TYPE_CHECKING:
     from drivers.basler.camera import CameraAsLeft
+
+camera = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    rich_help_panel=INSTRUMENTS,
+    help="The settings of a Basler camera, between the camera and a file.",
+)
+"""`fpplab camera …`."""
 
 NAME = "camera"
 

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.dlp4500.commands import NAME, ProjectorSerialOption, connect_projector
+from drivers.dlp4500.program import NAME, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Json
-from fpplab.cli.projector import dlp4500
 
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller

@@ -1,35 +1,25 @@
-"""The command line: one function per command, each a few lines over `measurement`.
+"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own by entry points.
 
 Heavy modules are imported where they are used, so that `--help` is at once.
 """
 
 import sys
 from importlib import import_module
+from pkgutil import iter_modules
 
-from fpplab.cli import console
-from fpplab.cli.app import app
+from fpplab.cli import commands, console
+from fpplab.cli.app import app, sort_commands
+from fpplab.core import plugins
 
-# In the order of --help.
-for _commands in (
-    "whole",
-    "prepare",
-    "measure",
-    "look",
-    "accept",
-    "match",
-    "optimise",
-    "dataset",
-    "convert",
-    "camera",
-    "projector",
-    "emulate",
-    "speed",
-):
-    import_module(f"fpplab.cli.{_commands}")
+for _module in iter_modules(commands.__path__):
+    import_module(f"{commands.__name__}.{_module.name}")
+sort_commands()
+for _name in plugins.names(plugins.COMMANDS):
+    app.add_typer(plugins.load(plugins.COMMANDS, _name), name=_name)
 
 
 def main() -> None:
-    """Entry point: run the command and leave with its exit code."""
+    """Run the command that `sys.argv` names and leave with its exit code."""
     console.run_program(app, as_json="--json" in sys.argv)
 
 

@@ -37,6 +37,19 @@ of it on the virtual bench and leaves a report to look at.
 Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
 )
 
+START, PREPARE, MEASURE = "Start here", "Prepare a rig", "Measure"
+JUDGE, TWIN, INSTRUMENTS = "Compare with the true shape", "Use the digital twin", "Instruments"
+PANELS = (START, PREPARE, MEASURE, JUDGE, TWIN, INSTRUMENTS)
+"""Headings of `fpplab --help`, in its order; a command names its own."""
+
+
+def sort_commands() -> None:
+    """Put the commands in the order of their headings, and of their names under each."""
+    app.registered_commands.sort(
+        key=lambda command: (PANELS.index(str(command.rich_help_panel)), command.name or "")
+    )
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
 RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]

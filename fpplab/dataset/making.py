@@ -17,13 +17,14 @@ from fpplab.dataset.arrays import arrays_of
 from fpplab.dataset.card import begin, fields_of, make_card, split_of
 from fpplab.dataset.fields import Arrays, letters_of
 from fpplab.dataset.labels import labels_of
-from fpplab.dataset.scenes import DatasetScene, Scenes, draw, draw_stage
+from fpplab.dataset.scenes import Scenes, draw, draw_stage
 from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
-from fpplab.devices.rig import Rig
+from fpplab.devices.rig import Rig, load_backend
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping
 from fpplab.simulation.arrangeable import Arrangeable
+from fpplab.simulation.scene import DatasetScene
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Maker:
         self._patterns = make_patterns(wanted.plan, caps.size, caps.lattice)
         _check_ranges(rig, wanted.scenes)
         self._rig, self._wanted = rig, wanted
-        self._studio: Arrangeable = rig.bench.studio()
+        self._studio = _arrangeable(rig).studio()
         self._fields = fields_of(rig.file.camera.bits)
         self._letters = letters_of(wanted.plan, rig.camera.caps.size)
         if rig.stage is not None:
@@ -150,3 +151,32 @@ def _check_ranges(rig: Rig, scenes: Scenes) -> None:
             raise ConfigError(
                 f"scenes: '{name}' is [{low:g}, {high:g}]: outside {what}, {least:g} to {most:g}"
             )
+
+
+def need_simulation(rig: Rig, source: Path | str) -> None:
+    """Refuse a rig, open or not, whose scene cannot be arranged.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open or not: its rig file is looked at.
+    source : path or str
+        What the rig is called in the message.
+
+    Raises
+    ------
+    ConfigError
+        The rig's simulation is missing or is not `Arrangeable`.
+    """
+    section = rig.file.bench
+    if section is None or not issubclass(load_backend(section.backend, source, "bench"), Arrangeable):
+        raise ConfigError(
+            f"{source}: its bench is no simulation, and only a simulation knows what is true of its frames; "
+            "name a rig such as rig_demo"
+        )
+
+
+def _arrangeable(rig: Rig) -> Arrangeable:
+    if not isinstance(rig.simulation, Arrangeable):
+        raise ConfigError(f"{rig.file.name}: its scene cannot be arranged; name a rig such as rig_demo")
+    return rig.simulation

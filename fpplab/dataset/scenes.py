@@ -20,6 +20,7 @@ from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
+from fpplab.simulation.scene import DatasetScene
 from fpplab.targets import Target
 
 TRIES = 2000
@@ -115,29 +116,6 @@ def _target(name: str, folder: Path) -> str:
     except ConfigError:
         return near
     return shipped.name if Path(near).exists() and shipped.samefile(near) else near
-
-
-class DatasetScene(Document):
-    """One scene, as drawn: an artefact with its lengths in mm, or the board of a target file; its pose
-    T_camera_item; the rest as in `Scenes`. seed: of its noise."""
-
-    seed: int
-    artefact: str | None = None
-    sizes: Annotated[dict[str, float | tuple[float, ...]], Field(default_factory=dict)]
-    target: str | None = None
-    pose: PoseFile
-    reflectance: float
-    ink: float
-    roughness: float
-    gloss: float
-    gloss_roughness: float
-    ambient: float
-    charge: float
-    read_noise_e: float
-    exposure_s: float
-    projector_blur: float
-    projector_focus_mm: float
-    stage_mm: float
 
 
 _DRAWN = (

@@ -25,6 +25,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+from fpplab.devices.shared import SharedBackend
 
 Dev = TypeVar("Dev", bound=Device)
 
@@ -66,7 +67,7 @@ class RigFile(Document):
 class Rig:
     """The devices of a rig file, open between `with Rig.load(path) as rig:` and its end.
 
-    bench: what the devices share, or None.
+    simulation: what the devices share (the rig file's `bench`), or None; see `fpplab.simulation`.
 
     Every device is closed in reverse order, whatever fails; a device that cannot be made
     safe is reported after all the others are closed.
@@ -77,7 +78,7 @@ class Rig:
 
     def __init__(self, file: RigFile, folder: Path, source: Path | str) -> None:
         self.file, self._folder, self._source = file, folder, source
-        self.bench: Any = None
+        self.simulation: SharedBackend | None = None
         self.stage: Stage | None = None
         self.fixture: Fixture | None = None
         self._stack = ExitStack()
@@ -90,13 +91,13 @@ class Rig:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            bench = self.bench = self._open_bench(stack)
-            self.camera = self._device(stack, "camera", Camera, self.file.camera, bench)  # type: ignore[type-abstract]
-            self.projector = self._device(stack, "projector", Projector, self.file.projector, bench)  # type: ignore[type-abstract]
+            shared = self.simulation = self._open_simulation(stack)
+            self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]
+            self.projector = self._device(stack, "projector", Projector, self.file.projector, shared)  # type: ignore[type-abstract]
             if self.file.stage:
-                self.stage = self._device(stack, "stage", Stage, self.file.stage, bench)  # type: ignore[type-abstract]
+                self.stage = self._device(stack, "stage", Stage, self.file.stage, shared)  # type: ignore[type-abstract]
             if self.file.fixture:
-                self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, bench)  # type: ignore[type-abstract]
+                self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, shared)  # type: ignore[type-abstract]
             self._stack = stack.pop_all()
         return self
 
@@ -154,24 +155,29 @@ class Rig:
             stage.home()
         stage.move_to(mm)
 
-    def _open_bench(self, stack: ExitStack) -> Any:
+    def _open_simulation(self, stack: ExitStack) -> SharedBackend | None:
         if self.file.bench is None:
             return None
         backend = load_backend(self.file.bench.backend, self._source, "bench")
-        if not isinstance(backend, type) or issubclass(backend, Device) or not hasattr(backend, "close"):
+        if issubclass(backend, Device) or not issubclass(backend, SharedBackend):
             raise ConfigError(f"{self._source}: 'bench.backend' is '{self.file.bench.backend}': not a bench")
-        bench = self._made(backend, self._options(self.file.bench))
-        bench.open()
-        stack.callback(bench.close)
-        return bench
+        shared: SharedBackend = self._made(backend, self._options(self.file.bench))
+        shared.open()
+        stack.callback(shared.close)
+        return shared
 
     def _device(
-        self, stack: ExitStack, name: str, kind: type[Dev], section: DeviceSection, bench: Any
+        self,
+        stack: ExitStack,
+        name: str,
+        kind: type[Dev],
+        section: DeviceSection,
+        shared: SharedBackend | None,
     ) -> Dev:
         backend = load_backend(section.backend, self._source, name)
-        if not (isinstance(backend, type) and issubclass(backend, kind)):
+        if not issubclass(backend, kind):
             raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
-        device: Dev = self._made(backend, name, self._options(section), bench)
+        device: Dev = self._made(backend, name, self._options(section), shared)
         stack.enter_context(device)
         return device
 
@@ -188,12 +194,44 @@ class Rig:
         }
 
 
-def load_backend(name: str, source: Path | str, device: str) -> Any:
-    """The class called `module:Class`, or a `ConfigError` that says what is missing."""
-    module, _, attribute = name.partition(":")
+RENAMED_BACKENDS = {
+    "fpplab.operator:Operator": "fpplab.devices.operator:Operator",
+    "fpplab.replay:Recording": "fpplab.sessions.replay:RecordedSession",
+    "fpplab.replay:ReplayCamera": "fpplab.sessions.replay:ReplayCamera",
+    "fpplab.replay:ReplayProjector": "fpplab.sessions.replay:ReplayProjector",
+}
+"""Backends by the names that rig files of version 0.1.0 have for them."""
+
+
+def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
+    """Import a backend of a rig file.
+
+    Parameters
+    ----------
+    name : str
+        `module:Class`, as the rig file has it.
+    source : path or str
+        What the rig file is called in messages.
+    device : str
+        The section of the rig file, for messages.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ConfigError
+        The module cannot be imported, or has no such class.
+    """
+    module, _, attribute = RENAMED_BACKENDS.get(name, name).partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        backend = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise ConfigError(f"{source}: '{device}.backend' is '{name}': cannot be loaded ({error})") from error
     except AttributeError:
         raise ConfigError(f"{source}: '{device}.backend' is '{name}': {module} has no {attribute}") from None
+    if not isinstance(backend, type):
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': is no class")
+    return backend

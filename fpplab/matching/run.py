@@ -23,7 +23,7 @@ from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Matchable, Parameters, Twin
 from fpplab.targets import Target
 
 
@@ -108,12 +108,11 @@ class MatchingResult:
 
 def twin_of(rig: Rig, board: str) -> Twin:
     """The twin behind an open rig. Raises `ConfigError` when it has none."""
-    if not hasattr(rig.bench, "twin"):
+    if not isinstance(rig.simulation, Matchable):
         raise ConfigError(
             "--twin: its bench cannot be matched, for it is no simulation; name a rig such as rig_twin"
         )
-    twin: Twin = rig.bench.twin(board)
-    return twin
+    return rig.simulation.twin(board)
 
 
 def match_sessions(

@@ -23,6 +23,7 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation.sets import MeasuringSetup
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
+from fpplab.simulation.turnable import Turnable
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
@@ -47,12 +48,12 @@ class Arrangement:
         self._stands = view
 
     def _turn(self, convergence_deg: float) -> None:
-        if not hasattr(self._rig.bench, "turn"):
+        if not isinstance(self._rig.simulation, Turnable):
             raise ConfigError(
                 f"{self._rig.file.name}: 'convergence_deg' is {convergence_deg:g}, but only a simulated "
                 "projector can be turned; leave it out of the study"
             )
-        self._rig.bench.turn(convergence_deg)
+        self._rig.simulation.turn(convergence_deg)
 
 
 class Calibrations:

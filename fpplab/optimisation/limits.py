@@ -9,8 +9,9 @@ from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.errors import ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate
-from fpplab.optimisation.sets import Draws
 from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.seeded import Seeded
+from fpplab.simulation.turnable import Turnable
 
 BITS = Pattern.bit_depth
 """Depth in which fringes are shown."""
@@ -54,9 +55,9 @@ class RigLimits:
             exposure_s=(max(least, projector.bit_depths[BITS]), most),
             dead_s=camera.readout_s + camera.dark_s,
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
-            turns=hasattr(rig.bench, "turn"),
+            turns=isinstance(rig.simulation, Turnable),
             items=None if held is None else frozenset(held),
-            copies=isinstance(rig.bench, Draws),
+            copies=isinstance(rig.simulation, Seeded),
         )
 
     @property

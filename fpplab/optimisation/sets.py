@@ -16,23 +16,15 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from typing import Protocol, runtime_checkable
 
 from fpplab.acquisition.acquire import capture
 from fpplab.core.conventions import Axis, Image
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Fringes
 from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.simulation.seeded import Seeded
 
 KEEP_BYTES = 3 << 28
-
-
-@runtime_checkable
-class Draws(Protocol):
-    """A bench whose frames' noise can be told what to follow from."""
-
-    def draw(self, numbers: Iterable[int]) -> None:
-        """The numbers of the next frames, one each."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +59,7 @@ class FringeSets:
         self, rig: Rig, like: Plan, stand: Callable[[MeasuringSetup], None], keep_bytes: int = KEEP_BYTES
     ) -> None:
         self._rig, self._like, self._stand, self._limit = rig, like, stand, keep_bytes
-        self._draws: Draws | None = rig.bench if isinstance(rig.bench, Draws) else None
+        self._seeded = rig.simulation if isinstance(rig.simulation, Seeded) else None
         self._kept: OrderedDict[_Key, dict[int, list[Image]]] = OrderedDict()
         self.acquired = 0
         """Images taken since the beginning."""
@@ -84,7 +76,7 @@ class FringeSets:
         return [frame for frames in sets if frames is not None for frame in frames]
 
     def _key(self, view: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
-        return _Key(view, fringes.axis, fringes.stripes, seed, place if self._draws else 0)
+        return _Key(view, fringes.axis, fringes.stripes, seed, place if self._seeded else 0)
 
     def _found(self, key: _Key, steps: int) -> list[Image] | None:
         """From the set itself, or else from the smallest that holds it."""
@@ -94,8 +86,8 @@ class FringeSets:
 
     def _acquire(self, view: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
         sets = tuple(FringeSet(**asdict(one)) for one in fringes)
-        if self._draws is not None:
-            self._draws.draw(
+        if self._seeded is not None:
+            self._seeded.draw(
                 number for key, one in zip(keys, fringes, strict=True) for number in draws(key, one.steps)
             )
         plan = self._like.model_copy(update={"fringes": sets, "exposure_s": view.exposure_s})

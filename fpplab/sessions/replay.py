@@ -1,6 +1,6 @@
 """A recorded session played back through the device interface.
 
-    bench:     {backend: "fpplab.sessions.replay:Recording", session: path/to/session}
+    bench:     {backend: "fpplab.sessions.replay:RecordedSession", session: path/to/session}
     camera:    {backend: "fpplab.sessions.replay:ReplayCamera"}
     projector: {backend: "fpplab.sessions.replay:ReplayProjector"}
 
@@ -34,7 +34,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.sessions.session import FrameRecord, Session
 
 
-class Recording:
+class RecordedSession:
     """What the replayed devices share: the session, and which of its patterns is on show."""
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -56,9 +56,9 @@ class Recording:
         return self.session.records[0]
 
 
-def _recording(name: str, bench: Any) -> Recording:
-    if not isinstance(bench, Recording):
-        raise ConfigError(f"{name}: a replay needs the bench fpplab.sessions.replay:Recording")
+def _recording(name: str, bench: Any) -> RecordedSession:
+    if not isinstance(bench, RecordedSession):
+        raise ConfigError(f"{name}: a replay needs the bench fpplab.sessions.replay:RecordedSession")
     return bench
 
 

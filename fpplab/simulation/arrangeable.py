@@ -1,20 +1,17 @@
 """What a data set asks of a simulation: any scene, and everything that is true of it.
 
-A rig's `bench` that can do so gives it by `bench.studio()`.
+A rig's simulation that can do so is `Arrangeable`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import trimesh
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.errors import ConfigError
-from fpplab.dataset.scenes import DatasetScene
-from fpplab.devices.rig import Rig, load_backend
+from fpplab.simulation.scene import DatasetScene
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +25,7 @@ class SceneTruth:
     calibration: Calibration
 
 
-class Arrangeable(Protocol):
+class SceneStudio(Protocol):
     """A simulation that takes any scene. Raises `ConfigError` for one that it cannot have."""
 
     def nominal(self) -> dict[str, Any]:
@@ -52,11 +49,18 @@ class Arrangeable(Protocol):
         ...
 
 
-def need_simulation(rig: Rig, source: Path | str) -> None:
-    """Refuse a rig, open or not, whose bench has no studio: `ConfigError`."""
-    bench = rig.file.bench
-    if bench is None or not hasattr(load_backend(bench.backend, source, "bench"), "studio"):
-        raise ConfigError(
-            f"{source}: its bench is no simulation, and only a simulation knows what is true of its frames; "
-            "name a rig such as rig_demo"
-        )
+@runtime_checkable
+class Arrangeable(Protocol):
+    """A simulation whose scene can be arranged: what `fpplab dataset` needs of a rig."""
+
+    def studio(self) -> SceneStudio:
+        """Give the studio of the world as it is now.
+
+        Called once, on the open rig, before the first scene.
+
+        Returns
+        -------
+        SceneStudio
+            Lives as long as the rig is open.
+        """
+        ...

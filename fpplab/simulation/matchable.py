@@ -1,6 +1,6 @@
 """What can be matched of a twin, and what a twin can do: the only way from here to a simulation.
 
-A rig's `bench` that has a twin gives it by `bench.twin(board)`, with the board by the fixture's name.
+A rig's simulation that has a twin is `Matchable`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -115,3 +115,30 @@ class Twin(Protocol):
 
     def save(self, folder: Path) -> Path:
         """Leave `rig.yaml`, `world.yaml` and `calibration.yaml` in `folder`; the path of the rig file."""
+
+
+@runtime_checkable
+class Matchable(Protocol):
+    """A simulation that can be matched to a bench: what `fpplab match` needs of a rig."""
+
+    def twin(self, board: str) -> Twin:
+        """Give a twin that looks at one of the fixture's boards.
+
+        Called on the open rig.
+
+        Parameters
+        ----------
+        board : str
+            The board, as the rig's fixture calls it.
+
+        Returns
+        -------
+        Twin
+            Lives as long as the rig is open.
+
+        Raises
+        ------
+        ConfigError
+            The fixture holds no board of that name.
+        """
+        ...

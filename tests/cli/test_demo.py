@@ -138,7 +138,10 @@ def _scan_of_nothing(fpplab: Command, demo: Demo, out: Path):  # type: ignore[no
 def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tmp_path: Path) -> None:
     rig = {
         "name": "replay",
-        "bench": {"backend": "fpplab.sessions.replay:Recording", "session": str(demo.folder / "pillars")},
+        "bench": {
+            "backend": "fpplab.sessions.replay:RecordedSession",
+            "session": str(demo.folder / "pillars"),
+        },
         "camera": {"backend": "fpplab.sessions.replay:ReplayCamera"},
         "projector": {"backend": "fpplab.sessions.replay:ReplayProjector"},
     }

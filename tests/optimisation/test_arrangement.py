@@ -135,7 +135,7 @@ class Recorder:
     """A rig that notes what it is told."""
 
     def __init__(self, bench: object = None) -> None:
-        self.bench, self.told = bench, []  # type: ignore[var-annotated]
+        self.simulation, self.told = bench, []  # type: ignore[var-annotated]
         self.file = type("File", (), {"name": "Recorder"})
 
     def place_stage(self, mm: float) -> None:
@@ -153,7 +153,7 @@ class Recorder:
 
 def test_only_what_changes_moves() -> None:
     rig = Recorder()
-    rig.bench = rig
+    rig.simulation = rig
     stand = Arrangement(rig)  # type: ignore[arg-type]
     for view in (
         MeasuringSetup("steps", 0.02, 5.0, 0.0),

@@ -211,7 +211,7 @@ def test_a_session_keeps_the_correction_and_its_replay_agrees(tmp_path):
     recorded(tmp_path / "recorded", bent)
     assert Session.open(tmp_path / "recorded").plan == bent
     (tmp_path / "rig.yaml").write_text(
-        'name: replay\nbench: {backend: "fpplab.sessions.replay:Recording", session: recorded}\n'
+        'name: replay\nbench: {backend: "fpplab.sessions.replay:RecordedSession", session: recorded}\n'
         'camera: {backend: "fpplab.sessions.replay:ReplayCamera"}\n'
         'projector: {backend: "fpplab.sessions.replay:ReplayProjector"}\n'
     )

@@ -19,7 +19,7 @@ from tests.support.recorded import PLAN, frame, image_of, record
 
 RIG = """
 name: replay
-bench: {backend: "fpplab.sessions.replay:Recording", session: recorded}
+bench: {backend: "fpplab.sessions.replay:RecordedSession", session: recorded}
 camera: {backend: "fpplab.sessions.replay:ReplayCamera"}
 projector: {backend: "fpplab.sessions.replay:ReplayProjector"}
 """
@@ -107,7 +107,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     [
         ("session: recorded", "path: recorded", "takes exactly one option, 'session'"),
         ("session: recorded", "session: 3", "takes exactly one option, 'session'"),
-        ("bench:", "#", "a replay needs the bench fpplab.sessions.replay:Recording"),
+        ("bench:", "#", "a replay needs the bench fpplab.sessions.replay:RecordedSession"),
         ('ReplayCamera"', 'ReplayCamera", speed: 2', "'camera' has no option 'speed'"),
     ],
 )

@@ -27,14 +27,14 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.dataset import Dataset
 from fpplab.dataset.card import begin
 from fpplab.dataset.labels import labels_of
-from fpplab.dataset.making import DatasetRequest, Maker
+from fpplab.dataset.making import DatasetRequest, Maker, need_simulation
 from fpplab.dataset.scenes import Scenes, draw
 from fpplab.dataset.shard import claimed, shard_name
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.reconstruction.triangulation import triangulate
-from fpplab.simulation.arrangeable import SceneTruth, need_simulation
+from fpplab.simulation.arrangeable import SceneTruth
 from fpplab.targets import Target
 from tests.sessions.test_disk import FullAt
 from tests.sim.conftest import RIG, plain, world, write_world

@@ -134,7 +134,7 @@ def test_where_noise_is_not_told_what_to_follow_from_it_goes_on_as_before(rig: R
     projector.show(0)
     told = []
     for _ in range(2):
-        rig.bench.draw([11, 12])
+        rig.simulation.draw([11, 12])
         told.append([camera.snap().image for _ in range(3)])
     np.testing.assert_array_equal(told[0][:2], told[1][:2])
     assert (told[0][0] != told[0][1]).any()

@@ -214,7 +214,7 @@ def test_what_it_saves_is_a_rig_that_sees_the_same(twin: SimTwin, tmp_path: Path
     assert {p.name for p in tmp_path.iterdir()} == {"rig.yaml", "world.yaml", "calibration.yaml"}
     with Rig.load(path) as rig:
         assert rig.camera_settings(0.02) == replace(SETTINGS, gain_db=6.0)
-        found = rig.bench.twin("board")
+        found = rig.simulation.twin("board")
         np.testing.assert_allclose(
             found.expected(3, patterns, replace(SETTINGS, gain_db=6.0)), seen, atol=0.02
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import Force, Json, RigName, app
+from fpplab.cli.app import TWIN, Force, Json, RigName, app
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.goal import Goal
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from fpplab.optimisation.study import Study
 
 
-@app.command()
-def optimise(
+@app.command("optimise", rich_help_panel=TWIN)
+def optimise_command(
     what: Annotated[Goal, typer.Argument(help="What to search.")],
     rig: RigName,
     out: Annotated[

@@ -9,13 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.accept import TakesLists
-from fpplab.cli.app import Force, Json, Out, app
+from fpplab.cli.app import TWIN, Force, Json, Out, app
+from fpplab.cli.lists import TakesLists
 from fpplab.core.errors import ConfigError
 
 
-@app.command(cls=TakesLists)
-def match(
+@app.command("match", cls=TakesLists, rich_help_panel=TWIN)
+def match_command(
     twin: Annotated[str, typer.Option("--twin", help="Rig file of the nominal twin: what data sheets tell.")],
     reference: Annotated[
         list[Path],

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import Force, Json, Out, app
+from fpplab.cli.app import START, Force, Json, Out, app
 
 
-@app.command()
-def demo(
+@app.command("demo", rich_help_panel=START)
+def demo_command(
     out: Out = Path("fpplab-demo"),
     quick: Annotated[bool, typer.Option("--quick", help="684 x 456 pixels instead of 1368 x 912.")] = False,
     force: Force = False,
@@ -25,7 +25,7 @@ def demo(
 
     Example: `fpplab demo --quick --out first-look`
     """
-    from fpplab.cli.demo import run_demo
+    from fpplab.cli.demonstration import run_demo
 
     result = run_demo(out, quick, force)
     console.answer(result, json, lambda: _show_demo(result))

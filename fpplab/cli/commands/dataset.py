@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import Json, Out, PlanName, RigName, app
+from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName, app
 
 
-@app.command()
-def dataset(
+@app.command("dataset", rich_help_panel=TWIN)
+def dataset_command(
     rig: RigName,
     count: Annotated[int, typer.Option("--count", min=1, help="How many samples.")],
     out: Out,
@@ -32,10 +32,10 @@ def dataset(
 
     Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
     """
+    from fpplab.dataset.making import need_simulation
     from fpplab.dataset.scenes import Scenes
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.simulation.arrangeable import need_simulation
 
     wanted_plan, ranges, devices = Plan.load(plan), Scenes.load(scenes), Rig.load(rig)
     need_simulation(devices, rig)

@@ -1,16 +1,16 @@
-"""Whether a measuring system keeps what it promises."""
+"""`fpplab verify`: whether a measuring system keeps what it promises."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperCommand
 
 from fpplab.cli import console
-from fpplab.cli.app import Force, Json, Out, PlanName, app
+from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
+from fpplab.cli.lists import TakesLists
 from fpplab.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -19,36 +19,9 @@ if TYPE_CHECKING:
     from fpplab.clouds import Cloud
     from fpplab.patterns.plan import Plan
 
-LISTS = ("--spheres", "--planes", "--reference", "--scan")
 
-
-class TakesLists(TyperCommand):
-    """Lets the options of `LISTS` be followed by any number of paths."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, spread(args))
-
-
-def spread(words: Sequence[str]) -> list[str]:
-    """`--spheres A B` as `--spheres A --spheres B`."""
-    plain: list[str] = []
-    current, followed = "", True
-    for word in [*words, "-"]:
-        if current and not word.startswith("-"):
-            plain += [current, word]
-            followed = True
-        elif not followed:
-            raise ConfigError(f"{current} is followed by no path; name the clouds or sessions")
-        elif word in LISTS:
-            current, followed = word, False
-        else:
-            plain.append(word)
-            current = ""
-    return plain[:-1]
-
-
-@app.command(cls=TakesLists)
-def verify(
+@app.command("verify", cls=TakesLists, rich_help_panel=JUDGE)
+def verify_command(
     standard: Annotated[str, typer.Option("--standard", help="Standard file: the standards and limits.")],
     out: Out,
     spheres: Annotated[

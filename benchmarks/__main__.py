@@ -1,0 +1,36 @@
+"""`python -m benchmarks [NAME] [--json]`, from a checkout."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from benchmarks import benchmark, benchmark_names
+from fpplab.cli import console
+from fpplab.cli.app import Json
+
+
+def benchmarks_command(
+    name: Annotated[
+        str | None, typer.Argument(help=f"{', '.join(benchmark_names())}; all without a name.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Run benchmarks, each figure beside its baseline in the same run; the ratio is what counts."""
+    results = []
+    for one in [name] if name else benchmark_names():
+        console.say(f"Running {one} …")
+        results += [asdict(result) for result in benchmark(one)()]
+    rows = [list(result.values()) for result in results]
+    columns = ["name", "value", "unit", "baseline", "ratio"]
+    console.answer({"results": results}, json, lambda: console.table("Benchmarks", columns, rows))
+
+
+program = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+program.command()(benchmarks_command)
+
+if __name__ == "__main__":
+    console.run_program(program, as_json="--json" in sys.argv)

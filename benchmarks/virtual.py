@@ -1,0 +1,23 @@
+"""What the benchmarks on the twin know besides the devices: the simulation behind a rig."""
+
+from __future__ import annotations
+
+from fpplab.devices.rig import Rig
+from sim.devices import VirtualBench
+
+
+def virtual_bench(rig: Rig) -> VirtualBench:
+    """Give the simulation behind an open rig of the twin.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig whose `bench` is `sim.devices:VirtualBench`.
+
+    Returns
+    -------
+    VirtualBench
+        Its world and how it stands.
+    """
+    assert isinstance(rig.simulation, VirtualBench)  # the benchmark's own rig file says so
+    return rig.simulation

@@ -1,0 +1,117 @@
+"""`fpplab dlp4500 build|upload|…`: what is in the projector's flash.
+
+Heavy modules are imported where they are used, so that `--help` is at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drivers.dlp4500.program import NAME, ProjectorSerialOption, connect_projector, dlp4500
+from fpplab.cli import console
+from fpplab.cli.app import Force, Json, Out
+from fpplab.core.errors import Cancelled
+
+if TYPE_CHECKING:
+    pass
+
+
+@dlp4500.command()
+def build(
+    plan: Annotated[str, typer.Argument(metavar="PLAN", help="Plan file: the patterns to put in.")],
+    base: Annotated[Path, typer.Option("--base", help="The maker's firmware file, or one built before.")],
+    out: Out,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Build a firmware file that holds a plan's patterns, for the projector to show by itself.
+
+    Three patterns of 8 bits go into each image, in green, red and blue, for the diamond lattice of
+    the mirrors and through the plan's response; the greys of `fpplab gamma` and `fpplab check` follow them.
+    The images of BASE are left out, its program stays as it is.
+    Beside OUT is left the index, a .yaml, that says which pattern is where: the rig file names it as `flash`.
+
+    Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
+    """
+    from drivers.dlp4500.flash.firmware import Firmware, arranged
+    from drivers.dlp4500.index import FlashIndex
+    from drivers.dlp4500.sequence import SIZE
+    from fpplab.acquisition.sync_check import marker
+    from fpplab.core import config
+    from fpplab.core.conventions import Lattice
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic, write_text
+    from fpplab.patterns.fringes import make_patterns, uniform_patterns
+    from fpplab.patterns.plan import Plan
+
+    need_suffix(out, ".bin")
+    index = out.with_suffix(".yaml")
+    for file in (out, index):
+        refuse_existing(file, force)
+    chosen = Plan.load(plan)
+    chosen.check_projector(SIZE, plan)
+    firmware = Firmware.load(base)
+    with console.stopwatch() as seconds:
+        greys = sorted({*chosen.greys.shown, *marker().tolist()})
+        patterns = [*make_patterns(chosen, SIZE, Lattice.DIAMOND), *uniform_patterns(greys, SIZE)]
+        built = firmware.with_patterns(patterns, out)
+        listed = FlashIndex.of(patterns, arranged(patterns))
+    write_atomic(out, lambda stream: stream.write(built.content))
+    write_text(index, config.dump(listed))
+    result = {
+        "firmware": str(out),
+        "index": str(index),
+        "patterns": len(patterns),
+        "images": built.images,
+        "image_bytes": built.splash.size,
+        "seconds": seconds(),
+    }
+    console.answer(result, json)
+
+
+@dlp4500.command()
+def upload(
+    firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
+    serial: ProjectorSerialOption = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
+    json: Json = False,
+) -> None:
+    """Write the patterns of a built firmware file into the projector.
+
+    Says what will be erased and asks. Only sectors of images and, when these move, the one of the flash table
+    are written, never the boot loader; each is compared by checksum. After an interruption give the same
+    command again: it goes on.
+
+    Proven on an emulated projector only: have the maker's own tool and firmware at hand.
+
+    Example: `fpplab dlp4500 upload patterns.bin`
+    """
+    from drivers.clock import RealClock
+    from drivers.dlp4500.flash.firmware import Firmware
+    from drivers.dlp4500.flash.loader import programming
+    from drivers.dlp4500.flash.upload import check_firmware, perform, prepare, verify_image_count
+
+    built = Firmware.load(firmware)
+    check_firmware(built)
+    with console.stopwatch() as seconds:
+        with programming(lambda: connect_projector(serial), RealClock(), NAME) as loader:
+            work = prepare(built, loader)
+            for sentence in work.words:
+                console.say(sentence)
+            if not (yes or _agreed()):
+                raise Cancelled("cancelled: nothing was erased; --yes does not ask")
+            with console.progress("Writing") as report:
+                perform(built, loader, work, report)
+        with closing(connect_projector(serial)) as link:
+            verify_image_count(built, link)
+    console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
+
+
+def _agreed() -> bool:
+    sys.stderr.write("Go on? [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

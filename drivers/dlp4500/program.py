@@ -1,0 +1,50 @@
+"""The program `fpplab dlp4500`, to which the files of commands add theirs, and what they have in common."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab.cli.app import INSTRUMENTS, Commands
+
+if TYPE_CHECKING:
+    from drivers.dlp4500.transport import Link
+
+dlp4500 = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    rich_help_panel=INSTRUMENTS,
+    help="The projector LightCrafter 4500 by itself.",
+)
+"""`fpplab dlp4500 …`."""
+
+NAME = "projector"
+
+ProjectorSerialOption = Annotated[
+    str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
+]
+
+
+def connect_projector(serial: str | None) -> Link:
+    """Begin a conversation with a projector.
+
+    Parameters
+    ----------
+    serial : str or None
+        Its serial number; None for the only one that is connected.
+
+    Returns
+    -------
+    Link
+        Open; to be closed by the caller.
+
+    Raises
+    ------
+    DeviceError
+        There is none, or several and none is named.
+    """
+    from drivers.clock import RealClock
+    from drivers.dlp4500.transport import Link, connect, hidapi
+
+    return Link(connect(hidapi(NAME), NAME, serial)[0], RealClock(), NAME)

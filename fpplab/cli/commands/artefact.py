@@ -1,0 +1,50 @@
+"""`fpplab artefact`: write the true shape of an artefact."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import JUDGE, Force, Json, Out, app
+from fpplab.core.errors import ConfigError
+
+
+@app.command("artefact", rich_help_panel=JUDGE)
+def artefact_command(
+    name: Annotated[str, typer.Argument(help="pyramid, pillars, steps or ball_bar.")],
+    out: Out,
+    layer: Annotated[
+        float | None, typer.Option("--layer", help="As printed in layers of this height, in mm.")
+    ] = None,
+    bead: Annotated[
+        float | None, typer.Option("--bead", help="Depth of the marks between layers on a wall, in mm.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write the true shape of an artefact as STL, in mm: to print it, and to compare with it.
+
+    Print it as drawn, but compare the print with the sliced shape: in layers of 0.2 mm a slope is a staircase
+    up to 0.1 mm off, and walls are marked, which would count as errors of the measurement.
+
+    Example: `fpplab artefact pyramid --out pyramid.stl`, and once it is printed
+    `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`
+    """
+    from fpplab import artefacts
+    from fpplab.core.files import need_suffix, refuse_existing
+
+    need_suffix(out, ".stl")
+    refuse_existing(out, force)
+    if bead is not None and layer is None:
+        raise ConfigError("--bead: marks lie between layers; give the height of a layer too, with --layer")
+    mesh = artefacts.make(name)
+    printed = {}
+    if layer is not None:
+        printed["layers"] = artefacts.layer_count(mesh.extents[2], layer)
+        with console.progress("Slicing"):
+            mesh = artefacts.sliced(mesh, layer, bead or 0.0)
+    artefacts.save_stl(mesh, out)
+    result = {"size_mm": mesh.extents.tolist(), "faces": len(mesh.faces), "mesh": str(out)}
+    console.answer(result | printed, json)

@@ -1,0 +1,63 @@
+"""`fpplab check`: find out what is wrong with a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
+from fpplab.core.errors import DeviceError
+
+if TYPE_CHECKING:
+    from fpplab.acquisition.sync_check import Checked
+
+
+@app.command("check", rich_help_panel=PREPARE)
+def check_command(
+    rig: RigName,
+    plan: PlanName = "plan_paper.yaml",
+    item: Annotated[str, typer.Option("--item", help="What to look at: an evenly white card.")] = "grey_card",
+    out: Annotated[Path | None, typer.Option("--out", help="Picture of the levels seen, as PNG.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Open the rig, see that each frame shows its own pattern, and name what is wrong.
+
+    Shows twelve uniform greys, stepped and, where camera and projector can, triggered, with the plan's
+    exposure and settling time; says which settling time the display needs. The exit code is 0 when all is
+    well, 3 with findings.
+
+    Example: `fpplab check --rig rig_demo --plan plan_paper --out check.png`
+    """
+    from fpplab.acquisition import sync_check
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.report import figures
+
+    if out:
+        need_suffix(out, ".png")
+        refuse_existing(out, force)
+    wanted, bench = Plan.load(plan), Rig.load(rig)
+    with console.progress("Checking") as report:
+        found = sync_check.check_rig(bench, wanted, item, report)
+    if out and found.runs:
+        drawn = figures.marker_levels(found.shown, {run.how: run.levels for run in found.runs})
+        write_atomic(out, lambda stream: stream.write(drawn))
+    console.answer(found.summary(), json, lambda: _show_check(found))
+    if found.findings:
+        raise console.Answered(DeviceError.exit_code)
+
+
+def _show_check(found: Checked) -> None:
+    for run in found.runs:
+        console.say(
+            f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
+        )
+    for finding in found.findings:
+        console.stdout.print(f"{finding.cause}: {finding.evidence}; {finding.remedy}", markup=False)
+    if not found.findings:
+        console.stdout.print("ok")

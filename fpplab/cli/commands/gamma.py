@@ -1,0 +1,88 @@
+"""`fpplab gamma`: fit the response of projector and camera."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
+from fpplab.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command("gamma", rich_help_panel=PREPARE)
+def gamma_command(
+    rig: RigName,
+    out: Out,
+    plan: PlanName = "plan_paper.yaml",
+    levels: Annotated[
+        int | None,
+        typer.Option("--levels", min=5, max=256, help="Grey levels to show; the plan's by default."),
+    ] = None,
+    repeats: Annotated[
+        int | None, typer.Option("--repeats", min=1, max=1000, help="How often; the plan's by default.")
+    ] = None,
+    exposure_s: Annotated[
+        float | None, typer.Option("--exposure", help="Exposure in s; the plan's by default.")
+    ] = None,
+    item: Annotated[str, typer.Option("--item", help="What to look at: an evenly white card.")] = "grey_card",
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fit the response `I_out = a I_in^g + b` of projector and camera together.
+
+    Shows uniform greys, says whether the response is good enough for the plan, and leaves OUT and a picture
+    beside it. The line `response: OUT` in a plan has its patterns corrected with it.
+
+    Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
+    """
+    from fpplab.core.files import refuse_existing, write_atomic
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.phase_error import judge_response
+    from fpplab.patterns.plan import GreyLevels, Plan
+    from fpplab.pipeline import measure_response
+
+    picture = out.with_suffix(".png")
+    if picture == out:
+        raise ConfigError(
+            f"{out}: is the name of the picture; name the response something else, such as .yaml"
+        )
+    refuse_existing(out, force)
+    refuse_existing(picture, force)
+    wanted = Plan.load(plan)
+    greys = GreyLevels(levels=levels or wanted.greys.levels, repeats=repeats or wanted.greys.repeats)
+    with Rig.load(rig) as bench, console.progress("Response") as report:
+        if bench.fixture:
+            bench.fixture.mount(item)
+        exposure = wanted.exposure_s if exposure_s is None else exposure_s
+        response, _ = measure_response(bench, exposure, greys, report)
+        judgement = judge_response(response, wanted, bench.projector.caps.size)
+
+    from fpplab.report.figures import response_fit
+
+    for reason in response.left_out:
+        console.say(f"left out: {reason}")
+    response.save(out)
+    drawn = response_fit(response)
+    write_atomic(picture, lambda stream: stream.write(drawn))
+    result = {
+        **response.summary(),
+        "judgement": judgement.model_dump(mode="json"),
+        "response": str(out),
+        "picture": str(picture),
+    }
+    console.answer(result, json, lambda: _show_response(result))
+
+
+def _show_response(result: dict[str, Any]) -> None:
+    for name, sigma in zip("abg", result["sigma"], strict=True):
+        console.stdout.print(f"{name} = {result[name]:.5f} ± {sigma:.2g}", markup=False)
+    fitted, regions, spread = len(result["levels"]), len(result["regions"]), result["region_spread"]
+    agree = f"; {regions} regions agree on g to {spread:.2g}" if spread is not None else ""
+    console.stdout.print(f"RMS misfit {result['residual']:.2g} of full scale, {fitted} levels{agree}")
+    console.stdout.print(result["judgement"]["sentence"], markup=False, soft_wrap=True)
+    console.stdout.print(f"picture: {result['picture']}", markup=False)

@@ -1,0 +1,40 @@
+"""`fpplab import`: loose images into a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import MEASURE, Force, Json, Out, PlanName, app
+from fpplab.core.errors import ConfigError
+
+
+@app.command("import", rich_help_panel=MEASURE)
+def import_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of grey images, one per pattern of the plan.")],
+    plan: PlanName,
+    frames: Annotated[
+        str, typer.Option("--frames", help="Name of image {index}, from 0, such as 'f_{index:02d}.png'.")
+    ],
+    out: Out,
+    bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Bring loose images from elsewhere into a session.
+
+    Every file is checked first: all there, grey, of one size and of the depth promised.
+
+    Example: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out pose1`
+    """
+    from fpplab.patterns.plan import Plan
+    from fpplab.sessions.importing import import_images
+
+    if bits not in (8, 10, 12, 16):
+        raise ConfigError(f"--bits is {bits}: one of 8, 10, 12, 16")
+    with console.progress("Importing") as report:
+        session = import_images(folder, Plan.load(plan), frames, out, bits, force, report)
+    console.answer({"frames": len(session.records), "session": str(session.path)}, json)

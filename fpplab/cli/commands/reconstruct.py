@@ -1,0 +1,50 @@
+"""`fpplab reconstruct`: the cloud of a recorded session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import MEASURE, CalibrationOption, Force, Json, Out, app
+
+
+@app.command("reconstruct", rich_help_panel=MEASURE)
+def reconstruct_command(
+    session: Annotated[Path, typer.Argument(help="A recorded session.")],
+    calibration: CalibrationOption,
+    out: Out,
+    filtering: Annotated[
+        bool | None,
+        typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
+
+    A report with its pictures is left beside it. `removed` says how many points the plan's filter took out,
+    by rule.
+    """
+    from fpplab import pipeline
+    from fpplab.calibration.model import Calibration
+    from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.reconstruction.filtering import removal
+    from fpplab.report import write_scan_report
+    from fpplab.sessions.session import Session
+
+    page = out.with_suffix(".html")
+    need_suffix(out, *CLOUD_SUFFIXES)
+    refuse_existing(out, force)
+    refuse_existing(page, force)
+    known = Calibration.load(calibration)
+    recorded = Session.open(session)
+    with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
+        decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering)
+        save_cloud(cloud, out)
+        write_scan_report(page, recorded, decoded, cloud)
+    result = {"points": len(cloud.points), "removed": removal(decoded), "seconds": seconds()}
+    console.answer({**result, "cloud": str(out), "report": str(page)}, json)

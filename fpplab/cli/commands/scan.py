@@ -1,0 +1,93 @@
+"""`fpplab scan`: from a plan to points."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import MEASURE, CalibrationOption, Force, Json, Out, PlanName, RigName, app
+
+
+@app.command("scan", rich_help_panel=MEASURE)
+def scan_command(
+    rig: RigName,
+    calibration: CalibrationOption,
+    out: Out,
+    plan: PlanName = "plan_paper.yaml",
+    item: Annotated[
+        str | None, typer.Option("--item", help="Have the rig's fixture put this up first.")
+    ] = None,
+    pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
+    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Measure: project the plan, and leave the session with its cloud in OUT.
+
+    An interrupted scan is completed by the same command. OUT holds the frames, `decoded.npz`,
+    `cloud.ply` and `report.html`. `removed` says how many points the plan's filter took out, by rule.
+
+    Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.phase import check_unwrapping
+    from fpplab.sessions.session import refuse_foreign
+
+    wanted, known = Plan.load(plan), Calibration.load(calibration)
+    check_unwrapping(wanted, plan)
+    refuse_foreign(out)
+    with ExitStack() as stack, console.stopwatch() as seconds:
+        bench = stack.enter_context(Rig.load(rig))
+        caps = bench.projector.caps
+        wanted.check_projector(caps.size, plan)
+        known.check_camera(bench.camera.caps.size, calibration)
+        known.check_projector(caps.size, caps.lattice, calibration)
+        if item:
+            bench.need_fixture(f"--item {item}").check(item, pose)
+
+        # Only now the heavy modules: wrong input is told at once.
+        from fpplab.core.progress import ignore
+        from fpplab.pipeline import CLOUD, REPORT, finish_scan, take
+        from fpplab.reconstruction.filtering import removal
+        from fpplab.report import write_scan_report
+        from fpplab.report.viewer import Viewer
+
+        # The report is written last: without it, all that is left may be to finish.
+        finished = (out / REPORT).is_file()
+        viewer = stack.enter_context(Viewer.open()) if view else None
+        if viewer and viewer.fault is None:
+            console.say(f"Watch it at {viewer.where}")
+            viewer.plan(wanted, caps.size, caps.lattice)
+            viewer.calibration(known)
+        mount = (item, pose) if item else None
+        observe = viewer.frame if viewer else ignore
+        with console.progress("Scanning") as report:
+            session = take(
+                bench,
+                wanted,
+                out,
+                mount,
+                force=force,
+                complete_too=not finished,
+                progress=report,
+                observe_frame=observe,
+            )
+        with console.progress("Reconstructing") as report:
+            decoded, cloud = finish_scan(session, known, report)
+            write_scan_report(out / REPORT, session, decoded, cloud)
+        result = {
+            "points": len(cloud.points),
+            "images": wanted.images,
+            "removed": removal(decoded),
+            "seconds": seconds(),
+        }
+        if viewer and viewer.fault is None:
+            viewer.decoded(decoded)
+            viewer.cloud(cloud)
+            viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
+    console.answer({**result, "cloud": str(out / CLOUD), "report": str(out / REPORT)}, json)

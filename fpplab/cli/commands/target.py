@@ -1,0 +1,38 @@
+"""`fpplab target`: draw a board for printing."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import PREPARE, Force, Json, app
+
+
+@app.command("target", rich_help_panel=PREPARE)
+def target_command(
+    name: Annotated[
+        str, typer.Argument(metavar="TARGET", help="Target file, or the name of one that comes with fpplab.")
+    ],
+    make: Annotated[Path, typer.Option("--make", help="The page to write: .pdf or .svg.")],
+    paper: Annotated[
+        str, typer.Option("--paper", help="A4, A3, letter, or width x height in mm like 300x200.")
+    ] = "A4",
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Draw a board for printing, at true scale, with a ruler to prove it.
+
+    Example: `fpplab target target_paper --make board.pdf`
+    """
+    from fpplab.core.files import refuse_existing
+    from fpplab.targets import Target
+    from fpplab.targets.printing import print_target
+
+    board = Target.load(name)
+    refuse_existing(make, force)
+    sheet = print_target(board, make, paper, Path(name).stem)
+    console.answer(asdict(sheet), json)

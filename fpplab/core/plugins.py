@@ -1,0 +1,74 @@
+"""What packages beside fpplab bring it, found by entry points and never by a module's name.
+
+A package announces what it brings in its `pyproject.toml`::
+
+    [project.entry-points."fpplab.commands"]
+    toaster = "toaster.commands:app"
+
+The groups are constants below, each with what an entry of it must be.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import Any
+
+from fpplab.core.errors import ConfigError
+
+COMMANDS = "fpplab.commands"
+"""`typer.Typer` programs, added to the command line under the entry's name."""
+
+EMULATORS = "fpplab.emulators"
+"""Context managers that serve a device until they end and give how to use it, a `dict[str, str]`.
+
+One that takes a firmware file has a parameter `firmware: Path | None = None`."""
+
+DISCOVERY = "fpplab.discovery"
+"""Functions without arguments that look for devices and return `fpplab.devices.discovery.FoundDevices`."""
+
+
+def names(group: str) -> list[str]:
+    """List what the installed packages bring.
+
+    Parameters
+    ----------
+    group : str
+        One of the constants of this module.
+
+    Returns
+    -------
+    list of str
+        Sorted; empty where no package brings any.
+    """
+    return sorted(entry_points(group=group).names)
+
+
+def load(group: str, name: str) -> Any:
+    """Import one thing that an installed package brings.
+
+    Parameters
+    ----------
+    group : str
+        One of the constants of this module.
+    name : str
+        One of `names(group)`.
+
+    Returns
+    -------
+    object
+        As the group's constant says.
+
+    Raises
+    ------
+    ConfigError
+        No package brings it, or it cannot be imported.
+    """
+    kind = group.rpartition(".")[2]
+    found = entry_points(group=group, name=name)
+    if not found:
+        known = ", ".join(names(group)) or "none; install fpplab anew, its entry points are missing"
+        raise ConfigError(f"there is no '{name}' among the {kind}; there are {known}")
+    try:
+        return next(iter(found)).load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"'{name}' of the {kind} cannot be loaded ({error})") from error
