@@ -38,7 +38,8 @@ LUMENS_PER_WATT = 683.0
 @dataclass(frozen=True)
 class Led:
     """Light of one colour. lumens: luminous flux out of the projector's lens under white, all mirrors on, on
-    average over a pattern's time. wavelength_nm: its dominant wavelength."""
+    average over a pattern's time. wavelength_nm: its dominant wavelength.
+    """
 
     lumens: float
     wavelength_nm: float

@@ -151,7 +151,8 @@ def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
 @dataclass(frozen=True, eq=False)
 class _Layout:
     """places: (rows, columns) of mirrors, the flat place of every mirror's texel. mirrors: (rows, columns) of
-    the texture, the flat place of every texel's mirror, -1 where there is none."""
+    the texture, the flat place of every texel's mirror, -1 where there is none.
+    """
 
     places: NDArray[np.intp]
     mirrors: NDArray[np.int32]

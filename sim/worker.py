@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError
 from fpplab.core.system import BLENDER
 from sim.scene import Effort, RenderScene, SubpixelView
 
@@ -50,7 +50,7 @@ class Blender:
         return self._process.pid if self._process and self._process.poll() is None else None
 
     def start(self) -> None:
-        """Start it unless it runs. Raises `DeviceError` that says what is missing, `TimeoutError`."""
+        """Start it unless it runs. Raises `DeviceError` that says what is missing, `DeviceTimeoutError`."""
         if self.pid is not None:
             return
         self.close()
@@ -85,7 +85,7 @@ class Blender:
 
         Returns (views, height, width, effort.channels) float32, see `sim.scene`, in memory that the next
         call uses again.
-        Raises `DisconnectedError` when the process dies, `TimeoutError`, `DeviceError` when Blender fails,
+        Raises `DisconnectedError` when the process dies, `DeviceTimeoutError`, `DeviceError` when Blender fails,
         `ConfigError` when the scene asks for what it cannot do.
         """
         self.start()
@@ -147,7 +147,7 @@ class Blender:
         assert self._connection is not None
         try:
             if not self._connection.poll(timeout_s):
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self.name, doing, f"Blender did not answer within {timeout_s:.0f} s", "ask for less work"
                 )
             verb, content = self._connection.recv()

@@ -24,11 +24,11 @@ from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     FrameLossError,
     SettingError,
     StateError,
-    TimeoutError,
 )
 from fpplab.core.files import write_text
 from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, State, Trigger
@@ -292,7 +292,7 @@ class BaslerCamera(Camera):
         while not self._camera.WaitForFrameTriggerReady(_slice_ms(deadline), pylon.TimeoutHandling_Return):
             self._check_connected(doing)
             if time.monotonic() >= deadline:
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self.name, doing, "it does not become ready for a trigger", "close it and open it again"
                 )
 
@@ -309,7 +309,7 @@ class BaslerCamera(Camera):
                 break
         self._check_connected("read")
         remedy = "see to the trigger cable" if self._trigger == "hardware" else "allow it more time"
-        raise TimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
+        raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
 
     def _index(self, block_id: int) -> int:
         """The frame's number since `arm`, by the camera's own count where it counts."""

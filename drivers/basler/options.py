@@ -41,7 +41,8 @@ class Line(Document):
 
 class BaslerOptions(Document):
     """The camera's section in a rig file, see the module; a camera whose shutter cannot be switched is told
-    here what it has."""
+    here what it has.
+    """
 
     serial: str
     roi: (

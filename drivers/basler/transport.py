@@ -11,7 +11,7 @@ class Pylon:
     """Every camera that pylon's transport layers see: USB3 Vision, GigE Vision, its own emulator."""
 
     def cameras(self) -> dict[str, Any]:
-        """pylon's `DeviceInfo` of each camera that is connected now, opened or not, by serial number."""
+        """Pylon's `DeviceInfo` of each camera that is connected now, opened or not, by serial number."""
         return {found.GetSerialNumber(): found for found in self._layer().EnumerateDevices()}
 
     def attach(self, info: Any) -> Any:

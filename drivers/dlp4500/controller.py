@@ -17,7 +17,7 @@ from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
 from drivers.dlp4500.status import Status, objections
 from drivers.dlp4500.transport import Link
-from fpplab.core.errors import DeviceError, ProtocolError, SettingError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
 LED_FULL = 255
 TEST_PATTERN_FULL = 1023
@@ -82,12 +82,14 @@ class Controller:
         return bool(self.link.read(protocol.POWER)["standby"])
 
     def wake(self) -> None:
-        """Leave standby; `TimeoutError` when it does not within 5 s."""
-        with suppress(TimeoutError, ProtocolError):  # known to fail while it wakes; the state is read below
+        """Leave standby; `DeviceTimeoutError` when it does not within 5 s."""
+        with suppress(
+            DeviceTimeoutError, ProtocolError
+        ):  # known to fail while it wakes; the state is read below
             self.link.write(protocol.POWER, standby=0)
 
         def awake() -> bool:
-            with suppress(TimeoutError):
+            with suppress(DeviceTimeoutError):
                 return not self.is_standby()
             return False
 
@@ -157,7 +159,7 @@ class Controller:
     def _insist(order: Callable[[], None]) -> None:
         try:
             order()
-        except (ProtocolError, TimeoutError):
+        except (ProtocolError, DeviceTimeoutError):
             order()
 
     # --- input and triggers
@@ -194,7 +196,7 @@ class Controller:
     def select_video(self) -> None:
         """Take 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
 
-        To be called before patterns from the video port are prepared. Raises `TimeoutError` without a signal.
+        To be called before patterns from the video port are prepared. Raises `DeviceTimeoutError` without a signal.
         """
         self.show_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
@@ -358,9 +360,9 @@ class Controller:
     def _until(
         self, done: Callable[[], bool], operation: str, found: str, step_s: float, most_s: float
     ) -> None:
-        """Look every `step_s` until it is done; `TimeoutError` with what was `found` after `most_s`."""
+        """Look every `step_s` until it is done; `DeviceTimeoutError` with what was `found` after `most_s`."""
         for _ in range(round(most_s / step_s)):
             if done():
                 return
             self._clock.sleep(step_s)
-        raise TimeoutError(self._name, operation, f"{found} after {most_s:g} s", "switch it off and on")
+        raise DeviceTimeoutError(self._name, operation, f"{found} after {most_s:g} s", "switch it off and on")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.dlp4500 import screen
 from drivers.dlp4500.sequence import SIZE
-from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
 """How long the process may take to open the display, to put a frame up, and to end."""
@@ -72,7 +72,7 @@ class SdlDisplay:
         """Start the process and wait for the display.
 
         Raises `DeviceError` when there is no such display, or it has another size (with a list of those there
-        are), or cannot be locked to; `DisconnectedError` and `TimeoutError` for the process.
+        are), or cannot be locked to; `DisconnectedError` and `DeviceTimeoutError` for the process.
         """
         self.close()
         height, width, _ = self._shape
@@ -95,7 +95,7 @@ class SdlDisplay:
         """Put up one frame, uint8 (height, width, 3); returns when it is on the wire.
 
         Raises `DeviceError` when it does not look as it should, `DisconnectedError` when the process has
-        died, `TimeoutError` when it hangs; after any of them the display is closed.
+        died, `DeviceTimeoutError` when it hangs; after any of them the display is closed.
         """
         if frame.shape != self._shape or frame.dtype != np.uint8:
             raise ValueError(f"a frame is uint8 {self._shape}, not {frame.dtype} {frame.shape}")
@@ -126,7 +126,7 @@ class SdlDisplay:
         assert self._connection is not None
         try:
             if not self._connection.poll(timeout_s):
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self._name, doing, f"its display did not answer within {timeout_s:g} s", "try it again"
                 )
             answer = self._connection.recv()

@@ -14,7 +14,7 @@ from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
 from drivers.dlp4500.protocol import Command, Raw, RegisterLayout, Values
-from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, SettingError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
 INTERFACE = 0
@@ -116,7 +116,7 @@ class Link:
         """Order something by a command of fields.
 
         Raises `SettingError` for a value out of range, before anything is sent; `ProtocolError` when the
-        device refuses, `TimeoutError` when it does not answer, `DisconnectedError` when it is gone.
+        device refuses, `DeviceTimeoutError` when it does not answer, `DisconnectedError` when it is gone.
         """
         self._order(command, self._packed(command, command.written, values))
 
@@ -227,7 +227,7 @@ class Link:
         left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait for ever
         report = self._report(operation, left_ms)
         if not report:
-            raise TimeoutError(
+            raise DeviceTimeoutError(
                 self.name,
                 operation,
                 f"no complete answer within {self._timeout_s:g} s",

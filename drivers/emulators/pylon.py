@@ -230,7 +230,7 @@ class EmulatedCamera:
         self.instant.ForceFailedBuffer.Execute()
 
     def break_grabbing(self, words: str) -> None:
-        """pylon's grab engine fails with these words; mended with none."""
+        """Pylon's grab engine fails with these words; mended with none."""
         self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(words)
 
     def expose_for(self, exposure_s: float) -> None:

@@ -27,7 +27,7 @@ from drivers.stage_grbl.lines import AXES, HOLD, MM_PER_INCH, Axes, StatusReport
 from drivers.stage_grbl.wire import ANSWER_S, START_S, GrblWire, RestartedError
 from fpplab.core import config
 from fpplab.core.config import Document
-from fpplab.core.errors import ConfigError, DeviceError, DisconnectedError, ProtocolError, TimeoutError
+from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import DeviceInfo, Stage, StageCaps
 
 POLL_S = 0.05
@@ -219,7 +219,7 @@ class GrblStage(Stage):
             if time.monotonic() >= deadline_s:
                 wire.realtime("move_to", HOLD)
                 at_mm = self._stage_mm(self._machine_mm("move_to", report))
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self.name,
                     "move_to",
                     f"is still at {at_mm:.3f} mm on its way to {mm:g} mm",

@@ -25,7 +25,7 @@ from drivers.stage_grbl.lines import (
     error_in_words,
     parse_line,
 )
-from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 
 BAUD = 115200
 START_S = 5.0
@@ -73,7 +73,7 @@ class GrblWire:
                 self._answers.clear()
                 self._settings.clear()
                 return message.version
-        raise TimeoutError(
+        raise DeviceTimeoutError(
             self._name,
             doing,
             f"no GRBL answers at {self._port} within {timeout_s:g} s",
@@ -83,7 +83,7 @@ class GrblWire:
     def await_ok(self, doing: str, line: str, timeout_s: float) -> None:
         """Wait for the `ok` to the line sent."""
         if not self.answered(doing, line, timeout_s):
-            raise TimeoutError(
+            raise DeviceTimeoutError(
                 self._name, doing, f"no answer to '{line}' within {timeout_s:g} s", "see to power and cable"
             )
 
@@ -118,7 +118,7 @@ class GrblWire:
         deadline = time.monotonic() + ANSWER_S
         while self._report is None:
             if not self._take_one(doing, deadline):
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self._name, doing, f"no report within {ANSWER_S:g} s", "see to power and cable"
                 )
         return self._report
@@ -203,7 +203,7 @@ class GrblWire:
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
-            raise TimeoutError(
+            raise DeviceTimeoutError(
                 self._name, doing, f"{self._port} takes nothing more", "see to the cable"
             ) from None
         except OSError as error:

@@ -20,7 +20,7 @@ from scipy.optimize import isotonic_regression
 from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.core.conventions import Floats, full_scale
-from fpplab.core.errors import DeviceError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError
 from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
@@ -179,7 +179,7 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> Seen:
             for shot in shots:
                 every = max(1, math.isqrt(shot.image.size // PIXELS))
                 samples.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
-        except TimeoutError:
+        except DeviceTimeoutError:
             if plan.trigger == "stepped" or not samples:
                 raise
     seen = np.stack(samples)

@@ -194,7 +194,8 @@ def _fan(loop: Floats) -> Floats:
 
 def _strip(low: Floats, high: Floats) -> Floats:
     """Triangles (2n, 3, 3) between two loops of n corners, outward for loops counter-clockwise seen
-    from `high`."""
+    from `high`.
+    """
     low_next, high_next = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
     return np.concatenate(
         [np.stack([low, low_next, high_next], axis=1), np.stack([low, high_next, high], axis=1)]

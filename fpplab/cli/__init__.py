@@ -8,14 +8,14 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from fpplab.cli import commands, console
-from fpplab.cli.app import app, sort_commands
+from fpplab.cli.app import INSTRUMENTS, app, sort_commands
 from fpplab.core import plugins
 
 for _module in iter_modules(commands.__path__):
     import_module(f"{commands.__name__}.{_module.name}")
 sort_commands()
 for _name in plugins.names(plugins.COMMANDS):
-    app.add_typer(plugins.load(plugins.COMMANDS, _name), name=_name)
+    app.add_typer(plugins.load(plugins.COMMANDS, _name), name=_name, rich_help_panel=INSTRUMENTS)
 
 
 def main() -> None:

@@ -20,7 +20,9 @@ from fpplab.core.errors import ConfigError
 class Document(BaseModel):
     """Base of everything that is read from YAML: strict, frozen, no unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 D = TypeVar("D", bound=Document)

@@ -63,7 +63,7 @@ class LimitError(DeviceError):
     """A motion would leave the travel."""
 
 
-class TimeoutError(DeviceError):
+class DeviceTimeoutError(DeviceError):
     """The device did not answer in time."""
 
 

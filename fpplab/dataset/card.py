@@ -18,7 +18,7 @@ import numpy as np
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
-from fpplab.dataset.fields import FIELDS, FRAMES, DatasetField
+from fpplab.dataset.fields import FIELDS, FRAMES, FieldSpec
 from fpplab.dataset.shard import CHECKSUMS, SCENES, file_of, shard_name
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
@@ -47,14 +47,14 @@ def split_of(index: int) -> str:
     return SPLITS[index % len(SPLITS)]
 
 
-def fields_of(bits: int) -> dict[str, DatasetField]:
+def fields_of(bits: int) -> dict[str, FieldSpec]:
     """The fields by name, for frames of so many bits."""
     frames = "|u1" if bits <= 8 else "<u2"
-    return {f.name: DatasetField(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
+    return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
 
 
 def make_card(
-    asked: dict[str, Any], fields: dict[str, DatasetField], letters: dict[str, int], licence: str
+    asked: dict[str, Any], fields: dict[str, FieldSpec], letters: dict[str, int], licence: str
 ) -> dict[str, Any]:
     """The card of a data set. asked: all that its samples follow from, with `samples` and `shard_size`."""
     described = [{**asdict(f), "shape": list(f.extent(letters)), "axes": f.shape} for f in fields.values()]

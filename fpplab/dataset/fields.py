@@ -15,7 +15,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
-class DatasetField:
+class FieldSpec:
     """One array of every sample.
 
     source: `camera` is what was recorded, `measured` what fpplab makes of that, `truth` what the simulation
@@ -37,32 +37,32 @@ class DatasetField:
 
 FRAMES = "frames"
 FIELDS = (
-    DatasetField(FRAMES, "camera", "", "N h w", "raw levels", "the camera's integers, images in the plan's order"),
-    DatasetField("exposure_s", "camera", "<f8", "", "s", "exposure of every frame"),
-    DatasetField("wrapped_phase", "measured", "<f4", "S h w", "rad", "phase of each fringe set in [0, 2π), "
+    FieldSpec(FRAMES, "camera", "", "N h w", "raw levels", "the camera's integers, images in the plan's order"),
+    FieldSpec("exposure_s", "camera", "<f8", "", "s", "exposure of every frame"),
+    FieldSpec("wrapped_phase", "measured", "<f4", "S h w", "rad", "phase of each fringe set in [0, 2π), "
           "demodulated from the frames; noise alone where no fringes fall"),
-    DatasetField("decoded_u", "measured", "<f4", "h w", "projector px", "column that decoding finds; NaN where it "
+    FieldSpec("decoded_u", "measured", "<f4", "h w", "projector px", "column that decoding finds; NaN where it "
           "finds none, or the plan does not code it"),
-    DatasetField("decoded_v", "measured", "<f4", "h w", "projector px", "row that decoding finds, likewise"),
-    DatasetField("decoded_sigma", "measured", "<f4", "h w", "projector px", "standard uncertainty of the first of "
+    FieldSpec("decoded_v", "measured", "<f4", "h w", "projector px", "row that decoding finds, likewise"),
+    FieldSpec("decoded_sigma", "measured", "<f4", "h w", "projector px", "standard uncertainty of the first of "
           "these that is coded, NaN where invalid"),
-    DatasetField("modulation", "measured", "<f4", "h w", "levels of 255", "amplitude of the finest set of the first "
+    FieldSpec("modulation", "measured", "<f4", "h w", "levels of 255", "amplitude of the finest set of the first "
           "coded axis, NaN where invalid"),
-    DatasetField("absolute_phase", "truth", "<f4", "S h w", "rad", "phase of each fringe set at the true "
+    FieldSpec("absolute_phase", "truth", "<f4", "S h w", "rad", "phase of each fringe set at the true "
           "projector coordinate, NaN outside the mask"),
-    DatasetField("projector_u", "truth", "<f4", "h w", "projector px", "true column of what the pixel's centre "
+    FieldSpec("projector_u", "truth", "<f4", "h w", "projector px", "true column of what the pixel's centre "
           "sees, NaN outside the mask"),
-    DatasetField("projector_v", "truth", "<f4", "h w", "projector px", "true row, likewise"),
-    DatasetField("depth", "truth", "<f4", "h w", "mm", "z in the camera's frame, NaN where nothing is seen"),
-    DatasetField("normals", "truth", "<f4", "3 h w", "1", "unit normal x, y, z in the camera's frame, towards the "
+    FieldSpec("projector_v", "truth", "<f4", "h w", "projector px", "true row, likewise"),
+    FieldSpec("depth", "truth", "<f4", "h w", "mm", "z in the camera's frame, NaN where nothing is seen"),
+    FieldSpec("normals", "truth", "<f4", "3 h w", "1", "unit normal x, y, z in the camera's frame, towards the "
           "camera, NaN where nothing is seen"),
-    DatasetField("mask", "truth", "|b1", "h w", "1", "the pixel's centre sees the surface, and the projector lights "
+    FieldSpec("mask", "truth", "|b1", "h w", "1", "the pixel's centre sees the surface, and the projector lights "
           "it"),
-    DatasetField("camera_matrix", "truth", "<f8", "3 3", "px", "the true camera"),
-    DatasetField("camera_distortion", "truth", "<f8", "8", "1", "k1 k2 p1 p2 k3 k4 k5 k6 of OpenCV"),
-    DatasetField("projector_matrix", "truth", "<f8", "3 3", "px", "the true projector"),
-    DatasetField("projector_distortion", "truth", "<f8", "8", "1", "likewise"),
-    DatasetField("T_projector_camera", "truth", "<f8", "4 4", "mm", "takes coordinates in the camera's frame to the "
+    FieldSpec("camera_matrix", "truth", "<f8", "3 3", "px", "the true camera"),
+    FieldSpec("camera_distortion", "truth", "<f8", "8", "1", "k1 k2 p1 p2 k3 k4 k5 k6 of OpenCV"),
+    FieldSpec("projector_matrix", "truth", "<f8", "3 3", "px", "the true projector"),
+    FieldSpec("projector_distortion", "truth", "<f8", "8", "1", "likewise"),
+    FieldSpec("T_projector_camera", "truth", "<f8", "4 4", "mm", "takes coordinates in the camera's frame to the "
           "projector's"),
 )  # fmt: skip
 

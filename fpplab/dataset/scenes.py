@@ -109,7 +109,8 @@ class Scenes(Document):
 
 def _target(name: str, folder: Path) -> str:
     """The file of that name in `folder`, if it is there; but one that comes with fpplab keeps its bare name,
-    by which it is found wherever the data set is taken."""
+    by which it is found wherever the data set is taken.
+    """
     near = config.resolve_beside(name, folder)
     try:
         shipped = config.find_config(Path(name).name)

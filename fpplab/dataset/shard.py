@@ -22,7 +22,7 @@ import numpy as np
 
 from fpplab.core.errors import DataError
 from fpplab.core.files import flush_folder, writing
-from fpplab.dataset.fields import Arrays, DatasetField
+from fpplab.dataset.fields import Arrays, FieldSpec
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 """Beside the arrays: checksums of all other files, and one line for each sample with all that was drawn."""
@@ -75,7 +75,7 @@ class ShardWriter:
     """Writes samples one behind the other; `with` ends with everything on disk, checksums last."""
 
     def __init__(
-        self, draft: Path, fields: dict[str, DatasetField], samples: int, letters: dict[str, int]
+        self, draft: Path, fields: dict[str, FieldSpec], samples: int, letters: dict[str, int]
     ) -> None:
         self._draft, self._stack = draft, ExitStack()
         self._files = {SCENES: self._open(SCENES)}

@@ -131,7 +131,7 @@ class Camera(Device):
     def read(self, timeout_s: float) -> Frame:
         """The next frame; the last one leaves the camera IDLE.
 
-        Raises `TimeoutError`, `FrameLossError` (missing, or of another size or depth).
+        Raises `DeviceTimeoutError`, `FrameLossError` (missing, or of another size or depth).
         """
         self._need(State.ARMED, doing="read")
         with self._guard("read"):

@@ -54,7 +54,7 @@ class Stage(Device):
     def move_to(self, mm: float, timeout_s: float = 60.0) -> float:
         """Go to an absolute position and return the position READ BACK, in mm.
 
-        Raises `LimitError` outside the travel, `StateError` before homing, `TimeoutError`.
+        Raises `LimitError` outside the travel, `StateError` before homing, `DeviceTimeoutError`.
         """
         self._need(State.IDLE, doing="move_to")
         self._check_travel("move_to", mm)
@@ -101,7 +101,7 @@ class Stage(Device):
 
     @abstractmethod
     def _move_to(self, mm: float, deadline_s: float) -> None:
-        """Move, and return once there; raise `TimeoutError` at `deadline_s` of `time.monotonic`."""
+        """Move, and return once there; raise `DeviceTimeoutError` at `deadline_s` of `time.monotonic`."""
 
     @abstractmethod
     def _position_mm(self) -> float: ...

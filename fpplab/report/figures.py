@@ -340,7 +340,7 @@ def response_fit(response: Response) -> Figure:
 
 
 def _region_exponents(axes: Axes, response: Response) -> None:
-    """g of every region, with two standard uncertainties, against that of all together."""
+    """G of every region, with two standard uncertainties, against that of all together."""
     names = [f"{r.row + 1}, {r.column + 1}" for r in response.regions]
     place = np.arange(len(names))
     reach = 2 * response.sigma[2]

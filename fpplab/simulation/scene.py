@@ -12,7 +12,8 @@ from fpplab.core.config import Document
 
 class DatasetScene(Document):
     """One scene, as drawn: an artefact with its lengths in mm, or the board of a target file; its pose
-    T_camera_item; the rest as in `Scenes`. seed: of its noise."""
+    T_camera_item; the rest as in `Scenes`. seed: of its noise.
+    """
 
     seed: int
     artefact: str | None = None

@@ -13,7 +13,7 @@ from drivers.dlp4500.index import FlashIndex, index_checksum
 from drivers.dlp4500.sequence import SIZE, Slot
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, ProjectedLight, Pulse
 from fpplab.core.conventions import Lattice
-from fpplab.core.errors import TimeoutError
+from fpplab.core.errors import DeviceTimeoutError
 from fpplab.devices import Trigger
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -108,7 +108,7 @@ class WatchingCamera(ReferenceCamera):
         while not bench.caught:
             due = bench.controller.sequencer.next_s
             if due is None:
-                raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
+                raise DeviceTimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
             bench.clock.sleep(due - bench.clock.now())
             bench.controller.advance()
         return bench.caught.popleft()

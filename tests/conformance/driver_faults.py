@@ -219,8 +219,8 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: silence is an answer",
         DLP_LINK,
-        "        if not report:\n            raise TimeoutError(",
-        "        if not report:\n            return bytes(64)\n            raise TimeoutError(",
+        "        if not report:\n            raise DeviceTimeoutError(",
+        "        if not report:\n            return bytes(64)\n            raise DeviceTimeoutError(",
     ),
     Fault("dlp4500: any answer will do", DLP_LINK, "head.sequence == sequence and ", ""),
     Fault("dlp4500: all requests are alike", DLP_LINK, "sequence = self.requests % 256", "sequence = 0"),
@@ -276,7 +276,7 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: dark is tried once",
         DLP_CONTROLLER,
-        "        except (ProtocolError, TimeoutError):\n            order()\n",
+        "        except (ProtocolError, DeviceTimeoutError):\n            order()\n",
         "        except ZeroDivisionError:\n            order()\n",
     ),
     Fault(

@@ -127,7 +127,7 @@ CAMERA = [
     Fault(
         "a time-out is ignored",
         REFERENCE,
-        '            raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")',
+        '            raise DeviceTimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")',
         "            return self._bench.on_show",
     ),
     Fault("12 bits hold 8", REFERENCE, "full = (1 << settings.bits) - 1", "full = 255"),

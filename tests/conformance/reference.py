@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fpplab.core.conventions import Floats, Image, Lattice
-from fpplab.core.errors import TimeoutError
+from fpplab.core.errors import DeviceTimeoutError
 from fpplab.devices import (
     Camera,
     CameraCaps,
@@ -123,7 +123,7 @@ class ReferenceCamera(Camera):
         if self._trigger == "software":
             return self._bench.on_show
         if not self._bench.pulses:
-            raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
+            raise DeviceTimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
         return self._bench.pulses.popleft()
 
     def _stop(self) -> None:
@@ -183,7 +183,7 @@ class ReferenceStage(Stage):
 
     def _move_to(self, mm: float, deadline_s: float) -> None:
         if time.monotonic() >= deadline_s:
-            raise TimeoutError(self.name, "move_to", f"is at {self._position_mm():g} mm still")
+            raise DeviceTimeoutError(self.name, "move_to", f"is at {self._position_mm():g} mm still")
         self._steps = round(mm / STAGE_STEP_MM)
 
     def _position_mm(self) -> float:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpplab.core.errors import CapabilityError, SettingError, StateError, TimeoutError
+from fpplab.core.errors import CapabilityError, DeviceTimeoutError, SettingError, StateError
 from fpplab.devices import Camera, CameraSettings, State
 from fpplab.devices.rig import Rig
 from tests.conformance.bench import BLACK, DISTINCT, WHITE, brightness, dim_plan, patterns_for
@@ -200,7 +200,7 @@ def test_without_a_pulse_the_hardware_trigger_times_out(camera: Camera) -> None:
             camera.arm(1, "hardware")
         return
     camera.arm(1, "hardware")
-    with pytest.raises(TimeoutError):
+    with pytest.raises(DeviceTimeoutError):
         camera.read(0.1)
     assert camera.state is State.FAULT
     camera.close()

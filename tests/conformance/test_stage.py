@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fpplab.core.errors import LimitError, StateError, TimeoutError
+from fpplab.core.errors import DeviceTimeoutError, LimitError, StateError
 from fpplab.devices import Stage, State
 
 TOLERANCE_MM = 0.05
@@ -78,5 +78,5 @@ def test_a_move_that_takes_too_long_is_a_fault(stage: Stage) -> None:
     wanted = somewhere(stage, 0.5)
     try:
         assert stage.move_to(wanted, timeout_s=0.0) == pytest.approx(wanted, abs=TOLERANCE_MM)
-    except TimeoutError:
+    except DeviceTimeoutError:
         assert stage.state is State.FAULT

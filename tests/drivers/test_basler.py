@@ -19,10 +19,10 @@ from fpplab.core.conventions import raw_dtype
 from fpplab.core.errors import (
     ConfigError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     SettingError,
     StateError,
-    TimeoutError,
 )
 from fpplab.devices import CameraSettings, Frame, State
 from tests.drivers.basler_bench import (
@@ -199,7 +199,7 @@ def test_pulses_reach_only_a_camera_that_waits_for_them(camera: BaslerCamera, be
     bench.pulse()
     camera.arm(1)
     bench.pulse()
-    with pytest.raises(TimeoutError, match=r"no frame came within 0.05 s"):
+    with pytest.raises(DeviceTimeoutError, match=r"no frame came within 0.05 s"):
         camera._retrieve(0.0, SOON_S)
     camera.stop()
 

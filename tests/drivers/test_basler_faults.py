@@ -14,9 +14,9 @@ from drivers.basler import BaslerCamera
 from drivers.emulators.pylon import EmulatedPylon
 from fpplab.core.errors import (
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     FrameLossError,
-    TimeoutError,
 )
 from fpplab.devices import State
 from tests.drivers.basler_bench import (
@@ -37,7 +37,7 @@ def test_a_frame_that_comes_too_late_is_taken_by_nobody(
 ) -> None:
     end(camera).expose_for(0.3)
     camera.arm(2)
-    with pytest.raises(TimeoutError, match=r"no frame came within 0.05 s; allow it more time"):
+    with pytest.raises(DeviceTimeoutError, match=r"no frame came within 0.05 s; allow it more time"):
         camera.read(SOON_S)
     assert_disarmed(camera)
     late = scene.exposures
@@ -47,7 +47,7 @@ def test_a_frame_that_comes_too_late_is_taken_by_nobody(
 
 def test_without_a_pulse_the_cable_is_suspected(camera: BaslerCamera) -> None:
     camera.arm(1, "hardware")
-    with pytest.raises(TimeoutError, match="see to the trigger cable"):
+    with pytest.raises(DeviceTimeoutError, match="see to the trigger cable"):
         camera.read(SOON_S)
     assert_disarmed(camera)
 
@@ -56,7 +56,7 @@ def test_a_camera_that_does_not_become_ready(camera: BaslerCamera) -> None:
     camera.arm(2)
     end(camera).expose_for(1.0)
     end(camera).instant.TriggerSoftware.Execute()
-    with pytest.raises(TimeoutError, match="does not become ready for a trigger"):
+    with pytest.raises(DeviceTimeoutError, match="does not become ready for a trigger"):
         camera.read(SOON_S)
     assert_disarmed(camera)
 
@@ -89,7 +89,7 @@ def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPyl
     bench.pulse(2)
     camera.read(1.0)
     end(camera).lose = 1
-    with pytest.raises(TimeoutError):
+    with pytest.raises(DeviceTimeoutError):
         camera.read(SOON_S)
     assert_disarmed(camera)
 

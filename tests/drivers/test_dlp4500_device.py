@@ -18,11 +18,11 @@ from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     ProtocolError,
     SettingError,
     SyncError,
-    TimeoutError,
 )
 from fpplab.devices import State
 from fpplab.patterns.fringes import Pattern
@@ -80,7 +80,7 @@ def test_it_wakes_a_sleeping_projector(tmp_path: Path) -> None:
 def test_one_that_does_not_wake_is_a_time_out(tmp_path: Path) -> None:
     bench = Bench(greys(1), tmp_path, Dlpc350Policy(wake_s=100.0))
     bench.controller.asleep = True
-    with pytest.raises(TimeoutError, match="wake: still sleeps after 5 s"):
+    with pytest.raises(DeviceTimeoutError, match="wake: still sleeps after 5 s"):
         bench.projector().open()
 
 
@@ -416,7 +416,7 @@ def test_a_validation_without_end(tmp_path: Path) -> None:
     bench = Bench(greys(1), tmp_path, Dlpc350Policy(validation_polls=10**6))
     with bench.projector() as projector:
         projector.load(bench.patterns)
-        with pytest.raises(TimeoutError, match="validation: does not end after 2 s"):
+        with pytest.raises(DeviceTimeoutError, match="validation: does not end after 2 s"):
             projector.show(0)
 
 
@@ -430,7 +430,7 @@ def test_a_valid_sequence_that_does_not_run_is_an_error(bench: Bench, projector:
 
 def test_a_board_without_numbers_in_its_answers(tmp_path: Path) -> None:
     bench = Bench(greys(2), tmp_path, Dlpc350Policy(echoes_sequence=False))
-    with pytest.raises((TimeoutError, ProtocolError)):
+    with pytest.raises((DeviceTimeoutError, ProtocolError)):
         bench.projector().open()
     with bench.projector(checks_echo=False) as projector:
         projector.load(bench.patterns)
@@ -481,7 +481,7 @@ def test_reset_and_reconnection(bench: Bench, projector: Dlp4500) -> None:
 
 def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     board = projector._board
-    with pytest.raises(TimeoutError, match="no signal is locked on the video port"):
+    with pytest.raises(DeviceTimeoutError, match="no signal is locked on the video port"):
         board.select_video()
     green, red, blue = np.moveaxis(bench.controller.images[0], 2, 0)
     bench.controller.video = Video(np.stack([red, green, blue], 2))

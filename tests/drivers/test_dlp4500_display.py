@@ -20,7 +20,7 @@ from drivers.dlp4500 import display as display_module
 from drivers.dlp4500 import screen
 from drivers.dlp4500.display import SdlDisplay, VideoFrame
 from drivers.dlp4500.sequence import SIZE
-from fpplab.core.errors import DeviceError, DisconnectedError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
 
 DUMMY = (1024, 768)
 """The one size of SDL's dummy display."""
@@ -172,7 +172,7 @@ def test_one_that_hangs_is_ended(opened: SdlDisplay, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(display_module, "STOP_S", 0.1)
     assert opened.pid is not None
     os.kill(opened.pid, signal.SIGSTOP)
-    with pytest.raises(TimeoutError, match=r"its display did not answer within 0\.1 s"):
+    with pytest.raises(DeviceTimeoutError, match=r"its display did not answer within 0\.1 s"):
         opened.show(noise(DUMMY))
     assert opened.pid is None
 

@@ -11,7 +11,7 @@ import pytest
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, UsbFault
-from fpplab.core.errors import DisconnectedError, ProtocolError, TimeoutError
+from fpplab.core.errors import DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import State
 from tests.drivers.projector_bench import Bench, greys
 
@@ -20,8 +20,8 @@ LONGEST_S = 30.0
 """No sequence of time-outs may take longer, the operator waits for it."""
 
 ERRORS = {
-    UsbFault.DROP: TimeoutError,
-    UsbFault.LATE: TimeoutError,
+    UsbFault.DROP: DeviceTimeoutError,
+    UsbFault.LATE: DeviceTimeoutError,
     UsbFault.NACK: ProtocolError,
     UsbFault.SHORT: ProtocolError,
     UsbFault.UNPLUG_BEFORE: DisconnectedError,

@@ -216,7 +216,7 @@ def ask(link: Link, wire: LyingWire, command: Command, chance: random.Random) ->
 
 def test_the_driver_believes_no_wrong_answer() -> None:
     fates = batter_driver(10_000, 2)
-    for kind in ("read", "written", "TimeoutError", "ProtocolError", "DisconnectedError"):
+    for kind in ("read", "written", "DeviceTimeoutError", "ProtocolError", "DisconnectedError"):
         assert fates[kind] > 20, kind
 
 

@@ -13,10 +13,10 @@ from drivers.dlp4500.framing import READ, UsbMessage
 from drivers.dlp4500.transport import MOST_STALE, Link, connect
 from fpplab.core.errors import (
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     ProtocolError,
     SettingError,
-    TimeoutError,
 )
 
 Far = Callable[[UsbMessage], list[UsbMessage]]
@@ -111,7 +111,7 @@ def test_every_request_has_another_number_and_they_come_round() -> None:
 def test_silence_is_no_success() -> None:
     for far in (lambda r: [], lambda r: [UsbMessage(r.flags, (r.sequence + 1) % 256)]):
         link, wire = link_to(far)
-        with pytest.raises(TimeoutError, match="projector: sequence: no complete answer within 2 s"):
+        with pytest.raises(DeviceTimeoutError, match="projector: sequence: no complete answer within 2 s"):
             link.write(protocol.SEQUENCE, run=2)
         assert wire.clock.now() == pytest.approx(2.0)
 
@@ -120,7 +120,7 @@ def test_a_missing_continuation_is_silence() -> None:
     link, wire = link_to(lambda r: [echo(r, bytes(100))])
     really_read = wire.read
     wire.read = lambda n, t=0: really_read(n, t) if len(wire.waiting) != 1 else wire.waiting.clear() or []
-    with pytest.raises(TimeoutError):
+    with pytest.raises(DeviceTimeoutError):
         link.read_bytes(protocol.MAILBOX_DATA)
 
 

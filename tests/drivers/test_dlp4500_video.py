@@ -23,10 +23,10 @@ from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     ProtocolError,
     SettingError,
-    TimeoutError,
 )
 from fpplab.devices import State
 from fpplab.patterns.fringes import Pattern
@@ -141,7 +141,7 @@ def test_a_display_of_the_computer_is_opened_through_sdl(
 def test_without_a_locked_signal_it_does_not_open(bench: VideoBench) -> None:
     assert bench.controller.video is not None
     bench.controller.video.locked = False
-    with pytest.raises(TimeoutError, match="no signal is locked on the video port"):
+    with pytest.raises(DeviceTimeoutError, match="no signal is locked on the video port"):
         bench.projector().open()
 
 

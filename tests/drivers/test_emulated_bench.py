@@ -13,7 +13,7 @@ import pytest
 from drivers.emulators.bench import EmulatedFixture, Faults
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.conventions import Image
-from fpplab.core.errors import ConfigError, DisconnectedError, SettingError, TimeoutError
+from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
 from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
@@ -169,7 +169,7 @@ def test_after_a_missed_pulse_the_last_frame_never_comes(folder: Path) -> None:
     with rig_file(folder, {"faults": {"missed": [3]}}) as rig:
         assert len(played(rig, 7)) == 7
         rig.projector.blank()
-        with pytest.raises(TimeoutError, match="see to the trigger cable"):
+        with pytest.raises(DeviceTimeoutError, match="see to the trigger cable"):
             played(rig, 8)
 
 
@@ -286,12 +286,12 @@ def test_the_fixture_is_that_of_the_optics(folder: Path) -> None:
 
 
 def test_a_reply_that_is_late_or_lost(folder: Path) -> None:
-    with rig_file(folder, {"faults": {"late": [60]}}) as rig, pytest.raises(TimeoutError):
+    with rig_file(folder, {"faults": {"late": [60]}}) as rig, pytest.raises(DeviceTimeoutError):
         list(taken(rig))
     with rig_file(folder) as rig:
         bench = bench_of(rig)
         bench.hid.faults[bench.hid.requests + 20] = UsbFault.DROP
-        with pytest.raises(TimeoutError):
+        with pytest.raises(DeviceTimeoutError):
             list(taken(rig))
         assert bench.controller.light() is None
 

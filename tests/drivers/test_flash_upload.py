@@ -26,10 +26,10 @@ from fpplab.core.errors import (
     Cancelled,
     DataError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     SettingError,
     StateError,
-    TimeoutError,
 )
 from fpplab.patterns.fringes import uniform_patterns
 from tests.drivers.flash_board import DATA, ENTER, ERASE, LEAVE, SECTOR, Bench, firmware
@@ -326,7 +326,7 @@ def test_flash_that_does_not_take_a_bit_is_found():
 
 def test_a_flash_that_stays_busy_times_out():
     bench = Bench(MAKER, Dlpc350Policy(sector_erase_s=100.0))
-    with pytest.raises(TimeoutError, match="still busy after 30 s"):
+    with pytest.raises(DeviceTimeoutError, match="still busy after 30 s"):
         bench.upload(BUILT)
 
 

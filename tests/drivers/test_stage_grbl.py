@@ -16,10 +16,10 @@ from drivers.stage_grbl.wire import GrblWire
 from fpplab.core.errors import (
     ConfigError,
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     LimitError,
     ProtocolError,
-    TimeoutError,
 )
 from fpplab.devices import State
 from tests.drivers.grbl_stage import PULL_OFF_MM, STEP_MM, Bench
@@ -132,7 +132,7 @@ def test_a_halt_brakes_before_it_resets() -> None:
 def test_a_move_that_takes_too_long_is_braked_and_reported() -> None:
     with Bench(BRISK, times=4.0) as bench:
         stage = bench.homed()
-        with pytest.raises(TimeoutError, match=r"still at .* mm on its way to 100 mm"):
+        with pytest.raises(DeviceTimeoutError, match=r"still at .* mm on its way to 100 mm"):
             stage.move_to(100.0, timeout_s=0.2)
         assert stage.state is State.FAULT
         stage.close()
@@ -322,7 +322,7 @@ def test_silence_is_a_time_out(
         bench.homed()
         monkeypatch.setattr(stage, "_mechanics", replace(stage._open_mechanics, homing_s=0.1))
     bench.controller.spoil = lambda line: ""
-    with pytest.raises(TimeoutError):
+    with pytest.raises(DeviceTimeoutError):
         _use(stage, use)
     assert stage.state is (State.CLOSED if use == "open" else State.FAULT)
     bench.controller.spoil = lambda line: line
@@ -344,7 +344,7 @@ def test_noise_is_never_ignored(old: str, new: str, bench: Bench) -> None:
 def test_lines_without_end_are_no_answer(bench: Bench, impatient: None) -> None:
     stage = bench.homed()
     bench.spoil("\n", "")
-    with pytest.raises(TimeoutError, match="no report"):
+    with pytest.raises(DeviceTimeoutError, match="no report"):
         stage.move_to(20.0)
     bench.spoil("", "")
 

@@ -492,7 +492,7 @@ def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
         lab.measure([lab.space.start])
 
 
-@pytest.mark.parametrize("kind", [errors.DeviceError, errors.LimitError, errors.TimeoutError])
+@pytest.mark.parametrize("kind", [errors.DeviceError, errors.LimitError, errors.DeviceTimeoutError])
 def test_faults_come_whole_from_another_process(kind: type[errors.DeviceError]) -> None:
     fault = kind("stage", "move_to", "70 mm was asked for", "the travel is 0 to 60 mm")
     copy = pickle.loads(pickle.dumps(fault))

@@ -14,7 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fpplab.core.errors import DeviceError, DisconnectedError, StateError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, StateError
 from fpplab.devices import CameraSettings, State
 from fpplab.patterns.fringes import uniform_patterns
 from sim.build import Setup, build_scene
@@ -107,7 +107,7 @@ def test_too_slow_a_render_is_ended() -> None:
     scene, _ = build_scene(of, Setup("pillars"))
     blender.start()
     pid = blender.pid
-    with pytest.raises(TimeoutError, match="did not answer within"):
+    with pytest.raises(DeviceTimeoutError, match="did not answer within"):
         blender.render(scene, None, MIDDLE, Effort(4096, 8), 0.3)
     assert pid is not None
     assert gone(pid)

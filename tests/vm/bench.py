@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from fpplab.core.errors import TimeoutError
+from fpplab.core.errors import DeviceTimeoutError
 from fpplab.devices import Trigger
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import ReferenceBench, ReferenceCamera
@@ -47,4 +47,4 @@ class ToldCamera(ReferenceCamera):
             if caught := projector.caught():
                 return caught[0]
             time.sleep(POLL_S)
-        raise TimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")
+        raise DeviceTimeoutError(self.name, "read", "no trigger came", "see to the trigger cable")

@@ -15,7 +15,7 @@ from drivers.dlp4500.framing import READ, REPLY_WANTED, request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import TIMEOUT_S, Wire, connect
 from drivers.emulators.dlpc350 import UsbFault
-from fpplab.core.errors import DeviceError, DisconnectedError, ProtocolError, TimeoutError
+from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import State
 from fpplab.patterns.fringes import Pattern
 from tests.vm.conftest import is_gone, is_on_usb, wait_until
@@ -150,8 +150,8 @@ def test_a_reset_takes_it_off_the_bus_and_back(
 @pytest.mark.parametrize(
     ("fault", "error"),
     [
-        (UsbFault.DROP, TimeoutError),
-        (UsbFault.LATE, TimeoutError),
+        (UsbFault.DROP, DeviceTimeoutError),
+        (UsbFault.LATE, DeviceTimeoutError),
         (UsbFault.NACK, ProtocolError),
         (UsbFault.SHORT, ProtocolError),
     ],

@@ -17,11 +17,11 @@ from drivers.dlp4500.protocol import VERSION, Command, Raw, RegisterField, Regis
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
+    DeviceTimeoutError,
     DisconnectedError,
     ProtocolError,
     SettingError,
     StateError,
-    TimeoutError,
 )
 
 _NUMBER = RegisterLayout((RegisterField("value", 32),))
@@ -145,7 +145,7 @@ class Loader:
         deadline = self._clock.now() + BUSY_LIMIT_S
         while self.link.read_bytes(TELL, what=_CHECKSUM)[0] & _BUSY:
             if self._clock.now() > deadline:
-                raise TimeoutError(
+                raise DeviceTimeoutError(
                     self.name,
                     operation,
                     f"the flash is still busy after {BUSY_LIMIT_S:g} s",
@@ -191,7 +191,7 @@ def _runs_program(link: Link) -> bool:
     """Whether the projector tells its version, which the loader does not know."""
     try:
         link.read(VERSION)
-    except (ProtocolError, TimeoutError):
+    except (ProtocolError, DeviceTimeoutError):
         return False
     return True
 

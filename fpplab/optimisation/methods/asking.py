@@ -21,7 +21,7 @@ TRIES = 50
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """optuna keeps its remarks to itself."""
+    """Optuna keeps its remarks to itself."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
