@@ -30,12 +30,13 @@ from drivers.basler.frames import POOL_BYTES
 from drivers.emulators.pylon import EmulatedPylon, PylonPolicy
 from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.frame_writer import recording
 from fpplab.sessions.session import Session
 
 SIZE = (5472, 3648)
-PLAN = Plan(fringes=tuple(FringeSet(axis="x", stripes=stripes, steps=12) for stripes in (1, 8, 64)))
+PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=stripes, steps=12) for stripes in (1, 8, 64)))
 FRAMES = PLAN.images
 SETTINGS = CameraSettings(PLAN.exposure_s)
 ALLOWED_PERCENT = 5.0

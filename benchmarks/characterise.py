@@ -41,6 +41,7 @@ from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import characterise_sessions, measure_response, take
 from fpplab.sessions.session import Session
@@ -187,7 +188,7 @@ class BoardWindow:
         """The board as found in one repeat, in pixels of the whole picture."""
         sensor, plan = replace(self.sensor, seed=repeat), self.plan
         frames = [sensor.expose(light, self.settings, self.first + i) for i, light in enumerate(self.light)]
-        decoded = decode(frames, plan, self.projector_size, self.settings.bits)
+        decoded = decode(Recording(frames, plan, self.projector_size, self.settings.bits))
         finest = plan.sets_along("x")[-1]
         even = np.mean([f for f, (k, _, _) in zip(frames, plan.steps(), strict=True) if k == finest], axis=0)
         seen = observe(self.name, even, decoded, self.target, finest_periods(plan, self.projector_size))

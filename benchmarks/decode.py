@@ -30,15 +30,16 @@ from benchmarks.peak import peak_of
 from fpplab.core.conventions import TWO_PI, Lattice, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
-from fpplab.patterns.fringes import fringe_level
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.phase.kernels import read_all
 
 CAMERA = (5472, 3648)
 PROJECTOR = (912, 1140)
 STRIPES, STEPS = (1, 8, 64), 12
-PLAN = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=STEPS) for s in STRIPES))
+PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=STEPS) for s in STRIPES))
 REPEATS, BASELINE_REPEATS = 9, 3
 
 FrameStack = list[NDArray[np.uint8]]
@@ -63,7 +64,7 @@ def write_frames(folder: Path, size: tuple[int, int]) -> list[Path]:
     noise = generator.normal(0.5, 1.5, size=(height, 2 * width)).astype(np.float32)
     paths = []
     for index, step, name in PLAN.steps():
-        row = fringe_level(PLAN.fringes[index], step, (PROJECTOR[0], 1), Lattice.SQUARE)[0, columns]
+        row = PLAN.fringes[index].level(step, (PROJECTOR[0], 1), Lattice.SQUARE)[0, columns]
         start = generator.integers(width)
         image = (20 + 200 * shading * row + noise[:, start : start + width]).astype(np.uint8)
         paths.append(folder / f"{name}.tif")
@@ -72,7 +73,7 @@ def write_frames(folder: Path, size: tuple[int, int]) -> list[Path]:
 
 
 def _product(frames: Sequence[NDArray[np.uint8]]) -> None:
-    decode(frames, PLAN, PROJECTOR)
+    decode(Recording(frames, PLAN, PROJECTOR))
 
 
 def plain_numpy(frames: FrameStack) -> tuple[Map, Map, Mask]:
@@ -161,7 +162,7 @@ def _peak_growth(paths: list[Path]) -> int:
     before = process.memory_info().rss
     with peak_of(lambda: process.memory_info().rss, 0.001) as peak:
         frames = [np.asarray(tifffile.memmap(p, mode="r")) for p in paths]
-        decoded = decode(frames, PLAN, PROJECTOR)
+        decoded = decode(Recording(frames, PLAN, PROJECTOR))
     assert decoded.valid.any()
     return peak[0] - before
 

@@ -23,8 +23,9 @@ from fpplab.artefacts import StepsSizes
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.devices import CameraSettings
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.devices import SimCamera, SimProjector, VirtualBench
 from sim.light import PatternLevels, Show
 from sim.world import World
@@ -72,7 +73,7 @@ class _Rig:
             part.close()
 
     def patterns(self, stripes: tuple[int, ...]) -> tuple[Pattern, ...]:
-        plan = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=STEPS) for s in stripes))
+        plan = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=STEPS) for s in stripes))
         caps = self.projector.caps
         return make_patterns(plan, caps.size, caps.lattice)
 

@@ -7,4 +7,6 @@ coordinates, `characterisation` and `reconstruction` those into points, and
 `comparison` points into an error against the true shape.
 """
 
-__version__ = "0.1.0"
+from fpplab.core.version import __version__
+
+__all__ = ["__version__"]

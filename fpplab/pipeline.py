@@ -26,13 +26,14 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.clouds import Cloud, save_cloud
-from fpplab.core.conventions import Floats, Image, raw_per_grey
+from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError, DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
+from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, decode
@@ -79,33 +80,40 @@ def take(
 
 
 def decode_session(session: Session, progress: Progress = no_progress) -> Decoded:
-    """Projector coordinates of every camera pixel.
+    """Find the projector coordinates of every camera pixel of a session.
 
-    Raises `DataError`, also when the frames are out of step with the plan, and `ConfigError`.
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    Decoded
+        Maps (height, width) of float32.
+
+    Raises
+    ------
+    DataError
+        Frames are missing or damaged, or out of step with the plan.
+    ConfigError
+        The plan cannot be unwrapped.
     """
-    frames = _frames(session, lambda share: progress(0.5 * share))
-    if fault := _out_of_step(session, frames):
-        raise DataError(f"{session.path}: {fault}; take it again, with --force")
-    decoded = _decode(session, frames)
-    progress(1.0)
-    return decoded
+    return _decode_in_step(session.recording(progress=lambda share: progress(0.5 * share)), progress)
 
 
-def _frames(session: Session, progress: Progress = no_progress) -> Sequence[Image]:
-    """All frames, of a plan that the session's projector can show."""
-    session.plan.check_projector(session.projector()[0], session.path)
-    return session.stack(progress=progress)
+def _decode_in_step(recording: Recording, progress: Progress) -> Decoded:
+    if fault := _out_of_step(recording):
+        raise DataError(f"{recording.name}: {fault}; take it again, with --force")
+    return decode(recording, lambda share: progress(0.5 + 0.5 * share))
 
 
-def _out_of_step(session: Session, frames: Sequence[Image]) -> str | None:
+def _out_of_step(recording: Recording) -> str | None:
     """How the frames are out of step with the plan, and what to see to."""
-    verdict = check_synchronisation(frames, session.plan, session.format[2])
-    return None if verdict.in_step else f"{verdict.words()}; {remedy(session.plan)}"
-
-
-def _decode(session: Session, frames: Sequence[Image]) -> Decoded:
-    size, _ = session.projector()
-    return decode(frames, session.plan, size, session.format[2], str(session.path))
+    verdict = check_synchronisation(recording.frames, recording.plan, recording.bits)
+    return None if verdict.in_step else f"{verdict.words()}; {remedy(recording.plan)}"
 
 
 def reconstruct(
@@ -122,11 +130,12 @@ def reconstruct(
     """
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
-    decoded = decode_session(session, lambda share: progress(0.6 * share))
-    plan = session.plan
+    recording = session.recording(progress=lambda share: progress(0.3 * share))
+    decoded = _decode_in_step(recording, lambda share: progress(0.6 * share))
+    plan = recording.plan
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
-    decoded, cloud = points_of(decoded, calibration, plan, mean_image(session))
+    decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
 
@@ -151,22 +160,6 @@ def finish_scan(
     save_cloud(cloud, session.path / CLOUD)
     calibration.save(session.path / CALIBRATION)
     return decoded, cloud
-
-
-def mean_image(session: Session) -> NDArray[np.uint8]:
-    """The scene under even light, uint8 [v, u]: the mean of the finest set's frames, which is its offset."""
-    _, frames = session.finest()
-    return mean_of(frames, session.format[2])
-
-
-def mean_of(frames: Sequence[Image], bits: int) -> NDArray[np.uint8]:
-    """Mean of frames [v, u] of `bits` depth in 8-bit grey levels."""
-    total = np.zeros(frames[0].shape, np.float32)
-    for frame in frames:
-        total += frame
-    levels = np.rint(total / (len(frames) * raw_per_grey(bits)))
-    mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
-    return mean
 
 
 def take_poses(
@@ -229,11 +222,10 @@ def characterise_sessions(
 
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
-    name = session.path.name
-    frames = _frames(session)
-    if fault := _out_of_step(session, frames):
+    name, recording = session.path.name, session.recording()
+    if fault := _out_of_step(recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
-    return observe(name, mean_image(session), _decode(session, frames), target, periods)
+    return observe(name, recording.mean_image(), decode(recording), target, periods)
 
 
 def measure_response(

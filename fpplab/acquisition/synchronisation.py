@@ -23,7 +23,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Map, Mask, full_scale, phase_steps, raw_per_grey
+from fpplab.core.conventions import Floats, Map, Mask, full_scale, raw_per_grey
 from fpplab.patterns.plan import Plan
 
 ROWS, PIXELS = 24, 1_500
@@ -169,7 +169,7 @@ def provable(plan: Plan) -> bool:
 
     Not where sinusoids and their second harmonics pass through any frames: a single set of up to five steps.
     """
-    return plan.images > 1 + sum(min(2 * BENT, fringe.steps - 1) for fringe in plan.fringes)
+    return plan.images > 1 + sum(min(2 * BENT, fringe.images - 1) for fringe in plan.fringes)
 
 
 def _moments(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int) -> Moments | None:
@@ -212,10 +212,9 @@ def _waves(plan: Plan, harmonics: int) -> Floats:
     columns = 2 * harmonics
     waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
     waves[:, 0] = 1.0
-    for k, (index, step, _) in enumerate(plan.steps()):
-        shift = phase_steps(plan.fringes[index].steps)[step] * np.arange(1, harmonics + 1)
-        start = 1 + columns * index
-        waves[k, start : start + columns] = np.column_stack([np.cos(shift), np.sin(shift)]).ravel()
+    for index, (fringe, start) in enumerate(zip(plan.fringes, plan.set_starts, strict=False)):
+        column = 1 + columns * index
+        waves[start : start + fringe.images, column : column + columns] = fringe.waves(harmonics)
     return waves
 
 

@@ -19,11 +19,11 @@ from fpplab.core.conventions import (
     axis_length,
     full_scale,
     phase_of_coordinate,
-    phase_steps,
     raw_dtype,
 )
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline import points_of
 
@@ -52,7 +52,7 @@ def _frame(plan: Plan, index: int, step: int, seen: Floats, size: tuple[int, int
     fringe = plan.fringes[index]
     coordinate = seen[..., 0 if fringe.axis == "x" else 1]
     phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(size, fringe.axis))
-    level = 0.5 + 0.4 * np.cos(phase - phase_steps(fringe.steps)[step])
+    level = 0.1 + 0.8 * fringe.wave(phase, step)
     image: Image = np.rint(level * full_scale(bits)).astype(raw_dtype(bits))
     return image
 
@@ -62,7 +62,7 @@ def warm_up() -> int:
     rig = small_rig()
     plan = Plan.load("plan_paper.yaml")
     for bits in (16, 8):
-        decoded: Decoded = decode(frames_of_plane(plan, rig, bits), plan, rig.projector.size, bits)
+        decoded: Decoded = decode(Recording(frames_of_plane(plan, rig, bits), plan, rig.projector.size, bits))
     _, cloud = points_of(decoded, rig, plan)
     plate = trimesh.creation.box((300.0, 200.0, 10.0))
     plate.apply_translation((0.0, 0.0, DISTANCE_MM + 5.0))

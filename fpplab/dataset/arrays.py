@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from fpplab.core.conventions import Image, axis_length, phase_of_coordinate
 from fpplab.dataset.fields import FRAMES, Arrays
 from fpplab.dataset.labels import Labels
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode, wrapped_phase
 from fpplab.simulation.arrangeable import SceneTruth
 
@@ -20,10 +19,10 @@ def arrays_of(
     """Every field of a sample from its frames and what is true of it."""
     devices = truth.calibration
     size = devices.projector.size
-    decoded = decode(frames, plan, size, bits)
+    recording = Recording(frames, plan, size, bits)
+    decoded = decode(recording)
     wrapped = [
-        wrapped_phase(frames[start:end], fringe).phase
-        for fringe, (start, end) in zip(plan.fringes, pairwise(plan.set_starts), strict=True)
+        wrapped_phase(recording.of_set(index), fringe).phase for index, fringe in enumerate(plan.fringes)
     ]
     coordinates = {"x": labels.u, "y": labels.v}
     absolute = [

@@ -233,5 +233,5 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     except AttributeError:
         raise ConfigError(f"{source}: '{device}.backend' is '{name}': {module} has no {attribute}") from None
     if not isinstance(backend, type):
-        raise ConfigError(f"{source}: '{device}.backend' is '{name}': is no class")
+        raise ConfigError(f"{source}: '{device}.backend' is '{name}': not a {device}")
     return backend

@@ -14,8 +14,8 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from fpplab.matching.reference import Reference
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import mean_of
 from fpplab.simulation.matchable import Twin
 
 
@@ -110,11 +110,10 @@ class _Compared:
 def _observed(bench: Reference, pose: int, frames: Sequence[Image]) -> Observation:
     """The board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
     plan, (size, _) = bench.plan, bench.projector
-    chosen = [frames[image] for image in plan.finest_images]
     name = bench.sessions[pose].path.name
-    bits = bench.settings.bits
-    decoded = decode(list(frames), plan, size, bits, f"the twin's {name}")
-    return observe(name, mean_of(chosen, bits), decoded, bench.target, finest_periods(plan, size))
+    recording = Recording(frames, plan, size, bench.settings.bits, f"the twin's {name}")
+    decoded = decode(recording)
+    return observe(name, recording.mean_image(), decoded, bench.target, finest_periods(plan, size))
 
 
 def _characterised(

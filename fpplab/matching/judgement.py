@@ -17,8 +17,9 @@ from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import mean_of, points_of, reconstruct
+from fpplab.pipeline import points_of, reconstruct
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 
@@ -103,6 +104,6 @@ def _scanned(twin: Twin, item: str, session: Session, stands: Any, calibration: 
     plan, (size, lattice) = session.plan, session.projector()
     settings = session.records[0].settings
     frames = twin.scan(item, stands, make_patterns(plan, size, lattice), settings)
-    decoded = decode(frames, plan, size, settings.bits, f"the twin's {item}")
-    chosen = [frames[image] for image in plan.finest_images]
-    return points_of(decoded, calibration, plan, mean_of(chosen, settings.bits))[1]
+    recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
+    decoded = decode(recording)
+    return points_of(decoded, calibration, plan, recording.mean_image())[1]

@@ -87,7 +87,7 @@ class Reference:
         return tuple(
             index
             for index, (fringes, step, _) in enumerate(self.plan.steps())
-            if fringes in wanted and step in (0, max(1, round(self.plan.fringes[fringes].steps / 4)))
+            if fringes in wanted and step in (0, max(1, round(self.plan.fringes[fringes].images / 4)))
         )
 
     @cached_property
@@ -96,7 +96,7 @@ class Reference:
         wanted = {self.plan.sets_along(axis)[-1] for axis in self.plan.axes}
         found = []
         for index, (fringes, step, _) in enumerate(self.plan.steps()):
-            every = max(1, self.plan.fringes[fringes].steps // SPREAD)
+            every = max(1, self.plan.fringes[fringes].images // SPREAD)
             if fringes in wanted and step % every == 0 and step // every < SPREAD:
                 found.append(index)
         return tuple(found)

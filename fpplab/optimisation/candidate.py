@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import Protocol
 
 from fpplab.core.conventions import Axis
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Candidate:
 
     def plan(self, like: Plan) -> Plan:
         """The plan that projects it, in all else like `like`."""
-        sets = tuple(FringeSet(**asdict(one)) for one in self.fringes)
+        sets = tuple(Sinusoid(**asdict(one)) for one in self.fringes)
         changed = {"fringes": sets, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
         return like.model_copy(update=changed)
 

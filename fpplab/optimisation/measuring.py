@@ -26,6 +26,7 @@ from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
 from fpplab.optimisation.sets import FringeSets, MeasuringSetup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline import points_of
 
@@ -35,7 +36,7 @@ TRUTHS = 6
 
 def candidate_of(plan: Plan) -> Candidate:
     """The arrangement that a plan is."""
-    sets = tuple(Fringes(one.axis, one.stripes, one.steps) for one in plan.fringes)
+    sets = tuple(Fringes(one.axis, one.stripes, one.images) for one in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
 
 
@@ -132,7 +133,7 @@ class RigEvaluator:
         frames = self._sets.frames(view, candidate.fringes, seed)
         plan, rig = candidate.plan(self._study.start), self._rig
         size, bits = rig.projector.caps.size, rig.file.camera.bits
-        return decode(frames, plan, size, bits, f"measurement of the {name}")
+        return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"))
 
     def _truth(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._study.space

@@ -21,7 +21,8 @@ from fpplab.acquisition.acquire import capture
 from fpplab.core.conventions import Axis, Image
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Fringes
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.simulation.seeded import Seeded
 
 KEEP_BYTES = 3 << 28
@@ -85,7 +86,7 @@ class FringeSets:
         return None if holding is None else kept[holding][:: holding // steps]
 
     def _acquire(self, view: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
-        sets = tuple(FringeSet(**asdict(one)) for one in fringes)
+        sets = tuple(Sinusoid(**asdict(one)) for one in fringes)
         if self._seeded is not None:
             self._seeded.draw(
                 number for key, one in zip(keys, fringes, strict=True) for number in draws(key, one.steps)

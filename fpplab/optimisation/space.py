@@ -15,6 +15,7 @@ from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.goal import Group
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.study import Study
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]
@@ -138,11 +139,11 @@ def _template(study: Study, source: str) -> Candidate:
     """The start with as many sets as there may be. Raises `ConfigError` when it cannot start a search."""
     plan, space = study.start, study.space
     check_unwrapping(plan, source)
-    if any((f.shift_sign, f.phase_origin_rad, f.projector_size) != (1, 0.0, None) for f in plan.fringes):
+    if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
         raise ConfigError(f"{source}: 'start' has fringes made elsewhere, which no rig projects")
     if (space.sets or space.axis) and len(plan.axes) > 1:
         raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
-    fringes = [Fringes(f.axis, f.stripes, f.steps) for f in plan.fringes]
+    fringes = [Fringes(f.axis, f.stripes, f.images) for f in plan.fringes]
     count = space.sets[1] if space.sets else len(fringes)
     for name in ("steps", "stripes"):
         given = len(getattr(space, name))

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from fpplab import __version__
+from fpplab.core.version import __version__
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines

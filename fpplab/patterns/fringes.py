@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import (
     Lattice,
-    axis_length,
     full_scale,
-    mirror_centres,
-    phase_of_coordinate,
-    phase_steps,
 )
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,20 +26,6 @@ class Pattern:
     id: str
     image: NDArray[np.uint8]
     bit_depth: int = 8
-
-
-def fringe_level(
-    fringe: FringeSet, step: int, size: tuple[int, int], lattice: Lattice
-) -> NDArray[np.float64]:
-    """The un-quantised fringe image in [0, 1], (height, width); equation in `conventions`.
-
-    Offset and amplitude are one half, so that the pattern neither clips nor wastes range.
-    """
-    u, v = mirror_centres(size, lattice)
-    coordinate, length = (u if fringe.axis == "x" else v), axis_length(size, fringe.axis)
-    phase = phase_of_coordinate(coordinate, fringe.stripes, length) + fringe.phase_origin_rad
-    shifted = phase - fringe.shift_sign * phase_steps(fringe.steps)[step]
-    return np.asarray(0.5 + 0.5 * np.cos(shifted))
 
 
 def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
@@ -63,7 +45,7 @@ def pattern_image(
     fringe, (width, height) = plan.fringes[index], size
     # Along x two rows hold all there is, on either lattice; along y one column does.
     repeated = (width, min(height, 2)) if fringe.axis == "x" else (1, height)
-    level = fringe_level(fringe, step, repeated, lattice)
+    level = fringe.level(step, repeated, lattice)
     greys = quantise(level if plan.response is None else plan.response.correct(level), bit_depth)
     if fringe.axis == "x":
         return np.resize(greys, (height, width))

@@ -108,21 +108,21 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
         return rad / TWO_PI * axis_length(size, axis) / stripes
 
     finest = [plan.fringes[plan.sets_along(axis)[-1]] for axis in plan.axes]
-    fringe = max(finest, key=lambda f: px(f.axis, f.stripes, error(response.g, f.steps)))
-    rad = error(response.g, fringe.steps)
-    worst = max(error(g, fringe.steps) for g in ends)
+    fringe = max(finest, key=lambda f: px(f.axis, f.stripes, error(response.g, f.images)))
+    rad = error(response.g, fringe.images)
+    worst = max(error(g, fringe.images) for g in ends)
     enough = max(least_steps(g) or MOST_STEPS + 1 for g in ends)
     found = ResponseJudgement(
         good_enough=worst <= ALLOWED_RAD,
         sentence="",
         axis=fringe.axis,
         stripes=fringe.stripes,
-        steps=fringe.steps,
+        steps=fringe.images,
         corrected_patterns=plan.response is not None,
         phase_rad=rad,
         phase_px=px(fringe.axis, fringe.stripes, rad),
         worst_rad=worst,
-        corrected_rad=max(corrected_phase_error(g, fringe.steps, response.g) for g in ends),
+        corrected_rad=max(corrected_phase_error(g, fringe.images, response.g) for g in ends),
         least_steps=enough if enough <= MOST_STEPS else None,
         by_steps={str(n): phase_error(response.g, n) for n in TABLE},
     )

@@ -7,29 +7,26 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.errors import ConfigError
+from fpplab.core.kinds import ByKind
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.unwrapping import unwrapping_methods
+
+AnyFringeSet = Annotated[FringeSet, ByKind(default="sinusoid")]
+"""A fringe set of any kind; a sinusoid where no `kind` is given."""
 
 
-class FringeSet(Document):
-    """One phase-shifted set: N = `steps` images of `stripes` periods along `axis`.
-
-    `shift_sign` and `phase_origin_rad` describe fringes made elsewhere: image n is
-    `cos(2π stripes (u + 0.5)/W + phase_origin_rad - shift_sign δ_n)`. `projector_size`
-    is the projector they were made for, where no rig says so.
-    """
-
-    axis: Axis
-    stripes: Annotated[float, Field(gt=0)]
-    steps: Annotated[int, Field(ge=3, le=1000)]
-    shift_sign: Literal[1, -1] = 1
-    phase_origin_rad: float = 0.0
-    projector_size: tuple[Annotated[int, Field(gt=1)], Annotated[int, Field(gt=1)]] | None = None
+def _known_method(name: str) -> str:
+    known = [f"'{method}'" for method in sorted(unwrapping_methods(), reverse=True)]
+    if f"'{name}'" not in known:
+        raise ValueError(f"should be {' or '.join(known)}")
+    return name
 
 
 class MaskRules(Document):
@@ -102,8 +99,8 @@ class Plan(Document):
     stage_mm: where the rig's stage stands meanwhile; by default where it is.
     """
 
-    fringes: Annotated[tuple[FringeSet, ...], Field(min_length=1)]
-    unwrapping: Literal["hierarchical", "heterodyne"] = "hierarchical"
+    fringes: Annotated[tuple[AnyFringeSet, ...], Field(min_length=1)]
+    unwrapping: Annotated[str, AfterValidator(_known_method)] = "hierarchical"
     exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     trigger: Literal["stepped", "triggered"] = "stepped"
@@ -139,7 +136,7 @@ class Plan(Document):
     @property
     def images(self) -> int:
         """How many images a measurement takes."""
-        return sum(f.steps for f in self.fringes)
+        return sum(f.images for f in self.fringes)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
@@ -157,22 +154,37 @@ class Plan(Document):
         chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
         return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
 
+    def finest_set(self, axis: Axis | None = None) -> int:
+        """Find the finest set, the one with the most stripes.
+
+        Parameters
+        ----------
+        axis : str, optional
+            Along which axis; by default the first that is coded, x before y.
+
+        Returns
+        -------
+        int
+            Index into `fringes`.
+        """
+        return self.sets_along(axis or self.axes[0])[-1]
+
     @property
     def set_starts(self) -> tuple[int, ...]:
         """Indices of each set's first image, and of what would follow the last set, (S + 1,)."""
-        return tuple(accumulate((f.steps for f in self.fringes), initial=0))
+        return tuple(accumulate((f.images for f in self.fringes), initial=0))
 
     @property
     def finest_images(self) -> tuple[int, ...]:
         """Indices of the images of the finest set along the first coded axis."""
-        finest = self.sets_along(self.axes[0])[-1]
-        return tuple(image for image, (index, _, _) in enumerate(self.steps()) if index == finest)
+        first, end = self.set_starts[self.finest_set() :][:2]
+        return tuple(range(first, end))
 
     def steps(self) -> Iterator[tuple[int, int, str]]:
         """(fringe set, step, pattern id) of every image, in the order shown."""
         for index, fringe in enumerate(self.fringes):
-            for n in range(fringe.steps):
-                yield index, n, pattern_id(index, fringe, n)
+            for n in range(fringe.images):
+                yield index, n, fringe.pattern_id(index, n)
 
     def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
         """Refuse stripes that the projector cannot resolve: `ConfigError`."""
@@ -200,8 +212,3 @@ def _named_response(name: str, plan: Path) -> dict[str, float]:
             f"{plan}: 'response' must name a file written by `fpplab gamma`: {error}"
         ) from error
     return curve.model_dump()
-
-
-def pattern_id(index: int, fringe: FringeSet, step: int) -> str:
-    """A name that says what is shown: set, axis, stripes and step."""
-    return f"{index:02d}-{fringe.axis}-{fringe.stripes:g}-{step:03d}of{fringe.steps}"

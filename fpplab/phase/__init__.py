@@ -1,6 +1,11 @@
-"""Frames -> projector coordinates, with mask and uncertainty."""
+"""Frames -> phase -> projector coordinates, with masks and uncertainty.
 
-from fpplab.phase.decoding import Decoded, Wrapped, decode, wrapped_phase
+`decode` is compiled; `fpplab.phase.reference` has the same in plain NumPy, to which a test holds it.
+"""
+
+from fpplab.phase.decoded import Decoded
+from fpplab.phase.decoding import decode
+from fpplab.phase.reference import Wrapped, wrapped_phase
 from fpplab.phase.unwrapping import check_unwrapping
 
 __all__ = ["Decoded", "Wrapped", "check_unwrapping", "decode", "wrapped_phase"]

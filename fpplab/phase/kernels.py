@@ -46,10 +46,10 @@ _COS, _MEAN, _SQUARE, _PEAK = _u(_ROW), _u(2 * _ROW), _u(3 * _ROW), _u(4 * _ROW)
 _SUM_ROWS = 5
 # … and behind them the greatest raw values of all sets and chunks, which are never cleared.
 _HIGHEST = _u(_SUM_ROWS * _ROW)
-# Rows of the buffer of the ladder: two hypotheses of position, cost and worst disagreement.
+# Rows of the buffer of unwrapping: two hypotheses of position, cost and worst disagreement.
 _COST, _WORST = _u(_ROW), _u(2 * _ROW)
-_OTHER, _OTHER_COST, _OTHER_WORST, _RUNG = _u(3 * _ROW), _u(4 * _ROW), _u(5 * _ROW), _u(6 * _ROW)
-_LADDER_ROWS = 7
+_OTHER, _OTHER_COST, _OTHER_WORST, _PHASE = _u(3 * _ROW), _u(4 * _ROW), _u(5 * _ROW), _u(6 * _ROW)
+_UNWRAP_ROWS = 7
 
 
 def _arctangent() -> tuple[np.float32, ...]:
@@ -74,14 +74,14 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent()
 class Recipe(NamedTuple):
     """Everything the kernel needs to know about frames, plan, rules and noise.
 
-    F is the padded number of frames, S of fringe sets, R of rungs over both axes.
+    F is the padded number of frames, S of fringe sets, R of synthetic wavelengths over both axes.
     addresses: (F,) of every frame's first pixel. weights: (F, 3) of sine, cosine and
     mean, with the grey scale in them. first: (S + 1,) where each set starts among the
-    F. origin: (S,) turns. coefficients: (R, S) and stripes: (R,) of the rungs,
-    x's before y's, coarse to fine. rungs: (3,) where each axis starts among the R.
+    F. origin: (S,) turns. coefficients: (R, S) and stripes: (R,) of the synthetic wavelengths,
+    x's before y's, coarse to fine. wavelengths: (3,) where each axis starts among the R.
     finest: (2,) the set that gives each axis its coordinate, -1 if none. length: (2,)
     px. spread: (2,) px of coordinate per unit of u_I/B. reference: the set whose
-    modulation is reported. The rest are the rules of `MaskRules`, the seam in px, and
+    modulation is reported. The rest are the rules of `MaskRules`, the edge margin in px, and
     the variance of a grey level, `constant + per_level * level`, all in 8-bit greys.
     """
 
@@ -92,7 +92,7 @@ class Recipe(NamedTuple):
     coefficients: NDArray[np.float32]
     stripes: NDArray[np.float32]
     trust: NDArray[np.float32]
-    rungs: NDArray[np.int64]
+    wavelengths: NDArray[np.int64]
     finest: NDArray[np.int64]
     length: NDArray[np.float32]
     spread: NDArray[np.float32]
@@ -103,7 +103,7 @@ class Recipe(NamedTuple):
     contrast_min: np.float32
     residual_max: np.float32
     disagreement_max: np.float32
-    seam: np.float32
+    edge_margin: np.float32
     noise_constant: np.float32
     noise_per_level: np.float32
 
@@ -197,20 +197,20 @@ def _demodulate(
 
 
 @_compiled
-def _rung_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
-    """The wrapped phase of a rung, in turns: an integer combination of measured phases."""
+def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
+    """The wrapped phase of a synthetic wavelength, in turns: an integer combination of measured phases."""
     for j in range(n):
-        rows[_u(j) + _RUNG] = _ZERO
+        rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):
         k = coefficients[s]
         if k != _ZERO:
             measured = turns[s]
             for j in range(n):
                 i = _u(j)
-                rows[i + _RUNG] += k * measured[i]
+                rows[i + _PHASE] += k * measured[i]
     for j in range(n):
         i = _u(j)
-        rows[i + _RUNG] -= np.floor(rows[i + _RUNG])
+        rows[i + _PHASE] -= np.floor(rows[i + _PHASE])
 
 
 @_compiled
@@ -219,19 +219,19 @@ def _start(rows: Any, n: int, stripes: Any) -> None:
     period = _ONE / stripes
     for j in range(n):
         i = _u(j)
-        p = rows[i + _RUNG] * period
+        p = rows[i + _PHASE] * period
         rows[i] = p
-        rows[i + _OTHER] = p - period if rows[i + _RUNG] > _HALF else p + period
+        rows[i + _OTHER] = p - period if rows[i + _PHASE] > _HALF else p + period
         rows[i + _COST] = rows[i + _WORST] = rows[i + _OTHER_COST] = rows[i + _OTHER_WORST] = _ZERO
 
 
 @_compiled
-def _ascend(rows: Any, n: int, stripes: Any, trust: Any) -> None:
-    """Take both hypotheses one rung up; disagreement is counted in periods of that rung."""
+def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
+    """Take both hypotheses to the next finer wavelength; disagreement is counted in its periods."""
     period = _ONE / stripes
     for j in range(n):
         i = _u(j)
-        measured = rows[i + _RUNG]
+        measured = rows[i + _PHASE]
         d = rows[i] * stripes - measured
         order = np.floor(d + _HALF)
         d -= order
@@ -261,11 +261,11 @@ def _choose(
     rows: Any, sigma: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any, out: Any
 ) -> None:
     """The hypothesis that lies in the projector and agrees better; the coordinate in px."""
-    seam, share = recipe.seam, recipe.disagreement_max
+    edge_margin, share = recipe.edge_margin, recipe.disagreement_max
     apart = _APART * (stripes / length) * (stripes / length)
     for j in range(n):
         i = _u(j)
-        tolerance = (seam + _SIGMAS * sigma[i]) / length
+        tolerance = (edge_margin + _SIGMAS * sigma[i]) / length
         a, b = rows[i], rows[i + _OTHER]
         out_a = max(-a, a - _ONE, _ZERO)
         out_b = max(-b, b - _ONE, _ZERO)
@@ -288,13 +288,13 @@ def _choose(
 
 @_compiled
 def _axis(axis: int, recipe: Any, rows: Any, turns: Any, sigma: Any, good: Any, n: int, out: Any) -> None:
-    """Climb one axis' ladder and write its coordinate."""
-    first, last = recipe.rungs[axis], recipe.rungs[axis + 1]
-    _rung_phase(rows, turns, recipe.coefficients[first], n)
+    """Unwrap one axis and write its coordinate."""
+    first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
+    _combined_phase(rows, turns, recipe.coefficients[first], n)
     _start(rows, n, recipe.stripes[first])
     for r in range(first + 1, last):
-        _rung_phase(rows, turns, recipe.coefficients[r], n)
-        _ascend(rows, n, recipe.stripes[r], recipe.trust[r])
+        _combined_phase(rows, turns, recipe.coefficients[r], n)
+        _refine(rows, n, recipe.stripes[r], recipe.trust[r])
     _choose(rows, sigma, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe, out)
 
 
@@ -332,7 +332,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
     Releases the interpreter's lock, so that threads may share a frame's pixels.
     """
     sets = len(recipe.origin)
-    sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_LADDER_ROWS * _ROW, np.float32)
+    sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_UNWRAP_ROWS * _ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     turns, modulation, offset = (
         np.empty((sets, _ROW), np.float32),
@@ -365,10 +365,10 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 _uncertainty(modulation[finest], offset[finest], recipe.spread[axis], recipe, sigma, n)
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
                 _axis(axis, recipe, rows, turns, sigma, good, n, out)
-                rungs = recipe.rungs[axis + 1] - recipe.rungs[axis]
-                period = recipe.length[axis] / recipe.stripes[recipe.rungs[axis + 1] - 1]
+                count = recipe.wavelengths[axis + 1] - recipe.wavelengths[axis]
+                period = recipe.length[axis] / recipe.stripes[recipe.wavelengths[axis + 1] - 1]
                 _add_disagreement(rows, sigma, n, period, disagreement)
-                freedom += rungs - 1
+                freedom += count - 1
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[2 * _ROW : 2 * _ROW + n]

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import nnls
 
-from fpplab.core.conventions import TWO_PI, Floats, Mask
+from fpplab.core.conventions import TWO_PI, Floats, Mask, full_scale
+from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import MaskRules
+from fpplab.patterns.recording import Recording
 
 QUANTISATION = 1 / 12
 """Variance of rounding to integers, in units of the last place squared."""
@@ -23,6 +26,7 @@ QUANTISATION = 1 / 12
 _BINS = 24
 _LEAST_PER_BIN = 30
 _LEAST_PIXELS = 100
+_SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,36 @@ def measurable(
     )
 
 
-def fit_noise(samples: Sequence[Floats], full_scale: float, grey: float) -> NoiseModel:
+def noise_of(recording: Recording) -> NoiseModel:
+    """Fit the noise of a recording, from a sparse sample of its pixels.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+
+    Returns
+    -------
+    NoiseModel
+        In 8-bit grey levels.
+    """
+    samples, plan = _sample(recording), recording.plan
+    return fit_noise(samples, plan.fringes, full_scale(recording.bits), recording.grey)
+
+
+def _sample(recording: Recording) -> list[Floats]:
+    """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
+    height, width = recording.frames[0].shape
+    rows = max(1, height // _SAMPLE_ROWS)
+    columns = max(1, height // rows * width // _SAMPLE_PIXELS)
+    picked = [f[rows // 2 :: rows, ::columns].ravel() for f in recording.frames]
+    sampled = np.stack(picked).astype(np.float64)
+    return [sampled[a:b] for a, b in pairwise(recording.plan.set_starts)]
+
+
+def fit_noise(
+    samples: Sequence[Floats], fringes: Sequence[FringeSet], saturation: float, grey: float
+) -> NoiseModel:
     """Photon transfer from the frames of a measurement, robust against scene and motion.
 
     Where a set has more than three steps, noise is what its sinusoid leaves, beyond the
@@ -82,45 +115,32 @@ def fit_noise(samples: Sequence[Floats], full_scale: float, grey: float) -> Nois
     Parameters
     ----------
     samples: of each fringe set (N, P) raw values, the same P pixels in all.
-    full_scale: the raw value at which a pixel is saturated. grey: 8-bit grey levels per raw unit.
+    saturation: the raw value at which a pixel is saturated. grey: 8-bit grey levels per raw unit.
     """
     floor = QUANTISATION * grey**2
     lowest = np.min([s.min(axis=0) for s in samples], axis=0)
     highest = np.max([s.max(axis=0) for s in samples], axis=0)
-    usable = (lowest > 0) & (highest < full_scale)
+    usable = (lowest > 0) & (highest < saturation)
     if usable.sum() < _LEAST_PIXELS:
         # Dark pixels clip at zero and scatter less; better than none.
-        usable = highest < full_scale
-    variance, freedom = _scatter([s[:, usable] for s in samples])
+        usable = highest < saturation
+    variance, freedom = _scatter([s[:, usable] for s in samples], fringes)
     if freedom == 0 or usable.sum() < _LEAST_PIXELS:
         return NoiseModel(floor, 0.0)
     level = np.mean([s[:, usable].mean(axis=0) for s in samples], axis=0) * grey
     return _fit_line(level, variance * grey**2 / _median_of_chi2(freedom), floor)
 
 
-def _scatter(samples: Sequence[Floats]) -> tuple[Floats, int]:
+def _scatter(samples: Sequence[Floats], fringes: Sequence[FringeSet]) -> tuple[Floats, int]:
     """Variance of each pixel in raw units squared, (P,), and its degrees of freedom."""
-    long = [s for s in samples if len(s) > 3]
-    if long:
-        powers, freedoms = zip(*(_power_beyond_harmonics(s) for s in long), strict=True)
-        return np.sum(powers, axis=0) / sum(freedoms), sum(freedoms)
+    left = [fringe.noise_power(sample) for fringe, sample in zip(fringes, samples, strict=True)]
+    freedom = sum(own for _, own in left)
+    if freedom:
+        return np.sum([power for power, own in left if own], axis=0) / freedom, freedom
     offsets = np.array([s.mean(axis=0) for s in samples])
     freedom = len(samples) - 1
     squares = 3.0 * ((offsets - offsets.mean(axis=0)) ** 2).sum(axis=0)
     return squares / max(freedom, 1), freedom
-
-
-def _power_beyond_harmonics(sample: Floats) -> tuple[Floats, int]:
-    """Sum of squares that offset and harmonics leave, (P,), and its degrees of freedom."""
-    steps = len(sample)
-    harmonics = min(max((steps - 3) // 2, 1), 3)
-    spectrum = np.fft.rfft(sample, axis=0)[harmonics + 1 :]
-    weight = np.full(len(spectrum), 2.0)
-    if steps % 2 == 0:
-        weight[-1] = 1.0
-    # Not by BLAS: its threads go on spinning for 25 ms, on the processors that decoding needs next.
-    power = np.einsum("k,kp->p", weight, np.abs(spectrum) ** 2) / steps
-    return power, int(weight.sum())
 
 
 def _median_of_chi2(freedom: int) -> float:

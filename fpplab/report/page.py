@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fpplab import __version__
+from fpplab.core.version import __version__
 from fpplab.characterisation import Characterisation
 from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison

@@ -21,8 +21,9 @@ def scan_section(
     name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
 ) -> ScanSection:
     """What the report shows of one scan: the finest fringes along the first axis, and the results."""
-    fringe, frames = session.finest()
+    recording = session.recording(verify=False)
+    fringe, frames = recording.finest()
     wrapped = wrapped_phase(frames, fringe)
     return ScanSection(
-        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=session.format[2]
+        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=recording.bits
     )

@@ -177,8 +177,8 @@ class Viewer:
         if step == 0:
             self._set = {}
         self._set[step] = _thinned(frame.image)
-        if len(self._set) == fringe.steps:
-            frames = [self._set[n] for n in range(fringe.steps)]
+        if len(self._set) == fringe.images:
+            frames = [self._set[n] for n in range(fringe.images)]
             self.phase(wrapped_phase(frames, fringe), frame.settings.bits)
 
     @_harmless

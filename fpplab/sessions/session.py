@@ -42,7 +42,8 @@ from fpplab.core.files import (
 )
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
 
@@ -225,10 +226,32 @@ class Session:
             progress((i + 1) / self.plan.images)
         return images
 
-    def finest(self) -> tuple[FringeSet, list[Image]]:
-        """The finest fringe set along the first coded axis, and its frames; checksums are taken as good."""
-        finest = self.plan.sets_along(self.plan.axes[0])[-1]
-        return self.plan.fringes[finest], [self.read(i, verify=False) for i in self.plan.finest_images]
+    def recording(self, verify: bool = True, progress: Progress = no_progress) -> Recording:
+        """Give all frames with everything that decoding must know of them.
+
+        Parameters
+        ----------
+        verify : bool
+            Whether checksums are compared with the journal's.
+        progress : callable
+            Told the share done, 0 … 1.
+
+        Returns
+        -------
+        Recording
+            Its frames memory-mapped and read-only.
+
+        Raises
+        ------
+        ConfigError
+            The projector cannot show the plan.
+        DataError
+            As `stack` and `projector`.
+        """
+        size, _ = self.projector()
+        self.plan.check_projector(size, self.path)
+        frames = self.stack(verify, progress)
+        return Recording(frames, self.plan, size, self.format[2], str(self.path))
 
     @property
     def format(self) -> tuple[int, int, int]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fpplab.cli.accept import spread
+from fpplab.cli.lists import spread
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 from typer.testing import CliRunner

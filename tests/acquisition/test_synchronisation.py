@@ -24,7 +24,8 @@ from fpplab.acquisition.synchronisation import (
 )
 from fpplab.core.conventions import Floats, Image, axis_length, full_scale, phase_of_coordinate, phase_steps
 from fpplab.core.errors import CalibrationError, DataError
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.plan import Plan
 from tests.support.rigs import BOARD
 
 DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[3] / "shared" / "data")) / "slstudio"
@@ -93,7 +94,7 @@ def spoilt(frames: list[Image], fault: SyncFault) -> list[Image]:
 
 
 def sets(*fringes: tuple[str, float, int]) -> Plan:
-    return Plan(fringes=tuple(FringeSet(axis=a, stripes=s, steps=n) for a, s, n in fringes))  # type: ignore[arg-type]
+    return Plan(fringes=tuple(Sinusoid(axis=a, stripes=s, steps=n) for a, s, n in fringes))  # type: ignore[arg-type]
 
 
 @st.composite

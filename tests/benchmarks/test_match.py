@@ -16,7 +16,8 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.matching.match import Limits
 from fpplab.matching.record import MatchingRecord
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
 from sim.world import World
 from tests.support.plane_twin import nominal, tilted
@@ -47,7 +48,7 @@ def _data(name: str) -> dict[str, Any]:
 
 
 def plan(path: Path, axes: str, steps: int) -> str:
-    sets = tuple(FringeSet(axis=axis, stripes=n, steps=steps) for axis in axes for n in (1, 8, 48))
+    sets = tuple(Sinusoid(axis=axis, stripes=n, steps=steps) for axis in axes for n in (1, 8, 48))
     path.write_text(config.dump(Plan(fringes=sets)))
     return str(path)
 

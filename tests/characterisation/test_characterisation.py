@@ -15,6 +15,7 @@ from fpplab.characterisation import DistortionModel, Observation, characterise, 
 from fpplab.characterisation.bundle import Model, Problem, adjust_bundle, uncertainty
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.targets import Target
 from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
@@ -185,7 +186,7 @@ def test_real_captures_are_characterised() -> None:
     observations = []
     for name in ("calseq1", "calseq2", "calseq3", "calseq4", "calseq5"):
         frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
-        decoded = decode(frames, plan, (1824, 1140))
+        decoded = decode(Recording(frames, plan, (1824, 1140)))
         periods = finest_periods(plan, (1824, 1140))
         observations.append(observe(name, np.mean(frames[:3], axis=0), decoded, target, periods))
     assert [len(o.ids) for o in observations] == [117] * 5

@@ -10,13 +10,14 @@ import pytest
 
 from fpplab.core import config
 from fpplab.devices.rig import Rig
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
 from tests.cli.conftest import Command
 
 PLAN = Plan(
     fringes=tuple(
-        FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 48)
+        Sinusoid(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 48)
     )
 )
 POSES = 4

@@ -7,6 +7,7 @@ import pytest
 
 from fpplab.cli.warmup import DISTANCE_MM, SIZE, frames_of_plane, small_rig, warm_up
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.reconstruction.triangulation import triangulate
 
@@ -14,7 +15,7 @@ from fpplab.reconstruction.triangulation import triangulate
 @pytest.mark.parametrize("plan", ["plan_paper", "plan_board"])
 def test_the_plane_is_measured_where_it_is(plan: str) -> None:
     rig, chosen = small_rig(), Plan.load(plan)
-    decoded = decode(frames_of_plane(chosen, rig, 16), chosen, rig.projector.size, 16)
+    decoded = decode(Recording(frames_of_plane(chosen, rig, 16), chosen, rig.projector.size, 16))
     cloud = triangulate(decoded, rig)
     assert len(cloud) == SIZE[0] * SIZE[1]
     assert np.abs(cloud.points[:, 2] - DISTANCE_MM).max() < 1e-3

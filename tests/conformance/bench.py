@@ -12,14 +12,15 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import FrameLossError
 from fpplab.devices import Device
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 
 EXPOSURE_S = 0.02
-FLAT = FringeSet(axis="x", stripes=0.01, steps=4)
+FLAT = Sinusoid(axis="x", stripes=0.01, steps=4)
 """So few stripes that step 0 is white all over and step 2 is black."""
-COLUMNS = FringeSet(axis="x", stripes=4, steps=4)
-ROWS = FringeSet(axis="y", stripes=4, steps=4)
+COLUMNS = Sinusoid(axis="x", stripes=4, steps=4)
+ROWS = Sinusoid(axis="y", stripes=4, steps=4)
 
 WHITE, GREY, BLACK = 0, 1, 2
 DISTINCT = (0, 2, 4, 5, 6, 7, 8, 9, 10, 11)

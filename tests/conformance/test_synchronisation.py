@@ -23,7 +23,8 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
@@ -31,11 +32,11 @@ from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.conformance.slipping import CLOCK
 
 FRINGES = (
-    FringeSet(axis="x", stripes=1, steps=6),
-    FringeSet(axis="x", stripes=3, steps=8),
-    FringeSet(axis="y", stripes=1, steps=6),
+    Sinusoid(axis="x", stripes=1, steps=6),
+    Sinusoid(axis="x", stripes=3, steps=8),
+    Sinusoid(axis="y", stripes=1, steps=6),
 )
-COARSE = (FringeSet(axis="x", stripes=1, steps=3),)
+COARSE = (Sinusoid(axis="x", stripes=1, steps=3),)
 LATENCY_S = 0.015
 """Of a display; shorter than the exposure, so that each frame shows the pattern before."""
 SLIPS = [

@@ -18,13 +18,14 @@ from fpplab.core import config
 from fpplab.core.conventions import Image, Lattice
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig, RigFile
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from tests.conformance.reference import CAMERA_SIZE, PROJECTOR_SIZE
 from tests.drivers.flash_files import maker_firmware
 
 FULL = {"red": 255, "green": 255, "blue": 255}
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=4), FringeSet(axis="y", stripes=1, steps=4)))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4), Sinusoid(axis="y", stripes=1, steps=4)))
 """Eight patterns, three images: no two look alike."""
 REFERENCE = Path(__file__).parents[1] / "conformance" / "rigs" / "rig_reference.yaml"
 

@@ -21,8 +21,9 @@ from drivers.emulators.dlpc350.flash import pixels_of, stored_images
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from tests.cli.conftest import run
 from tests.drivers.flash_files import BEHIND_PROGRAM, END, IMAGES, PROGRAM, maker_firmware
 
@@ -157,7 +158,7 @@ def test_fringes_along_both_axes_are_small(maker):
 
 
 def test_fringes_follow_the_diamond(maker):
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=100, steps=3),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=100, steps=3),))
     image = stored_images(_built(maker, make_patterns(plan, SIZE, Lattice.DIAMOND)))[0]
     columns = np.arange(WIDTH)
     for n, pattern in enumerate(np.moveaxis(image.planes, -1, 0)):
@@ -175,7 +176,7 @@ def test_36_vertical_fringes_are_small(maker):
 
 
 def test_three_horizontal_fringes_are_as_small_as_the_makers_tool_makes_them(maker):
-    plan = Plan(fringes=(FringeSet(axis="y", stripes=8, steps=3),))
+    plan = Plan(fringes=(Sinusoid(axis="y", stripes=8, steps=3),))
     (image,) = stored_images(_built(maker, make_patterns(plan, SIZE, Lattice.DIAMOND)))
     assert (image.compression, image.stored) == (1, 22_816)
 

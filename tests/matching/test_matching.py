@@ -22,12 +22,13 @@ from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
 from fpplab.matching.match import shares
 from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve, Response, fit_response
 from fpplab.simulation.matchable import Parameters
 from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered, moved, nominal, tilted
 
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=12, steps=4), FringeSet(axis="y", stripes=8, steps=4)))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4), Sinusoid(axis="y", stripes=8, steps=4)))
 FACING = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
 
 

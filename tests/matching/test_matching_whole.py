@@ -11,7 +11,8 @@ import pytest
 from fpplab.matching.match import Limits
 from fpplab.matching.record import MatchingRecord
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Parameters
@@ -19,7 +20,7 @@ from tests.support.plane_twin import TARGET, PlaneTwin, nominal, record, tilted
 
 PLAN = Plan(
     fringes=tuple(
-        FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 32)
+        Sinusoid(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (1, 8, 32)
     )
 )
 POSES = 4

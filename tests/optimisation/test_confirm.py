@@ -17,11 +17,12 @@ from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, confirm
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from tests.support.rigs import CAMERA, PAIR, SQUARE
 
-BEFORE = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=12), FringeSet(axis="x", stripes=16, steps=12)))
-AFTER = BEFORE.model_copy(update={"fringes": (BEFORE.fringes[0], FringeSet(axis="x", stripes=64, steps=6))})
+BEFORE = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=12), Sinusoid(axis="x", stripes=16, steps=12)))
+AFTER = BEFORE.model_copy(update={"fringes": (BEFORE.fringes[0], Sinusoid(axis="x", stripes=64, steps=6))})
 EXACT = Calibration(CAMERA, SQUARE, PAIR, {})
 SIGMA_PX = 0.5
 UNSURE = replace(EXACT, uncertainty=Uncertainty(("camera.fx",), np.array([[SIGMA_PX**2]])))

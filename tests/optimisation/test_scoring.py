@@ -15,14 +15,15 @@ from fpplab.comparison import compare
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.optimisation.scoring import SAMPLES, TrueShape
-from fpplab.patterns.plan import FilterRules, FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
 from tests.comparison.test_comparison import CALIBRATION, PROJECTOR, H, W, perfect_cloud, placed
 
 STRIPES = 32.0
 PLAN = Plan(
     filter=FilterRules(),
-    fringes=(FringeSet(axis="x", stripes=1, steps=3), FringeSet(axis="x", stripes=STRIPES, steps=3)),
+    fringes=(Sinusoid(axis="x", stripes=1, steps=3), Sinusoid(axis="x", stripes=STRIPES, steps=3)),
 )
 UNFILTERED = PLAN.model_copy(update={"filter": None})
 DENSITY = 20.0
@@ -165,7 +166,7 @@ def test_nothing_measured_is_refused() -> None:
 
 def test_a_shape_that_lies_beside_where_it_was_said_to_has_no_wrong_orders_for_that() -> None:
     """The fixture knows poses in the true camera's frame, and a measured calibration has its own."""
-    fine = (PLAN.fringes[0], FringeSet(axis="x", stripes=128, steps=3))
+    fine = (PLAN.fringes[0], Sinusoid(axis="x", stripes=128, steps=3))
     plan = UNFILTERED.model_copy(update={"fringes": fine})
     beside = placed("pillars").apply_translation((3.0, 0.0, 0.0))
     decoded = maps_of(perfect_cloud(beside))

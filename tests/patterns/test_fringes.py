@@ -15,8 +15,9 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CapabilityError, ConfigError, DataError
 from fpplab.devices import CameraSettings, Frame
 from fpplab.devices.rig import Rig
-from fpplab.patterns.fringes import fringe_level, make_patterns, pattern_image, quantise, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringes import make_patterns, pattern_image, quantise, uniform_patterns
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve, Response
 from fpplab.sessions.session import Session
 
@@ -33,12 +34,12 @@ SIZE = (48, 20)
     data=st.data(),
 )
 def test_a_mirror_shows_the_cosine_of_its_own_place(axis, lattice, stripes, steps, sign, origin, data):
-    fringe = FringeSet(axis=axis, stripes=stripes, steps=steps, shift_sign=sign, phase_origin_rad=origin)
+    fringe = Sinusoid(axis=axis, stripes=stripes, steps=steps, shift_sign=sign, phase_origin_rad=origin)
     n, i, j = (data.draw(st.integers(0, limit - 1)) for limit in (steps, SIZE[0], SIZE[1]))
     u = i + 0.5 * (j % 2) if lattice is Lattice.DIAMOND else i
     place, length = (u, SIZE[0]) if axis == "x" else (j, SIZE[1])
     phase = 2 * np.pi * stripes * (place + 0.5) / length + origin - sign * 2 * np.pi * n / steps
-    level = fringe_level(fringe, n, SIZE, lattice)
+    level = fringe.level(n, SIZE, lattice)
     assert level.shape == (SIZE[1], SIZE[0])
     assert level[j, i] == pytest.approx(0.5 + 0.5 * np.cos(phase), abs=1e-9)
 
@@ -55,14 +56,14 @@ def test_quantising_rounds_to_the_greys_of_the_depth(depth):
 
 
 def test_patterns_come_in_the_plans_order_under_telling_names():
-    plan = Plan(fringes=(FringeSet(axis="y", stripes=8, steps=4), FringeSet(axis="x", stripes=1.5, steps=3)))
+    plan = Plan(fringes=(Sinusoid(axis="y", stripes=8, steps=4), Sinusoid(axis="x", stripes=1.5, steps=3)))
     patterns = make_patterns(plan, SIZE, Lattice.SQUARE)
     assert [p.id for p in patterns] == [
         *(f"00-y-8-{n:03d}of4" for n in range(4)),
         *(f"01-x-1.5-{n:03d}of3" for n in range(3)),
     ]
     for (index, step, _), pattern in zip(plan.steps(), patterns, strict=True):
-        level = fringe_level(plan.fringes[index], step, SIZE, Lattice.SQUARE)
+        level = plan.fringes[index].level(step, SIZE, Lattice.SQUARE)
         np.testing.assert_array_equal(pattern.image, np.rint(255 * level))
 
 
@@ -71,7 +72,7 @@ def test_patterns_come_in_the_plans_order_under_telling_names():
 @pytest.mark.parametrize(("few", "many"), [(6, 12), (3, 9), (5, 15), (7, 21)])
 def test_every_so_manyth_pattern_is_that_of_fewer_steps_to_the_last_grey(axis, lattice, few, many):
     some, all_of_them = (
-        make_patterns(Plan(fringes=(FringeSet(axis=axis, stripes=4, steps=n),)), SIZE, lattice)
+        make_patterns(Plan(fringes=(Sinusoid(axis=axis, stripes=4, steps=n),)), SIZE, lattice)
         for n in (few, many)
     )
     for one, same in zip(some, all_of_them[:: many // few], strict=True):
@@ -81,16 +82,14 @@ def test_every_so_manyth_pattern_is_that_of_fewer_steps_to_the_last_grey(axis, l
 @pytest.mark.parametrize("lattice", Lattice)
 @pytest.mark.parametrize("size", [(24, 20), (23, 19), (24, 1)])
 def test_a_pattern_is_drawn_in_part_and_repeated(lattice, size):
-    plan = Plan(
-        fringes=(FringeSet(axis="x", stripes=3.7, steps=3), FringeSet(axis="y", stripes=0.4, steps=3))
-    )
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=3.7, steps=3), Sinusoid(axis="y", stripes=0.4, steps=3)))
     for index, step, _ in plan.steps():
-        whole = quantise(fringe_level(plan.fringes[index], step, size, lattice))
+        whole = quantise(plan.fringes[index].level(step, size, lattice))
         np.testing.assert_array_equal(pattern_image(plan, index, step, size, lattice), whole)
 
 
 def test_stripes_finer_than_two_pixels_are_refused():
-    plan = Plan(fringes=(FringeSet(axis="y", stripes=11, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis="y", stripes=11, steps=4),))
     with pytest.raises(
         ConfigError, match=r"'fringes\[0\].stripes' is 11: more than half .* 20 pixels along y"
     ):
@@ -104,7 +103,7 @@ def test_uniform_images_are_uniform():
         np.testing.assert_array_equal(pattern.image, np.full((SIZE[1], SIZE[0]), grey))
 
 
-FRINGES = (FringeSet(axis="x", stripes=4, steps=3),)
+FRINGES = (Sinusoid(axis="x", stripes=4, steps=3),)
 CURVE = Curve(a=0.8, b=0.1, g=2.2)
 
 
@@ -114,7 +113,7 @@ def test_corrected_patterns_give_the_nearest_light_to_a_sinusoid():
         Plan(fringes=FRINGES).steps(),
         strict=True,
     ):
-        wanted = fringe_level(FRINGES[index], step, SIZE, Lattice.DIAMOND)
+        wanted = FRINGES[index].level(step, SIZE, Lattice.DIAMOND)
         light = (CURVE.apply(pattern.image / 255.0) - CURVE.b) / CURVE.a
         # One grey is at most g/255 of light; rounding is off by half of it.
         assert np.abs(light - wanted).max() <= 0.5 * CURVE.g / 255 + 1e-12

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import gammaln
 
 from fpplab.core.conventions import TWO_PI, phase_steps
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.phase_error import (
     ALLOWED_RAD,
     corrected_phase_error,
@@ -19,7 +20,7 @@ from fpplab.patterns.phase_error import (
     least_steps,
     phase_error,
 )
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve, Response
 from fpplab.phase import wrapped_phase
 
@@ -31,7 +32,7 @@ def response(g: float, sigma: float = 0.001) -> Response:
 
 
 def plan(steps: int = 3, **fields: Any) -> Plan:
-    return Plan(fringes=(FringeSet(axis="x", stripes=64, steps=steps),), **fields)
+    return Plan(fringes=(Sinusoid(axis="x", stripes=64, steps=steps),), **fields)
 
 
 @given(st.floats(0.5, 5.0))
@@ -63,7 +64,7 @@ def test_the_error_is_that_of_decoded_fringes(g: float, steps: int) -> None:
     phase = TWO_PI * (np.arange(3000) + 0.5) / 3000
     light = (0.5 + 0.5 * np.cos(phase - phase_steps(steps)[:, None])) ** g
     frames = [np.rint(60000 * row + 1000)[None].astype(np.uint16) for row in light]
-    found = wrapped_phase(frames, FringeSet(axis="x", stripes=1, steps=steps)).phase[0]
+    found = wrapped_phase(frames, Sinusoid(axis="x", stripes=1, steps=steps)).phase[0]
     error = (found - phase + np.pi) % TWO_PI - np.pi
     # Frames of 60 000 levels and phases in float32.
     assert phase_error(g, steps) == pytest.approx(np.sqrt(np.mean(error**2)), abs=2e-5)
@@ -122,9 +123,9 @@ def test_an_uncertain_exponent_is_judged_at_its_worse_end() -> None:
 
 def test_the_finest_set_that_suffers_most_is_judged() -> None:
     sets = (
-        FringeSet(axis="x", stripes=1, steps=3),
-        FringeSet(axis="x", stripes=64, steps=12),
-        FringeSet(axis="y", stripes=32, steps=4),
+        Sinusoid(axis="x", stripes=1, steps=3),
+        Sinusoid(axis="x", stripes=64, steps=12),
+        Sinusoid(axis="y", stripes=32, steps=4),
     )
     found = judge_response(response(2.2), Plan(fringes=sets), SIZE)
     assert (found.axis, found.stripes, found.steps) == ("y", 32, 4)

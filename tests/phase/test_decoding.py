@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from fpplab.core.conventions import Lattice, axis_length, mirror_centres
 from fpplab.core.errors import Cancelled, ConfigError, DataError
-from fpplab.patterns.fringes import fringe_level
-from fpplab.patterns.plan import FringeSet, MaskRules, OrderVote, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import MaskRules, OrderVote, Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode, wrapped_phase
 from fpplab.phase.kernels import _turns
 from fpplab.phase.quality import coordinate_uncertainty, measurable, phase_uncertainty
@@ -21,14 +22,13 @@ FULL16 = 65535
 
 
 def make_plan(*sets, **more):
-    return Plan(fringes=tuple(FringeSet(axis=a, stripes=float(s), steps=n) for a, s, n in sets), **more)
+    return Plan(fringes=tuple(Sinusoid(axis=a, stripes=float(s), steps=n) for a, s, n in sets), **more)
 
 
 def render(plan, size=SIZE, lattice=Lattice.SQUARE, offset=0.5, amplitude=0.4):
     """What a perfect camera, one pixel per mirror, sees: levels 0 … 1 of every image."""
     return [
-        offset + 2 * amplitude * (fringe_level(plan.fringes[i], n, size, lattice) - 0.5)
-        for i, n, _ in plan.steps()
+        offset + 2 * amplitude * (plan.fringes[i].level(n, size, lattice) - 0.5) for i, n, _ in plan.steps()
     ]
 
 
@@ -67,7 +67,7 @@ X3 = make_plan(("x", 1, 12), ("x", 8, 12), ("x", 64, 12))
     ids=["x", "y", "both", "heterodyne"],
 )
 def test_decoding_inverts_encoding(plan, lattice):
-    decoded = decode(record(render(plan, lattice=lattice), 16), plan, SIZE, bits=16)
+    decoded = decode(Recording(record(render(plan, lattice=lattice), 16), plan, SIZE, bits=16))
     u, v = mirror_centres(SIZE, lattice)
     # The diamond's last mirror of an odd row ends half a pixel beyond W, where stripes may repeat.
     inner = u < SIZE[0] - 0.5
@@ -93,18 +93,18 @@ def test_decoding_inverts_encoding(plan, lattice):
 def test_decoding_inverts_any_encoding(steps, base, ratios, sign, origin, axis):
     stripes = (base, base * ratios[0], base * ratios[0] * ratios[1])
     fringes = tuple(
-        FringeSet(axis=axis, stripes=s, steps=n, shift_sign=sign, phase_origin_rad=origin * (k + 1))
+        Sinusoid(axis=axis, stripes=s, steps=n, shift_sign=sign, phase_origin_rad=origin * (k + 1))
         for k, (s, n) in enumerate(zip(stripes, steps, strict=True))
     )
     plan, size = Plan(fringes=fringes), (300, 2) if axis == "x" else (2, 300)
-    decoded = decode(record(render(plan, size), 16), plan, size, bits=16)
+    decoded = decode(Recording(record(render(plan, size), 16), plan, size, bits=16))
     truth = mirror_centres(size, Lattice.SQUARE)[0 if axis == "x" else 1]
     assert decoded.valid.all()
     np.testing.assert_allclose(decoded.u if axis == "x" else decoded.v, truth, atol=2e-3)
 
 
 def test_eight_bits_cost_what_rounding_costs():
-    decoded = decode(record(render(X3)), X3, SIZE)
+    decoded = decode(Recording(record(render(X3)), X3, SIZE))
     rounding = coordinate_uncertainty(phase_uncertainty(np.sqrt(1 / 12), 0.4 * 255, 12), 64, SIZE[0])
     rms = np.sqrt(np.mean((decoded.u - mirror_centres(SIZE, Lattice.SQUARE)[0]) ** 2))
     # Here 0.004 px: frames half a turn apart round alike, so twelve count as six.
@@ -121,7 +121,7 @@ def test_eight_bits_cost_what_rounding_costs():
     ],
 )
 def test_sigma_is_the_scatter(plan, bits):
-    decoded = decode(record(render(plan), bits, noise=2.0, seed=1), plan, SIZE, bits=bits)
+    decoded = decode(Recording(record(render(plan), bits, noise=2.0, seed=1), plan, SIZE, bits=bits))
     error = decoded.u - mirror_centres(SIZE, Lattice.SQUARE)[0]
     assert np.nanstd(error / decoded.sigma) == pytest.approx(1.0, abs=0.1)
     assert decoded.valid.mean() > 0.99
@@ -136,7 +136,7 @@ def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis):
     size = (SIZE[0], 2) if axis == "x" else (2, SIZE[0])
     levels = [x[:, edge] if axis == "x" else x[edge].T for x in render(plan, size)]
     frames = record([np.repeat(x[:1], 5000, axis=0) for x in levels], noise=1.5, seed=steps)
-    decoded = decode(frames, plan, size)
+    decoded = decode(Recording(frames, plan, size))
     error = (decoded.u if axis == "x" else decoded.v) - edge
     assert np.nanmax(np.abs(error / decoded.sigma)) < 6
     assert decoded.valid.mean() > 0.995
@@ -144,7 +144,7 @@ def test_no_fringe_is_thrown_at_the_edges(stripes, steps, axis):
 
 @pytest.mark.parametrize("steps", [4, 5, 8, 12])
 def test_n_steps_are_immune_to_harmonics_up_to_n_minus_two(steps):
-    fringe = FringeSet(axis="x", stripes=3, steps=steps)
+    fringe = Sinusoid(axis="x", stripes=3, steps=steps)
     u = np.arange(300.0)[None]
     theta = 2 * np.pi * 3 * (u + 0.5) / 300
 
@@ -159,7 +159,7 @@ def test_n_steps_are_immune_to_harmonics_up_to_n_minus_two(steps):
 
 
 def test_wrapped_phase_is_phase_modulation_and_offset():
-    fringe = FringeSet(axis="x", stripes=2.5, steps=5, shift_sign=-1, phase_origin_rad=1.3)
+    fringe = Sinusoid(axis="x", stripes=2.5, steps=5, shift_sign=-1, phase_origin_rad=1.3)
     levels = render(Plan(fringes=(fringe,)), offset=100.0, amplitude=30.0)
     found = wrapped_phase(levels, fringe)
     truth = 2 * np.pi * 2.5 * (mirror_centres(SIZE, Lattice.SQUARE)[0] + 0.5) / SIZE[0]
@@ -169,7 +169,7 @@ def test_wrapped_phase_is_phase_modulation_and_offset():
     np.testing.assert_allclose(found.modulation, 30, rtol=1e-5)
     np.testing.assert_allclose(found.offset, 100, rtol=1e-5)
     np.testing.assert_allclose(found.misfit, 0, atol=1e-4)
-    with pytest.raises(DataError, match="5 steps was given 4 frames"):
+    with pytest.raises(DataError, match="5 images was given 4 frames"):
         wrapped_phase(levels[:4], fringe)
 
 
@@ -200,8 +200,8 @@ def test_the_masks_are_those_of_quality():
         expected &= measurable(w.modulation, w.offset, w.misfit, w.peak, rules, 255)
         for a, b in ((w.modulation, 10), (w.modulation, 0.2 * w.offset), (w.misfit, 0.1 * w.modulation)):
             doubtful |= np.abs(a - b) < 1e-2
-    decoded = decode(frames, plan, SIZE)
-    # At the seam of repeating stripes masks are not all that counts.
+    decoded = decode(Recording(frames, plan, SIZE))
+    # At the edge of repeating stripes masks are not all that counts.
     doubtful[:, :120] = doubtful[:, -120:] = True
     doubtful[:8] = doubtful[-8:] = True
     assert 0.05 < expected[~doubtful].mean() < 0.8
@@ -214,7 +214,7 @@ def test_every_frequency_must_be_modulated():
     levels = render(X3)
     for level in levels[12:24]:
         level[:, 100:200] = 0.5
-    valid = decode(record(levels), X3, SIZE).valid
+    valid = decode(Recording(record(levels), X3, SIZE)).valid
     assert not valid[:, 100:200].any()
     assert valid[:, :100].all()
     assert valid[:, 200:].all()
@@ -225,7 +225,7 @@ def test_an_order_in_dispute_is_rejected():
     u = np.tile(np.linspace(100, 800, 400), (8, 1))
     for share, kept in ((0.25, True), (0.35, False)):
         levels = seen_from(u, plan, bias=2 * np.pi * share / 16)
-        decoded = decode(record(levels, 16), plan, SIZE, bits=16)
+        decoded = decode(Recording(record(levels, 16), plan, SIZE, bits=16))
         assert decoded.valid.all() == decoded.valid.any() == kept
 
 
@@ -236,7 +236,7 @@ def test_a_vote_repairs_the_orders_that_stray_light_has_moved():
     u = 100 + 2.2 * x + 0.3 * y
     bias = 2 * np.pi * 0.28 / 16 * np.sin(y / 10)
     frames = record(seen_from(u, plan, amplitude=0.15, bias=bias), noise=2.0, seed=2)
-    plain, voted = decode(frames, plan, SIZE), decode(frames, voting, SIZE)
+    plain, voted = decode(Recording(frames, plan, SIZE)), decode(Recording(frames, voting, SIZE))
     period = SIZE[0] / 16
 
     def wrong(decoded):
@@ -256,34 +256,34 @@ def test_a_vote_leaves_the_steps_of_clean_data_alone(periods, seed):
     u[5:8, 40:43] += periods * SIZE[0] / 16
     u[:, 80:] += periods * SIZE[0] / 16
     frames = record(seen_from(u, plan), noise=1.0, seed=seed)
-    plain, voted = decode(frames, plan, SIZE), decode(frames, voting, SIZE)
+    plain, voted = decode(Recording(frames, plan, SIZE)), decode(Recording(frames, voting, SIZE))
     np.testing.assert_array_equal(plain.u, voted.u)
     assert np.nanmax(np.abs(voted.u - u)) < 2.0
 
 
 def test_twelve_bits_are_told_in_eight_bit_greys():
-    eight, twelve = (decode(record(render(X3), b, 1.0), X3, SIZE, bits=b) for b in (8, 12))
+    eight, twelve = (decode(Recording(record(render(X3), b, 1.0), X3, SIZE, bits=b)) for b in (8, 12))
     np.testing.assert_allclose(twelve.modulation, eight.modulation, rtol=0.05)
     assert np.nanmedian(twelve.sigma) == pytest.approx(np.nanmedian(eight.sigma), rel=0.1)
 
 
 def test_memory_maps_crops_and_foreign_bytes_decode_alike(tmp_path):
     frames = record(render(X3), 12)
-    expected = decode(frames, X3, SIZE, bits=12)
+    expected = decode(Recording(frames, X3, SIZE, bits=12))
     mapped = []
     for n, frame in enumerate(frames):
         tifffile.imwrite(tmp_path / f"{n}.tif", frame, byteorder=">")
         mapped.append(tifffile.memmap(tmp_path / f"{n}.tif", mode="r"))
     crops = [np.pad(f, 3)[3:-3, 3:-3] for f in frames]
     for variant in (mapped, crops):
-        found = decode(variant, X3, SIZE, bits=12)
+        found = decode(Recording(variant, X3, SIZE, bits=12))
         np.testing.assert_array_equal(found.u, expected.u)
 
 
 def test_progress_rises_to_one_and_may_cancel():
     told = []
     frames = [np.tile(f, (20, 1)) for f in record(render(X3))]
-    decode(frames, X3, SIZE, progress=told.append)
+    decode(Recording(frames, X3, SIZE), progress=told.append)
     assert told == sorted(told)
     assert len(told) > 1
     assert told[-1] == 1.0
@@ -292,7 +292,7 @@ def test_progress_rises_to_one_and_may_cancel():
         raise Cancelled("by the user")
 
     with pytest.raises(Cancelled):
-        decode(frames, X3, SIZE, progress=cancel)
+        decode(Recording(frames, X3, SIZE), progress=cancel)
 
 
 GOOD = record(render(X3, (912, 4)))
@@ -314,21 +314,21 @@ GOOD = record(render(X3, (912, 4)))
 )
 def test_frames_that_are_not_the_plans_are_refused(frames, bits, message):
     with pytest.raises(DataError, match=message):
-        decode(frames, X3, SIZE, bits, source="scan")
+        decode(Recording(frames, X3, SIZE, bits, name="scan"))
 
 
 def test_plans_that_do_not_fit_are_refused():
     plan = make_plan(("x", 8, 12), ("x", 64, 24))
     with pytest.raises(ConfigError, match="scan: 'fringes' along x have 8, 64 stripes"):
-        decode(GOOD, plan, SIZE, source="scan")
+        decode(Recording(GOOD, plan, SIZE, name="scan"))
     with pytest.raises(
         ConfigError, match=r"scan: 'fringes\[2\].stripes' is 64: more than half .* 100 pixels"
     ):
-        decode(GOOD, X3, (100, 100), source="scan")
+        decode(Recording(GOOD, X3, (100, 100), name="scan"))
 
 
 def test_what_is_saved_is_loaded(tmp_path):
-    decoded = decode(GOOD, X3, SIZE)
+    decoded = decode(Recording(GOOD, X3, SIZE))
     decoded.save(tmp_path / "x.npz")
     loaded = Decoded.load(tmp_path / "x.npz")
     for name in ("u", "v", "modulation", "sigma"):
@@ -363,6 +363,6 @@ def test_the_axis_of_x_comes_before_y():
     levels = render(plan)
     for level in levels[6:]:
         level[:] = 0.5 + (level - 0.5) / 2
-    decoded = decode(record(levels, 16), plan, SIZE, bits=16)
+    decoded = decode(Recording(record(levels, 16), plan, SIZE, bits=16))
     inner = decoded.valid
     np.testing.assert_allclose(decoded.modulation[inner], 0.2 * FULL16 / 256, rtol=1e-3)

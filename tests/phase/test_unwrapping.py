@@ -10,12 +10,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fpplab.core.errors import ConfigError
-from fpplab.patterns.plan import FringeSet, OrderVote, Plan
-from fpplab.phase.unwrapping import unwrap, vote_orders, wavelength_sequence
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import OrderVote, Plan
+from fpplab.phase.order_vote import vote_orders
+from fpplab.phase.reference import unwrap
+from fpplab.phase.unwrapping import wavelength_sequence
 
 
 def make_plan(stripes, unwrapping="hierarchical", steps=4, axis="x", **more):
-    fringes = tuple(FringeSet(axis=axis, stripes=float(s), steps=steps) for s in stripes)
+    fringes = tuple(Sinusoid(axis=axis, stripes=float(s), steps=steps) for s in stripes)
     return Plan(fringes=fringes, unwrapping=unwrapping, **more)
 
 
@@ -28,15 +31,15 @@ def wrapped(ladder_plan, position, noise=0.0, seed=0):
 
 
 def test_hierarchical_rungs_are_the_sets_by_their_stripes():
-    ladder = wavelength_sequence(make_plan([64, 1, 8]), "x", "plan")
-    assert ladder.sets == (1, 2, 0)
-    assert [r.stripes for r in ladder.rungs] == [1, 8, 64]
-    assert [r.coefficients for r in ladder.rungs] == [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    sequence = wavelength_sequence(make_plan([64, 1, 8]), "x", "plan")
+    assert sequence.sets == (1, 2, 0)
+    assert [r.stripes for r in sequence.wavelengths] == [1, 8, 64]
+    assert [r.coefficients for r in sequence.wavelengths] == [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
 
 
 def test_heterodyne_rungs_are_the_beats_and_the_sets():
-    ladder = wavelength_sequence(make_plan([64, 49, 56], "heterodyne"), "x", "plan")
-    assert [(r.stripes, r.coefficients) for r in ladder.rungs] == [
+    sequence = wavelength_sequence(make_plan([64, 49, 56], "heterodyne"), "x", "plan")
+    assert [(r.stripes, r.coefficients) for r in sequence.wavelengths] == [
         (1, (1, -2, 1)),
         (7, (-1, 1, 0)),
         (8, (0, -1, 1)),
@@ -75,7 +78,7 @@ def test_the_stripes_that_a_refusal_names_do(stripes, unwrapping):
         named = re.search(r"for example stripes ([\d., ]*\d)", str(error))
         assert named
         remedy = [float(s) for s in named[1].split(",")]
-        assert wavelength_sequence(make_plan(remedy, unwrapping), "x", "plan").rungs[0].stripes <= 1
+        assert wavelength_sequence(make_plan(remedy, unwrapping), "x", "plan").wavelengths[0].stripes <= 1
     else:
         assume(False)
 
@@ -102,43 +105,43 @@ def test_heterodyne_climbs_to_the_truth(fine, step):
     position = np.linspace(0.01, 0.99, 200)
     found = unwrap(wrapped(plan, position), wavelength_sequence(plan, "x", "plan"))
     np.testing.assert_allclose(found.position, position, atol=1e-9)
-    assert found.certain.all()
+    assert found.is_unambiguous.all()
 
 
 @pytest.mark.parametrize("stripes", [(1, 8, 64), (1, 9.43, 142.05), (0.9, 7, 50), (0.9, 9, 90)])
 def test_the_base_may_wrap_at_the_edges(stripes):
     plan = make_plan(stripes)
-    ladder, width = wavelength_sequence(plan, "x", "plan"), 912
+    sequence, width = wavelength_sequence(plan, "x", "plan"), 912
     position = np.repeat((np.array([0, 1, width - 2, width - 1]) + 0.5) / width, 5000)
     sigma = 0.03 / (2 * np.pi * stripes[-1])
-    found = unwrap(wrapped(plan, position, noise=0.03, seed=3), ladder, sigma, seam=0.05 / width)
-    off = np.abs(found.position - position)[found.certain]
+    found = unwrap(wrapped(plan, position, noise=0.03, seed=3), sequence, sigma, edge_margin=0.05 / width)
+    off = np.abs(found.position - position)[found.is_unambiguous]
     assert off.max() < 6 * sigma
-    assert found.certain.mean() > 0.999
+    assert found.is_unambiguous.mean() > 0.999
 
 
 def test_what_lies_on_the_seam_of_repeating_stripes_is_not_certain():
     plan = make_plan([1, 8, 64])
-    ladder = wavelength_sequence(plan, "x", "plan")
-    found = unwrap(wrapped(plan, np.array([0.0, 1e-5, 0.01, 1 - 1e-5])), ladder, sigma=1e-5)
-    np.testing.assert_array_equal(found.certain, [False, False, True, False])
+    sequence = wavelength_sequence(plan, "x", "plan")
+    found = unwrap(wrapped(plan, np.array([0.0, 1e-5, 0.01, 1 - 1e-5])), sequence, sigma=1e-5)
+    np.testing.assert_array_equal(found.is_unambiguous, [False, False, True, False])
 
 
 def test_light_from_beyond_the_projector_is_not_certain():
     plan = make_plan([0.5, 5.3, 40.7])
     found = unwrap(wrapped(plan, np.array([-0.2, 0.5, 1.3])), wavelength_sequence(plan, "x", "plan"))
-    np.testing.assert_array_equal(found.certain, [False, True, False])
+    np.testing.assert_array_equal(found.is_unambiguous, [False, True, False])
 
 
 def test_a_biased_base_shows_as_disagreement():
     plan = make_plan([1, 16])
     phases = wrapped(plan, np.full(1, 0.4))
     phases[0] += 2 * np.pi * 0.3 / 16
-    ladder = wavelength_sequence(plan, "x", "plan")
-    found = unwrap(phases, ladder)
+    sequence = wavelength_sequence(plan, "x", "plan")
+    found = unwrap(phases, sequence)
     assert found.position == pytest.approx(0.4)
     assert found.disagreement == pytest.approx(0.3)
-    other = unwrap(phases, ladder, nudged=found.doubted)
+    other = unwrap(phases, sequence, changed_order=found.second_best_order)
     assert other.position == pytest.approx(0.4 + 1 / 16)
     assert other.disagreement == pytest.approx(0.7)
 

@@ -13,7 +13,9 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Image, Mask, axis_length, phase_of_coordinate, phase_steps
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.patterns.plan import FilterRules, FringeSet, OrderVote, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import FilterRules, OrderVote, Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.filtering import Rule, filtered, removal
 from fpplab.reconstruction.triangulation import triangulate
@@ -35,7 +37,7 @@ AMPLITUDE = 90.0
 
 
 def plan(*axes: str, **more: object) -> Plan:
-    sets = (FringeSet(axis=axis, stripes=s, steps=6) for axis in axes or ("x",) for s in (1.0, 8.0, 64.0))  # type: ignore[arg-type]
+    sets = (Sinusoid(axis=axis, stripes=s, steps=6) for axis in axes or ("x",) for s in (1.0, 8.0, 64.0))  # type: ignore[arg-type]
     more = {"filter": FilterRules(), **more}
     return Plan(fringes=tuple(sets), **more)  # type: ignore[arg-type]
 
@@ -74,7 +76,7 @@ def frames(of: Plan, *lights: Light, coarse_bias: Floats | float = 0.0, seed: in
 
 
 def measured(of: Plan, images: list[Image]) -> tuple[Decoded, Cloud]:
-    decoded = decode(images, of, RIG.projector.size)
+    decoded = decode(Recording(images, of, RIG.projector.size))
     return decoded, triangulate(decoded, RIG, normals=False)
 
 
@@ -168,8 +170,8 @@ def test_disagreement_is_one_where_only_noise_disagrees() -> None:
         # χ² scatters by √(2/ν), and the noise found in the frames by two percent.
         tolerance = 5.0 * (np.sqrt(2.0 / freedom / (W * H)) + 0.02)
         assert np.mean(decoded.disagreement**2) == pytest.approx(1.0, abs=tolerance)
-    single = Plan(fringes=(FringeSet(axis="x", stripes=0.9, steps=6),))
-    decoded = decode(frames(single, light), single, RIG.projector.size)
+    single = Plan(fringes=(Sinusoid(axis="x", stripes=0.9, steps=6),))
+    decoded = decode(Recording(frames(single, light), single, RIG.projector.size))
     assert decoded.disagreement is not None
     assert not decoded.disagreement[decoded.valid].any()
 

@@ -20,6 +20,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.reconstruction.uncertainty import (
@@ -94,14 +95,14 @@ def noisy_maps(name: str, seed: int) -> Callable[[], Decoded]:
     def maps() -> Decoded:
         noise = random.standard_normal(levels.shape, np.float32) * np.sqrt(1.5 + 0.04 * levels)
         frames = np.clip(np.rint(levels + noise), 0, 255).astype(np.uint8)
-        return decode(list(frames), plan, RIG.projector.size)
+        return decode(Recording(list(frames), plan, RIG.projector.size))
 
     return maps
 
 
 def clean_maps(name: str) -> Decoded:
     plan = Plan.load(name)
-    return decode(frames_of_plane(plan, RIG, 16), plan, RIG.projector.size, 16)
+    return decode(Recording(frames_of_plane(plan, RIG, 16), plan, RIG.projector.size, 16))
 
 
 def inner(maps: Maps) -> Maps:

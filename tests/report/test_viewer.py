@@ -25,8 +25,9 @@ from fpplab.core.errors import DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.matching.record import MatchingEpoch, ParametersFile
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.report import viewer as live
@@ -34,7 +35,7 @@ from fpplab.sessions.session import Session
 from tests.support.plane_twin import CAMERA, nominal, tilted
 
 SIZE, MIRRORS = (64, 48), (90, 70)
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1.0, steps=3), FringeSet(axis="x", stripes=6.0, steps=4)))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=3), Sinusoid(axis="x", stripes=6.0, steps=4)))
 
 
 def patterns() -> Sequence[Pattern]:

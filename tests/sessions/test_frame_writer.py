@@ -24,12 +24,13 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
 from fpplab.devices import Frame
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.frame_writer import MOST_WAITING, recording
 from fpplab.sessions.session import FRAMES, JOURNAL, Session, tiff_head
 from tests.support.recorded import frame, image_of, in_a_child
 
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=40),))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=40),))
 DEADLOCK_S = 20.0
 
 

@@ -16,7 +16,8 @@ import pytest
 import tifffile
 
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import FRAMES, JOURNAL, Session, recorded_sessions
 from tests.support.recorded import PLAN, KillAtLine, frame, image_of, in_a_child, record
 
@@ -208,7 +209,7 @@ def test_a_line_that_is_no_record(whole: Path, line: bytes) -> None:
 
 def test_a_frame_that_the_plan_has_not(tmp_path: Path) -> None:
     session = record(tmp_path / "session", 1)
-    other = Plan(fringes=(FringeSet(axis="y", stripes=1, steps=9),))
+    other = Plan(fringes=(Sinusoid(axis="y", stripes=1, steps=9),))
     for index in (1, 8):
         with pytest.raises(DataError, match="not what the plan has there"):
             session.write(frame(index, other))

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.light import Light, PatternLevels, Setup, Show
 from sim.light import cache as module
 from sim.light.cache import TableCache
@@ -44,7 +45,7 @@ class NoBlender(Blender):
 
 
 def fringes(of: World, steps: int = 4, stripes: float = 8) -> tuple[Pattern, ...]:
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=stripes, steps=steps),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=stripes, steps=steps),))
     return tuple(make_patterns(plan, of.projector.size, of.projector.lattice))
 
 

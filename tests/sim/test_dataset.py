@@ -31,8 +31,9 @@ from fpplab.dataset.making import DatasetRequest, Maker, need_simulation
 from fpplab.dataset.scenes import Scenes, draw
 from fpplab.dataset.shard import claimed, shard_name
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.simulation.arrangeable import SceneTruth
 from fpplab.targets import Target
@@ -46,7 +47,7 @@ RIG_OF_BOARDS = (
 )
 PLAN = Plan(
     fringes=tuple(
-        FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (0.95, 6, 30)
+        Sinusoid(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (0.95, 6, 30)
     )
 )
 ALL = Scenes.load("dataset_demo.yaml")

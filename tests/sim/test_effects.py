@@ -14,8 +14,9 @@ from manifold3d import CrossSection, Manifold
 from fpplab.artefacts import save_stl
 from fpplab.core.conventions import TWO_PI, Floats, Image
 from fpplab.devices import CameraSettings
+from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.phase import wrapped_phase
 from sim.light import Light, Setup, Show
 from sim.radiometry import photopic_efficiency
@@ -55,7 +56,7 @@ def quiet(**changes: Any) -> dict[str, Any]:
 
 
 def fringe(steps: int, stripes: float = 16) -> FringeSet:
-    return FringeSet(axis="x", stripes=stripes, steps=steps)
+    return Sinusoid(axis="x", stripes=stripes, steps=steps)
 
 
 def taken(bench: Bench, of: World, fringes: FringeSet) -> list[Image]:
@@ -412,7 +413,7 @@ def test_a_groove_is_linear_by_itself_and_right(
 ) -> None:
     """Four bounces: what one basis gives is what rendering the pattern gives, to 0.2 grey levels."""
     caplog.set_level(logging.INFO, "sim.light")
-    fringes = FringeSet(axis="x", stripes=16, steps=4)
+    fringes = Sinusoid(axis="x", stripes=16, steps=4)
     effort = {"bounces": 4, "samples": 4, "subpixels": 1}
     pictures = []
     for path in ("auto", "reference"):

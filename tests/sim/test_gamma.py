@@ -14,9 +14,10 @@ from fpplab.acquisition.acquire import expose
 from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.phase_error import corrected_phase_error, judge_response, phase_error
-from fpplab.patterns.plan import FringeSet, GreyLevels, Plan
+from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
 from fpplab.pipeline import measure_response
@@ -60,7 +61,7 @@ def become(rig: Rig, response: dict[str, float], quiet: bool = False) -> None:
 def phase(rig: Rig, steps: int, response: Response | None = None) -> tuple[Floats, Mask]:
     """The phase that so many steps give, and where the fringes are strong."""
     curve = None if response is None else response.curve("response")
-    fringe = FringeSet(axis="x", stripes=STRIPES, steps=steps)
+    fringe = Sinusoid(axis="x", stripes=STRIPES, steps=steps)
     plan = Plan(fringes=(fringe,), response=curve, exposure_s=EXPOSURE_S)
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)

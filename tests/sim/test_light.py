@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Lattice
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.light.basis import smallest_basis
 from sim.light.table import LightTable
 
@@ -29,7 +30,7 @@ def stack(plan: Plan, response: float = 1.0) -> np.ndarray[tuple[int, ...], np.d
     ("stripes", "channels"), [((4,), 3), ((1, 8), 5), ((0.9, 4, 20), 7), ((0.9, 7.5, 13, 20), 9)]
 )
 def test_fringe_sets_need_one_channel_and_two_each(stripes: tuple[float, ...], channels: int) -> None:
-    plan = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=8) for s in stripes))
+    plan = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=8) for s in stripes))
     levels = stack(plan)
     basis = smallest_basis(levels, ROUNDING)
     assert len(basis.channels) == channels
@@ -40,7 +41,7 @@ def test_fringe_sets_need_one_channel_and_two_each(stripes: tuple[float, ...], c
 
 
 def test_bent_response_needs_its_harmonics_and_is_still_right() -> None:
-    plan = Plan(fringes=(FringeSet(axis="y", stripes=3, steps=8),))
+    plan = Plan(fringes=(Sinusoid(axis="y", stripes=3, steps=8),))
     levels = stack(plan, 2.2)
     basis = smallest_basis(levels, 2.2 * ROUNDING)
     assert len(basis.channels) > 3

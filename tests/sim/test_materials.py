@@ -10,8 +10,9 @@ from scipy.optimize import brentq
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.light import Light, Setup, Show
 from sim.worker import Blender
 from sim.world import World
@@ -109,7 +110,7 @@ def test_one_sample_of_direct_light_is_free_of_noise(blender: Blender, material:
 
 @pytest.mark.parametrize("material", DIRECT_KINDS)
 def test_transport_agrees_with_reference(blender: Blender, material: dict[str, Any]) -> None:
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=24, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=24, steps=4),))
     pictures = {}
     for path in ("transport", "reference"):
         of = world(material=material, render={"path": path, "subpixels": 1})
@@ -269,7 +270,7 @@ def test_translucent_body_reflects_about_as_much_as_paint(blender: Blender, refl
 
 def test_linear_light_through_a_translucent_body(blender: Blender) -> None:
     """A basis serves it as every pattern rendered does, and that is what is chosen by itself."""
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=12, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4),))
     chosen = translucent(2.0, path="auto", samples=2)
     assert chosen.path == "linear"
     pictures = []

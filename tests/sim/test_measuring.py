@@ -19,13 +19,14 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.measuring import RigEvaluator, candidate_of
 from fpplab.optimisation.study import Study
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.pipeline import reconstruct, take
 from sim.items import item_poses
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
 
-START = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=12) for s in (1, 8, 64)))
+START = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=12) for s in (1, 8, 64)))
 STAGE = 'stage: {backend: "sim.devices:SimStage"}\n'
 
 

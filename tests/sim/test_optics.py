@@ -9,8 +9,9 @@ import pytest
 from scipy.special import j1
 
 from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.light import Light, Setup, Show
 from sim.worker import Blender
 from sim.world import World
@@ -186,7 +187,7 @@ def _variance(edge: Floats, place: Floats) -> Floats:
 
 def _modulation(blender: Blender, of: World, stripes: float) -> Floats:
     """Modulation of fringes where they should be, relative to white; negative for inverted ones."""
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=stripes, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=stripes, steps=4),))
     patterns = make_patterns(plan, of.projector.size, of.projector.lattice)
     a, b, c, d = (p.astype(np.float64) for p in seen(blender, of, CARD, *patterns))
     phase = 2 * np.pi * stripes * (_cast(of).u.mean(axis=0) + 0.5) / COLUMNS
@@ -222,7 +223,7 @@ def test_defocus_follows_the_depth_across_a_tilted_card(blender: Blender, axis: 
             items=_card((250, 180), [0, 0, 462], [12, 25, 0]),
             render={"subpixels": 2, "path": path},
         )
-        plan = Plan(fringes=(FringeSet(axis=axis, stripes=stripes, steps=4),))
+        plan = Plan(fringes=(Sinusoid(axis=axis, stripes=stripes, steps=4),))
         pattern = make_patterns(plan, of.projector.size, of.projector.lattice)[1]
         shown.append(seen(blender, of, CARD, pattern)[0].astype(np.float64))
     frequency = stripes / (COLUMNS if axis == "x" else 1140 / 2)
@@ -249,7 +250,7 @@ def test_paths_agree_on_defocus_across_pillars(blender: Blender) -> None:
     for path in ("transport", "reference", "linear"):
         projector = _with("projector", focus_mm=450.0, aperture_mm=LENS_MM)
         of = world(projector=projector, render={"subpixels": 2, "path": path})
-        plan = Plan(fringes=(FringeSet(axis="x", stripes=48, steps=4),))
+        plan = Plan(fringes=(Sinusoid(axis="x", stripes=48, steps=4),))
         patterns = make_patterns(plan, of.projector.size, of.projector.lattice)
         pictures.append(Light(of, blender).irradiance(PILLARS, Show(patterns, 1)).astype(np.float64))
     assert pictures[0].max() > 0.5

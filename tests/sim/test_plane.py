@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
 from sim.light.lens import lens_points
@@ -21,7 +22,7 @@ from sim.world.render import shifts
 from tests.sim.conftest import plain, world
 from tests.sim.raycaster import Caster, Plane
 
-PLAN = Plan(fringes=tuple(FringeSet(axis="x", stripes=s, steps=3) for s in (1, 64)))
+PLAN = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=3) for s in (1, 64)))
 SIZE = [384, 256]
 
 

@@ -14,8 +14,9 @@ import trimesh
 
 from fpplab.core.conventions import Axis, Floats, Lattice
 from fpplab.core.geometry import Pinhole
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
 from sim.scene import DIRECT, Effort, SubpixelView, X, Z
@@ -133,7 +134,7 @@ def test_projector_coordinates_in_the_table(blender: Blender, bench: Bench) -> N
 )
 def test_fringes(blender: Blender, bench: Bench, axis: Axis, stripes: int, path: str) -> None:
     of = _on(bench.world, path)
-    plan = Plan(fringes=(FringeSet(axis=axis, stripes=stripes, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis=axis, stripes=stripes, steps=4),))
     patterns = make_patterns(plan, of.projector.size, of.projector.lattice)[:2]
     frequency = stripes / (912 if axis == "x" else 1140)
     # Rows of the diamond lattice are half a column apart, its texels a column over the root of 2.

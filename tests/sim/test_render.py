@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.build import build_scene
 from sim.light import Light, Setup, Show
 from sim.scene import Effort, SubpixelView
@@ -155,7 +156,7 @@ def test_lens_model_does_not_fold_light_in_from_outside(blender: Blender) -> Non
 
 @pytest.mark.parametrize("blur", [0.0, 0.6])
 def test_transport_and_linear_agree_with_reference(blender: Blender, blur: float) -> None:
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=4), FringeSet(axis="x", stripes=48, steps=4)))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4), Sinusoid(axis="x", stripes=48, steps=4)))
     pictures = {}
     for path in ("reference", "linear", "transport"):
         of = world(projector={**_projector(), "blur": blur}, render={"path": path, "subpixels": 2})
@@ -172,7 +173,7 @@ def test_transport_and_linear_agree_with_reference(blender: Blender, blur: float
 
 
 def test_bounced_light_is_linear_too(blender: Blender) -> None:
-    plan = Plan(fringes=(FringeSet(axis="x", stripes=6, steps=4),))
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=6, steps=4),))
     pictures = {}
     for path, bounces in (("reference", 2), ("linear", 2), ("linear", 0)):
         of = world(render={"path": path, "subpixels": 1, "samples": 4, "bounces": bounces})

@@ -15,13 +15,14 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import Calibrations
 from fpplab.optimisation.candidate import Fringes
 from fpplab.optimisation.sets import FringeSets, MeasuringSetup
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from sim.build import Setup
 from sim.world import World
 from tests.sim.conftest import RIG, plain, write_world
 
-LIKE = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=3),))
+LIKE = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=3),))
 CARD = MeasuringSetup("card", 0.02)
 BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
 

@@ -16,8 +16,9 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import Parameters, Twin
 from sim.build import Setup
@@ -29,7 +30,7 @@ from sim.world import World
 from tests.sim.conftest import SIZE, plain
 
 SETTINGS = CameraSettings(0.02, bits=12)
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=32, steps=3),))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=32, steps=3),))
 EXACT = {"subpixels": 2, "cache": False}
 
 

@@ -13,10 +13,11 @@ import numpy as np
 
 from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings, Frame
-from fpplab.patterns.plan import FringeSet, Plan
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.session import Session
 
-PLAN = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=4, projector_size=(64, 48)),))
+PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4, projector_size=(64, 48)),))
 SIZE = (20, 16)
 
 

@@ -1,0 +1,107 @@
+"""Phase-shifted sinusoids with equal steps, the kind of a fringe set that names none."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from fpplab.core.conventions import Floats, phase_steps
+from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet
+
+
+class Sinusoid(FringeSet):
+    """N images of a sinusoid, each shifted by 2π/N: the equation is in `fpplab.core.conventions`.
+
+    Fringes made elsewhere are described too: image n is
+    `cos(2π stripes (u + 0.5)/W + phase_origin_rad - shift_sign δ_n)`.
+    """
+
+    kind: Annotated[Literal["sinusoid"], Field(exclude=True)] = "sinusoid"
+    """`sinusoid`; may be left out."""
+
+    steps: Annotated[int, Field(ge=3, le=1000)]
+    """Images N, shifted by 2π/N each."""
+
+    shift_sign: Literal[1, -1] = 1
+    """-1 where the images were shifted the other way."""
+
+    phase_origin_rad: float = 0.0
+    """Phase in rad that the fringes have where `2π stripes (u + 0.5)/W` is zero."""
+
+    @property
+    def images(self) -> int:
+        """How many images the set has."""
+        return self.steps
+
+    def phase_shifts(self) -> Floats:
+        """Give `δ_n = 2π n/N`, by the sign of the set.
+
+        Returns
+        -------
+        ndarray of float64, (N,)
+            rad.
+        """
+        return self.shift_sign * phase_steps(self.steps)
+
+    def wave(self, phase: Floats, step: int) -> Floats:
+        """Give `0.5 + 0.5 cos(Φ + origin - δ_n)`, which neither clips nor wastes range.
+
+        Parameters
+        ----------
+        phase : ndarray of float64
+            `2π stripes (u + 0.5)/W` in rad, any shape.
+        step : int
+            Index of the image in the set.
+
+        Returns
+        -------
+        ndarray of float64
+            Light in [0, 1], shaped as `phase`.
+        """
+        shifted = phase + self.phase_origin_rad - self.shift_sign * phase_steps(self.steps)[step]
+        return np.asarray(0.5 + 0.5 * np.cos(shifted))
+
+    def demodulation(self) -> Demodulation:
+        """Give the weights of `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)`.
+
+        Returns
+        -------
+        Demodulation
+            Weights of the N images.
+        """
+        shift = phase_steps(self.steps)
+        return Demodulation(
+            sine=np.asarray(self.shift_sign * np.sin(shift), np.float64),
+            cosine=np.cos(shift),
+            mean=np.full(self.steps, 1.0 / self.steps),
+            scale=2.0 / self.steps,
+            origin_rad=self.phase_origin_rad,
+        )
+
+    def noise_power(self, sample: Floats) -> tuple[Floats, int]:
+        """Sum the squares beyond offset and fringe, and beyond harmonics 2 and 3 where steps are enough.
+
+        Parameters
+        ----------
+        sample : ndarray of float64, (N, P)
+            Raw values of P pixels in the N images.
+
+        Returns
+        -------
+        power : ndarray of float64, (P,)
+            Sum of squares.
+        freedom : int
+            Its degrees of freedom; 0 for three steps, through which a sinusoid always passes.
+        """
+        if self.steps <= 3:
+            return np.zeros(sample.shape[1]), 0
+        harmonics = min(max((self.steps - 3) // 2, 1), 3)
+        spectrum = np.fft.rfft(sample, axis=0)[harmonics + 1 :]
+        weight = np.full(len(spectrum), 2.0)
+        if self.steps % 2 == 0:
+            weight[-1] = 1.0
+        # Not by BLAS: its threads go on spinning for 25 ms, on the processors that decoding needs next.
+        power = np.einsum("k,kp->p", weight, np.abs(spectrum) ** 2) / self.steps
+        return power, int(weight.sum())

@@ -1,0 +1,153 @@
+"""A recording: the frames that a camera took of a plan's patterns, and all that decoding must know of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Axis, Image, raw_per_grey
+from fpplab.core.errors import DataError
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Frames of a plan, from a session, a simulation or anywhere else, on their way to be decoded.
+
+    Attributes
+    ----------
+    frames : sequence of ndarray of uint8 or uint16, (height, width) each
+        Raw frames in the plan's order; memory-mapped or not.
+    plan : Plan
+        What was projected.
+    projector_size : tuple of int
+        (width, height) in px of the projector that showed it.
+    bits : int
+        Depth of the frames' grey levels; full scale is 2^bits - 1.
+    name : str
+        What the frames are called in messages.
+    """
+
+    frames: Sequence[Image]
+    plan: Plan
+    projector_size: tuple[int, int]
+    bits: int = 8
+    name: str = "frames"
+
+    @property
+    def grey(self) -> float:
+        """8-bit grey levels to one unit of the raw frames."""
+        return 1.0 / raw_per_grey(self.bits)
+
+    def of_set(self, index: int) -> Sequence[Image]:
+        """Take the frames of one fringe set.
+
+        Parameters
+        ----------
+        index : int
+            Of the set in the plan.
+
+        Returns
+        -------
+        sequence of ndarray, (height, width) each
+            In the order of the set.
+        """
+        first, end = self.plan.set_starts[index : index + 2]
+        return self.frames[first:end]
+
+    def finest(self, axis: Axis | None = None) -> tuple[FringeSet, Sequence[Image]]:
+        """Take the finest fringe set, which gives the coordinate.
+
+        Parameters
+        ----------
+        axis : str, optional
+            Along which axis; by default the first that is coded, x before y.
+
+        Returns
+        -------
+        fringes : FringeSet
+            The set.
+        frames : sequence of ndarray, (height, width) each
+            Its frames.
+        """
+        index = self.plan.finest_set(axis)
+        return self.plan.fringes[index], self.of_set(index)
+
+    def mean_image(self) -> NDArray[np.uint8]:
+        """Give the scene under even light: the mean of the finest set's frames, which is its offset.
+
+        Returns
+        -------
+        ndarray of uint8, (height, width)
+            8-bit grey levels.
+        """
+        _, frames = self.finest()
+        total = np.zeros(frames[0].shape, np.float32)
+        for frame in frames:
+            total += frame
+        levels = np.rint(total / (len(frames) * raw_per_grey(self.bits)))
+        mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
+        return mean
+
+    def checked(self) -> Recording:
+        """Make sure that the frames are the plan's, as contiguous arrays of the machine's byte order.
+
+        Returns
+        -------
+        Recording
+            The same; views stay views, memory maps stay on the disk, only foreign byte orders and crops are
+            copied.
+
+        Raises
+        ------
+        ConfigError
+            The projector cannot resolve the plan's stripes.
+        DataError
+            Another number of frames than the plan takes, or of several sizes or types, or of another depth.
+        """
+        _check_number(self)
+        for n, frame in enumerate(self.frames):
+            _check_alike(self.name, n, frame, self.frames[0])
+        _check_depth(self)
+        self.plan.check_projector(self.projector_size, self.name)
+        native = [cast(Image, np.ascontiguousarray(f, f.dtype.newbyteorder("="))) for f in self.frames]
+        return replace(self, frames=native)
+
+
+def _check_number(recording: Recording) -> None:
+    found, wanted = len(recording.frames), recording.plan.images
+    if found != wanted:
+        raise DataError(
+            f"{recording.name}: holds {found} frames, but the plan takes {wanted}; give all of them"
+        )
+
+
+def _check_alike(name: str, n: int, frame: Image, first: Image) -> None:
+    if frame.ndim != 2 or frame.size == 0:
+        raise DataError(
+            f"{name}: frame {n} has the shape {frame.shape}; a grey image (height, width) is needed"
+        )
+    if frame.shape != first.shape:
+        raise DataError(f"{name}: frame {n} is {_size(frame)} pixels, but frame 0 is {_size(first)}")
+    if frame.dtype != first.dtype:
+        raise DataError(f"{name}: frame {n} is {frame.dtype}, but frame 0 is {first.dtype}; use one type")
+
+
+def _check_depth(recording: Recording) -> None:
+    kind, bits = recording.frames[0].dtype, recording.bits
+    if kind.kind != "u" or kind.itemsize > 2:
+        raise DataError(f"{recording.name}: frames are {kind}; raw frames are uint8 or uint16")
+    least, most = (8, 8) if kind.itemsize == 1 else (8, 16)
+    if not least <= bits <= most:
+        raise DataError(
+            f"{recording.name}: frames are {kind}, which cannot hold {bits} bits; {least} to {most}"
+        )
+
+
+def _size(frame: Image) -> str:
+    return f"{frame.shape[1]} x {frame.shape[0]}"

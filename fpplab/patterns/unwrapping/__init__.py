@@ -1,0 +1,20 @@
+"""Unwrapping methods, one file each; every file of this package is found by itself."""
+
+from fpplab.core.kinds import import_members
+from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
+
+import_members(__name__, __path__)
+
+
+def unwrapping_methods() -> dict[str, UnwrappingMethod]:
+    """List the unwrapping methods that a plan can name.
+
+    Returns
+    -------
+    dict of str to UnwrappingMethod
+        By name, in the order of their files.
+    """
+    return {kind.name: kind() for kind in UnwrappingMethod.__subclasses__()}
+
+
+__all__ = ["NEGLIGIBLE", "SyntheticWavelength", "UnwrappingMethod", "unwrapping_methods"]

@@ -1,0 +1,93 @@
+"""What every unwrapping method is: a way from a plan's fringe sets to synthetic wavelengths.
+
+A synthetic wavelength is an integer combination of the measured wrapped phases, and so itself a wrapped phase,
+of its own effective stripe count. Unwrapping begins with one of at most one stripe and goes on to the finest
+set. A method is a file of this package with one class; its name in a plan file is the class's `name`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+NEGLIGIBLE = 1e-9
+"""Stripe counts that differ by less are the same."""
+
+
+@dataclass(frozen=True)
+class SyntheticWavelength:
+    """One effective fringe.
+
+    Attributes
+    ----------
+    coefficients : tuple of int
+        Of the wrapped phases of an axis' sets, fewest stripes first.
+    stripes : float
+        Periods of the combination across the projector.
+    """
+
+    coefficients: tuple[int, ...]
+    stripes: float
+
+    def beat(self, coarser: SyntheticWavelength) -> SyntheticWavelength:
+        """Subtract another one.
+
+        Parameters
+        ----------
+        coarser : SyntheticWavelength
+            One with fewer stripes.
+
+        Returns
+        -------
+        SyntheticWavelength
+            Of as many stripes as they differ by.
+        """
+        difference = zip(self.coefficients, coarser.coefficients, strict=True)
+        return SyntheticWavelength(tuple(a - b for a, b in difference), self.stripes - coarser.stripes)
+
+    @property
+    def noise_gain(self) -> int:
+        """By how much the variance of its phase exceeds that of one set."""
+        return sum(c * c for c in self.coefficients)
+
+
+class UnwrappingMethod(ABC):
+    """A way to unwrap the fringe sets of one axis, without any state."""
+
+    name: str
+    """What a plan calls it."""
+
+    @abstractmethod
+    def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+        """Give every synthetic wavelength that unwrapping may pass through.
+
+        Called once for each coded axis of a plan, before anything is projected and again when decoding.
+
+        Parameters
+        ----------
+        sets : sequence of SyntheticWavelength
+            The fringe sets of the axis themselves, fewest stripes first.
+
+        Returns
+        -------
+        list of SyntheticWavelength
+            Fewest stripes first, the finest set last, no stripe count twice.
+        """
+
+    @abstractmethod
+    def advice(self, stripes: Sequence[float], coarsest: float) -> str:
+        """Say what the method needs where its coarsest wavelength has more than one stripe.
+
+        Parameters
+        ----------
+        stripes : sequence of float
+            Of the axis' sets, fewest first.
+        coarsest : float
+            Stripes of the coarsest wavelength that was found.
+
+        Returns
+        -------
+        str
+            A clause that goes on after "… stripes: ", with stripe counts that would do.
+        """

@@ -1,0 +1,64 @@
+"""Heterodyne (multi-wavelength) temporal unwrapping: beats of neighbouring sets, beats of those, and so on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
+
+
+class Heterodyne(UnwrappingMethod):
+    """The sets and their beats, until one beat has at most one stripe."""
+
+    name = "heterodyne"
+
+    def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+        """Give the sets and their beats.
+
+        Parameters
+        ----------
+        sets : sequence of SyntheticWavelength
+            The fringe sets of the axis, fewest stripes first.
+
+        Returns
+        -------
+        list of SyntheticWavelength
+            Fewest stripes first, every stripe count once.
+        """
+        found, level = list(sets), list(sets)
+        while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
+            level = sorted(level, key=lambda w: w.stripes)
+            beats = (fine.beat(coarse) for coarse, fine in pairwise(level))
+            level = [b for b in beats if b.stripes > NEGLIGIBLE]
+            found += level
+        # Of equal wavelengths the one with fewer phases in it carries less noise; sets come last.
+        found.sort(key=lambda w: (w.stripes, -w.noise_gain))
+        return [
+            w
+            for w, following in zip(found, [*found[1:], None], strict=True)
+            if following is None or following.stripes - w.stripes > NEGLIGIBLE
+        ]
+
+    def advice(self, stripes: Sequence[float], coarsest: float) -> str:
+        """Ask for sets whose beats reach one stripe.
+
+        Parameters
+        ----------
+        stripes : sequence of float
+            Of the axis' sets, fewest first.
+        coarsest : float
+            Stripes of the coarsest beat.
+
+        Returns
+        -------
+        str
+            What is needed, with an example.
+        """
+        step = max(2, round(math.sqrt(stripes[-1])))
+        finest = max(stripes[-1], 2 * step)
+        return (
+            f"heterodyne unwrapping needs beats of neighbours that reach at most 1 stripe, and they stop at "
+            f"{coarsest:g}; for example stripes {finest - 2 * step + 1:g}, {finest - step:g}, {finest:g} do"
+        )

@@ -1,0 +1,109 @@
+"""What decoding gives: projector coordinates of every camera pixel, and their file."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Map, Mask
+from fpplab.core.errors import DataError
+from fpplab.core.files import write_atomic
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """What every camera pixel saw of the projector: maps [v, u], NaN where the pixel is not measured.
+
+    Attributes
+    ----------
+    u, v : ndarray of float32, (height, width)
+        Projector coordinates in px; all NaN (and then read-only) where the axis is not coded.
+    modulation : ndarray of float32, (height, width)
+        B of the finest set of the first coded axis (x before y), in 8-bit grey levels.
+    sigma : ndarray of float32, (height, width)
+        1-sigma of that axis' coordinate in projector px.
+    v_per_u : float
+        How many times greater v's sigma is than u's where both are coded, from the plan: their modulations
+        are alike.
+    disagreement : ndarray of float32, (height, width), or None
+        How much the fringe sets contradict one another, in units of what noise explains: the root of χ² per
+        degree of freedom; 0 where nothing can contradict, None where it is not known.
+    removed : ndarray of uint8, (height, width), or None
+        By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
+        none; None without a filter. The other maps keep what was decoded there.
+    """
+
+    u: Map
+    v: Map
+    modulation: Map
+    sigma: Map
+    v_per_u: float = 1.0
+    disagreement: Map | None = None
+    removed: NDArray[np.uint8] | None = None
+
+    @property
+    def valid(self) -> Mask:
+        """Where the pixel is measured."""
+        return np.isfinite(self.sigma)
+
+    def save(self, path: Path | str) -> None:
+        """Write an NPZ file with the keys u, v, modulation, sigma, whole or not at all.
+
+        Parameters
+        ----------
+        path : path or str
+            The file; replaced if it exists.
+
+        Raises
+        ------
+        DataError
+            It cannot be written.
+        """
+        maps = {name: getattr(self, name) for name in (*_KEYS, *_OPTIONAL)}
+        maps = {name: values for name, values in maps.items() if values is not None}
+        write_atomic(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
+
+    @classmethod
+    def load(cls, path: Path | str) -> Decoded:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path or str
+            The file.
+
+        Returns
+        -------
+        Decoded
+            The maps.
+
+        Raises
+        ------
+        DataError
+            The file is missing, damaged or of another kind.
+        """
+        try:
+            # Opened here, because on a damaged file NumPy forgets to close it.
+            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
+                maps = {name: archive[name] for name in _KEYS}
+                v_per_u = float(archive["v_per_u"])
+                optional = {name: archive[name] for name in _OPTIONAL if name in archive}
+        except FileNotFoundError:
+            raise DataError(f"{path}: there is no such file; decode a session into it first") from None
+        except KeyError as error:
+            raise DataError(f"{path}: is no decoded measurement, {error.args[0]}") from error
+        except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+            raise DataError(
+                f"{path}: is damaged or no NPZ file ({error}); decode the session again"
+            ) from error
+        kinds = {(m.shape, m.dtype.name, m.ndim) for m in maps.values()}
+        if len(kinds) != 1 or next(iter(kinds))[1:] != ("float32", 2):
+            raise DataError(f"{path}: its maps must be float32 images of one size; decode the session again")
+        return cls(**maps, v_per_u=v_per_u, **optional)
+
+
+_KEYS, _OPTIONAL = ("u", "v", "modulation", "sigma"), ("disagreement", "removed")

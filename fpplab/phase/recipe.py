@@ -1,0 +1,103 @@
+"""A recording as the compiled decoder's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import TWO_PI, Axis, axis_length, full_scale
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.recording import Recording
+from fpplab.phase.kernels import GROUP, Recipe
+from fpplab.phase.quality import NoiseModel, coordinate_uncertainty, phase_uncertainty
+from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
+
+
+def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noise: NoiseModel) -> Recipe:
+    """Give frames, plan, rules and noise as tables.
+
+    Parameters
+    ----------
+    recording : Recording
+        Checked: its frames are contiguous, and outlive the recipe, which holds their addresses.
+    sequences : sequence of WavelengthSequence
+        Of every coded axis, x before y.
+    noise : NoiseModel
+        Of the recording's grey levels.
+
+    Returns
+    -------
+    Recipe
+        For `fpplab.phase.kernels.decode_pixels`.
+    """
+    addresses, weights, first = _frame_tables(recording)
+    plan, size = recording.plan, recording.projector_size
+    wavelengths = [one for sequence in sequences for one in sequence.wavelengths]
+    of_axis: dict[Axis, WavelengthSequence] = {sequence.axis: sequence for sequence in sequences}
+    counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in ("x", "y")]
+    finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in ("x", "y")]
+    spread = [_spread(plan.fringes[k], size) if k >= 0 else 0.0 for k in finest]
+    f32, rules = np.float32, plan.masks
+    return Recipe(
+        addresses=addresses,
+        weights=weights,
+        first=first,
+        origin=np.array([f.demodulation().origin_rad / TWO_PI % 1.0 for f in plan.fringes], f32),
+        coefficients=_coefficients(sequences, len(plan.fringes)),
+        stripes=np.array([one.stripes for one in wavelengths], f32),
+        trust=np.array([trust for sequence in sequences for trust in sequence.trust], f32),
+        wavelengths=np.cumsum([0, *counts]),
+        finest=np.array(finest),
+        length=np.array(size, f32),
+        spread=np.array(spread, f32),
+        reference=sequences[0].finest,
+        grey=f32(recording.grey),
+        full_scale=f32(full_scale(recording.bits)),
+        modulation_min=f32(rules.modulation_min),
+        contrast_min=f32(rules.contrast_min),
+        residual_max=f32(rules.residual_max),
+        # With a vote, no order is rejected before its neighbours have voted.
+        disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
+        edge_margin=f32(EDGE_MARGIN_PX),
+        noise_constant=f32(noise.constant),
+        noise_per_level=f32(noise.per_level),
+    )
+
+
+def _coefficients(sequences: Sequence[WavelengthSequence], sets: int) -> NDArray[np.float32]:
+    """Of every wavelength, over all sets of the plan, (R, S)."""
+    rows = []
+    for sequence in sequences:
+        for wavelength in sequence.wavelengths:
+            row = np.zeros(sets, np.float32)
+            row[list(sequence.sets)] = wavelength.coefficients
+            rows.append(row)
+    return np.array(rows)
+
+
+def _spread(fringe: FringeSet, size: tuple[int, int]) -> float:
+    """1-sigma in px of the coordinate where noise and modulation are equal."""
+    sigma = phase_uncertainty(1.0, 1.0, fringe.images)
+    return float(coordinate_uncertainty(sigma, fringe.stripes, axis_length(size, fringe.axis)))
+
+
+def _frame_tables(
+    recording: Recording,
+) -> tuple[NDArray[np.uintp], NDArray[np.float32], NDArray[np.int64]]:
+    """Addresses and weights of the frames, each set's padded with frames of weight zero."""
+    addresses, weights, first = [], [], [0]
+    for index, fringe in enumerate(recording.plan.fringes):
+        own = [image.ctypes.data for image in recording.of_set(index)]
+        demodulation = fringe.demodulation()
+        scale = recording.grey * demodulation.scale
+        table = np.stack(
+            [scale * demodulation.sine, scale * demodulation.cosine, recording.grey * demodulation.mean],
+            axis=1,
+        )
+        padding = -fringe.images % GROUP
+        addresses += own + own[:1] * padding
+        weights.append(np.pad(table, ((0, padding), (0, 0))))
+        first.append(len(addresses))
+    return np.array(addresses, np.uintp), np.concatenate(weights).astype(np.float32), np.array(first)
