@@ -19,7 +19,17 @@ ROUNDING, ROUNDING_DB = 0.1, 0.5
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a camera can be told. `bits` is the depth of the integers in a frame."""
+    """What a camera can be told.
+
+    Attributes
+    ----------
+    exposure_s : float
+        Exposure in s.
+    gain_db : float
+        Gain in dB.
+    bits : int
+        Depth of the integers in a frame.
+    """
 
     exposure_s: float
     gain_db: float = 0.0
@@ -28,12 +38,26 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class CameraCaps:
-    """What a camera can do. size: (width, height) in px; ranges are (least, most).
+    """What a camera can do; ranges are (least, most).
 
-    readout_s: from the first row to the last, where they are exposed one after another (rolling shutter):
-    what a frame sees must stand still for the exposure and this. dark_s: the same, where rows begin together
-    and only end one after another (global reset): no light may fall for so long after the exposure, or the
-    later rows have more of it. Both are 0 where all rows are exposed at once.
+    Attributes
+    ----------
+    size : tuple of int
+        (width, height) of its frames in px.
+    bits : tuple of int
+        Depths that its frames can have.
+    exposure_s : tuple of float
+        Range of exposures in s.
+    gain_db : tuple of float
+        Range of gains in dB.
+    triggers : tuple of str
+        Of `software` and `hardware`.
+    readout_s : float
+        s from the first row to the last, where they are exposed one after another (rolling shutter): what a
+        frame sees must stand still for the exposure and this. 0 where all rows are exposed at once.
+    dark_s : float
+        The same, where rows begin together and only end one after another (global reset): no light may fall
+        for so long after the exposure, or the later rows have more of it.
     """
 
     size: tuple[int, int]
@@ -49,10 +73,21 @@ class CameraCaps:
 class Frame:
     """One exposure: the sensor's raw integers, and where they come from.
 
-    image: uint8 or uint16 [v, u], its owner's alone: no later frame changes it. index: the frame's
-    number since `arm`, from 0, as the device counts, so that a gap is a lost frame; acquisition
-    makes it the plan's. pattern_id: what was on show, when the backend knows; acquisition fills it
-    in otherwise. device_time_s is None where the device has no clock.
+    Attributes
+    ----------
+    image : ndarray of uint8 or uint16, (height, width)
+        Raw integers; the owner's alone: no later frame changes it.
+    index : int
+        The frame's number since `arm`, from 0, as the device counts, so that a gap is a lost frame;
+        acquisition makes it the plan's.
+    settings : CameraSettings
+        As they were read back.
+    host_time_s : float
+        When it arrived, by `time.time`.
+    device_time_s : float or None
+        By the device's clock; None where it has none.
+    pattern_id : str or None
+        What was on show, where the backend knows; acquisition fills it in otherwise.
     """
 
     image: Image
@@ -63,7 +98,20 @@ class Frame:
     pattern_id: str | None = None
 
     def showing(self, pattern_id: str, index: int) -> Frame:
-        """The same frame, named as the picture of one pattern."""
+        """Name the frame as the picture of one pattern.
+
+        Parameters
+        ----------
+        pattern_id : str
+            The pattern.
+        index : int
+            Of the image in its plan.
+
+        Returns
+        -------
+        Frame
+            The same exposure.
+        """
         return replace(self, pattern_id=pattern_id, index=index)
 
 
@@ -90,7 +138,20 @@ class Camera(Device):
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply settings and return what the device READ BACK.
 
-        Raises `SettingError` for a value the device does not accept: it never clamps.
+        Parameters
+        ----------
+        settings : CameraSettings
+            What is wanted.
+
+        Returns
+        -------
+        CameraSettings
+            What the device has, which may differ by its own grid of exposures and gains.
+
+        Raises
+        ------
+        SettingError
+            The device does not accept a value: it never clamps.
         """
         self._need(State.IDLE, doing="configure")
         caps = self.caps
@@ -115,7 +176,24 @@ class Camera(Device):
 
     @final
     def arm(self, n: int, trigger: Trigger = "software") -> None:
-        """Get ready for `n` frames. Raises `CapabilityError` for a trigger it has not."""
+        """Get ready for frames; the camera is ARMED afterwards.
+
+        Parameters
+        ----------
+        n : int
+            How many, at least 1.
+        trigger : str
+            `software`: each `read` exposes. `hardware`: pulses at the trigger input do.
+
+        Raises
+        ------
+        StateError
+            It is not configured.
+        SettingError
+            n is less than 1.
+        CapabilityError
+            It has no such trigger.
+        """
         self._need(State.IDLE, doing="arm")
         self._configured("arm")
         if n < 1:
@@ -129,9 +207,24 @@ class Camera(Device):
 
     @final
     def read(self, timeout_s: float) -> Frame:
-        """The next frame; the last one leaves the camera IDLE.
+        """Wait for the next frame; the last one leaves the camera IDLE.
 
-        Raises `DeviceTimeoutError`, `FrameLossError` (missing, or of another size or depth).
+        Parameters
+        ----------
+        timeout_s : float
+            s to wait at most.
+
+        Returns
+        -------
+        Frame
+            The next in order.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            None came in time.
+        FrameLossError
+            One is missing, or it is of another size or depth than configured.
         """
         self._need(State.ARMED, doing="read")
         with self._guard("read"):
@@ -152,7 +245,18 @@ class Camera(Device):
 
     @final
     def snap(self, timeout_s: float = 10.0) -> Frame:
-        """One frame by software trigger."""
+        """Take one frame by software trigger.
+
+        Parameters
+        ----------
+        timeout_s : float
+            s to wait at most.
+
+        Returns
+        -------
+        Frame
+            With the index 0.
+        """
         self.arm(1, "software")
         return self.read(timeout_s)
 
@@ -190,19 +294,54 @@ class Camera(Device):
             )
 
     @abstractmethod
-    def _caps(self) -> CameraCaps: ...
+    def _caps(self) -> CameraCaps:
+        """What this camera can do, as it says itself.
+
+        Called by `caps`, often: in IDLE before every use, and in ARMED for every frame that is checked. It
+        must be quick and may only change while the camera is IDLE.
+        """
 
     @abstractmethod
-    def _configure(self, settings: CameraSettings) -> CameraSettings: ...
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings that lie within `_caps`, and give what the device then reads back.
+
+        Called by `configure` in IDLE, any number of times. Exposure in s, gain in dB. Do not clamp and do not
+        give back what was asked for: read the device. The base class refuses what differs by more than the
+        device's grid::
+
+            def _configure(self, settings):
+                self._sdk.set("ExposureTime", 1e6 * settings.exposure_s)
+                ...
+                return CameraSettings(self._sdk.get("ExposureTime") / 1e6, self._sdk.get("Gain"), bits)
+        """
 
     @abstractmethod
-    def _arm(self, n: int, trigger: Trigger) -> None: ...
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        """Get ready for `n` frames; the count of `Frame.index` begins at 0 again.
+
+        Called by `arm` in IDLE, configured, with a trigger of `_caps().triggers`. When it returns, the first
+        hardware pulse must find the camera ready. What was left from before must not come as a frame.
+        """
 
     @abstractmethod
-    def _read(self, timeout_s: float) -> Frame: ...
+    def _read(self, timeout_s: float) -> Frame:
+        """The next frame, in the order of exposure.
+
+        Called by `read` in ARMED, `n` times at most. With the software trigger it exposes now, whatever is on
+        show; with the hardware trigger it waits for the frame of the next pulse. The image is the sensor's
+        raw integers, uint8 up to 8 bits and uint16 beyond, right-justified, neither linearised nor averaged,
+        and it is a copy: the caller keeps it while later frames are read. `index` is the device's own count
+        since `_arm`, so that a lost frame shows as a gap; `settings` is what `_configure` gave. Raise
+        `DeviceTimeoutError` after `timeout_s`, `FrameLossError` for a frame that is torn.
+        """
 
     @abstractmethod
-    def _stop(self) -> None: ...
+    def _stop(self) -> None:
+        """Wait for no more frames and drop those not read.
+
+        Called by `stop` in IDLE and ARMED, also when nothing is under way, and by `read` after the last
+        frame.
+        """
 
 
 def _honoured(asked: CameraSettings, back: CameraSettings) -> bool:

@@ -33,7 +33,17 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device says it is: `link` is how it is connected."""
+    """What a device says it is.
+
+    Attributes
+    ----------
+    kind : str
+        camera, projector, stage or fixture.
+    model, serial : str
+        As the device tells them.
+    link : str
+        How it is connected.
+    """
 
     kind: str
     model: str
@@ -44,16 +54,26 @@ class DeviceInfo:
 class Device(ABC):
     """An instrument with a name, a state and a safe end.
 
-    Subclasses are constructed by the rig as `Backend(name, options, bench)`: `options`
-    is the rest of the device's section in the rig file, `bench` what the rig's devices share.
+    A backend is a subclass that fills in the hooks, the methods that begin with an underscore; the public
+    methods are final. It is constructed by the rig. Hooks are called one at a time, from the thread that calls
+    the public method, and only in the states that the public method allows.
+
+    Parameters
+    ----------
+    name : str
+        The device's section in the rig file, for messages.
+    options : dict of str to Any
+        The rest of that section, for `_setup`.
+    shared : SharedBackend or None
+        What the rig's devices share (the rig file's `bench`), for `_setup`.
     """
 
     kind = "device"
 
-    def __init__(self, name: str, options: dict[str, Any], bench: Any = None) -> None:
+    def __init__(self, name: str, options: dict[str, Any], shared: Any = None) -> None:
         self.name = name
         self._state = State.CLOSED
-        self._setup(options, bench)
+        self._setup(options, shared)
 
     @property
     @final
@@ -63,7 +83,15 @@ class Device(ABC):
 
     @final
     def open(self) -> None:
-        """Connect. Raises `StateError` when open already, `DeviceError` when that fails."""
+        """Connect; afterwards the device is IDLE.
+
+        Raises
+        ------
+        StateError
+            It is open already.
+        DeviceError
+            It cannot be had; it is CLOSED then.
+        """
         if self._state is not State.CLOSED:
             raise StateError(self.name, "open", f"is {self._state} already", "close it first")
         self._forget()
@@ -79,7 +107,10 @@ class Device(ABC):
     def close(self) -> None:
         """Leave the bench safe and let go of the device; legal from any state, any number of times.
 
-        Raises `DeviceError` when the device could not be made safe; it is CLOSED all the same.
+        Raises
+        ------
+        DeviceError
+            The device could not be made safe; it is CLOSED all the same.
         """
         if self._state is State.CLOSED:
             return
@@ -102,7 +133,13 @@ class Device(ABC):
 
     @final
     def info(self) -> DeviceInfo:
-        """Model, serial number and connection of an open device."""
+        """Tell model, serial number and connection of an open device.
+
+        Returns
+        -------
+        DeviceInfo
+            As the device tells them.
+        """
         self._need(State.IDLE, State.ARMED, doing="info")
         with self._guard("info"):
             return self._info()
@@ -142,20 +179,45 @@ class Device(ABC):
         except Exception:  # noqa: BLE001 - the failure to open is what the operator must see
             self._state = State.CLOSED
 
-    def _setup(self, options: dict[str, Any], bench: Any) -> None:
-        """Read the options of the rig file; raise `ConfigError` for wrong ones."""
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        """Read the options of the rig file. Override it if the backend has any.
+
+        Called once, by the constructor; nothing may be opened yet. `options` holds the section's keys but for
+        `backend` (and of a camera `bits` and `gain_db`); names of files that lie beside the rig file are
+        absolute. `shared` is what the rig file's `bench` names, not yet open, or None. Raise `ConfigError`
+        naming the key for everything that is wrong or unknown::
+
+            def _setup(self, options, shared):
+                self._port = options.pop("port", "/dev/ttyUSB0")
+                super()._setup(options, shared)  # refuses the rest
+        """
         if options:
             raise ConfigError(f"'{self.name}' has no option '{next(iter(options))}'; take it away")
 
     def _forget(self) -> None:  # noqa: B027 - not every kind of device has something to forget
-        """Drop what was known of the device: after a closing it may have been switched off."""
+        """Drop what was known of the device; called by `open`: since it was closed it may have been off."""
 
     @abstractmethod
-    def _open(self) -> None: ...
+    def _open(self) -> None:
+        """Connect and bring the device into a known, safe state.
+
+        Called by `open` in CLOSED. Afterwards every other hook may be called. Raise a `DeviceError` that says
+        what was found and what to do; any other exception becomes one. If it raises, `_close` is called, so
+        that what is half open need not be cleaned up here::
+
+            def _open(self):
+                self._wire = serial.Serial(self._port, timeout=1.0)
+        """
 
     @abstractmethod
     def _close(self) -> None:
-        """Make safe and disconnect; must work after a failed `_open` and in FAULT."""
+        """Make safe (dark, stopped, halted) and disconnect.
+
+        Called by `close` in IDLE, ARMED or FAULT, and after a failed `_open`: it must work when attributes
+        that `_open` sets are missing, and when the device no longer answers. The device is CLOSED afterwards
+        even if it raises.
+        """
 
     @abstractmethod
-    def _info(self) -> DeviceInfo: ...
+    def _info(self) -> DeviceInfo:
+        """Model, serial number and connection, as the open device tells them; called by `info`."""

@@ -13,9 +13,13 @@ from fpplab.devices.device import Device, State
 
 @dataclass(frozen=True)
 class FixtureCaps:
-    """What a fixture can hold: for each item, in how many poses (None: as many as wanted).
+    """What a fixture can hold.
 
-    Without `items`, as a person, it holds whatever it is asked for.
+    Attributes
+    ----------
+    items : dict of str to int or None, or None
+        For each item in how many poses (None: as many as wanted). None where any item can be held, as an
+        operator can.
     """
 
     items: dict[str, int | None] | None = None
@@ -36,9 +40,19 @@ class Fixture(Device):
 
     @final
     def mount(self, item: str, pose: int = 0) -> None:
-        """Put `item` in front of the rig in its pose number `pose`, or take all away with "nothing".
+        """Put an item in front of the rig.
 
-        Raises `SettingError` for an item or pose that it has not.
+        Parameters
+        ----------
+        item : str
+            What the fixture calls it; `nothing` takes all away.
+        pose : int
+            In which of its poses, from 0.
+
+        Raises
+        ------
+        SettingError
+            The fixture has no such item or pose.
         """
         self._need(State.IDLE, doing="mount")
         if item != "nothing":
@@ -48,9 +62,24 @@ class Fixture(Device):
 
     @final
     def pose(self, item: str, pose: int = 0) -> RigidTransform | None:
-        """T_camera_item of `item` in its pose number `pose`, or None where the fixture does not know.
+        """Tell where an item is held.
 
-        Raises `SettingError` for an item or pose that it has not.
+        Parameters
+        ----------
+        item : str
+            What the fixture calls it.
+        pose : int
+            In which of its poses, from 0.
+
+        Returns
+        -------
+        RigidTransform or None
+            T_camera_item in mm; None where the fixture does not know.
+
+        Raises
+        ------
+        SettingError
+            The fixture has no such item or pose.
         """
         self._need(State.IDLE, doing="pose")
         self._check_held("pose", item, pose)
@@ -59,9 +88,21 @@ class Fixture(Device):
 
     @final
     def check(self, item: str, pose: int = 0) -> None:
-        """Refuse an item or pose that it has not: `SettingError`; nothing moves.
+        """Refuse an item or pose that cannot be mounted; nothing moves.
 
-        Raises `ConfigError` for an item that it has and cannot put up.
+        Parameters
+        ----------
+        item : str
+            What the fixture calls it, or `nothing`.
+        pose : int
+            In which of its poses, from 0.
+
+        Raises
+        ------
+        SettingError
+            The fixture has no such item or pose.
+        ConfigError
+            It has the item and cannot put it up.
         """
         self._need(State.IDLE, doing="check")
         if item != "nothing":
@@ -78,14 +119,26 @@ class Fixture(Device):
             raise SettingError(self.name, doing, f"{item} has no pose {pose}", f"it has {poses}")
 
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
-        """An operator's hands know no pose; a fixture that does overrides this."""
+        """T_camera_item in mm of an item that `caps` lists; override it where it is known.
+
+        Called by `pose` in IDLE; nothing moves.
+        """
         return None
 
     def _check(self, item: str, pose: int) -> None:
-        """Refuse what `caps` lists but cannot be put up."""
+        """Raise `ConfigError` for what `caps` lists but cannot be put up; override it where needed.
+
+        Called by `check` in IDLE; nothing moves.
+        """
 
     @abstractmethod
-    def _caps(self) -> FixtureCaps: ...
+    def _caps(self) -> FixtureCaps:
+        """What can be held; called by `caps` in IDLE and before every mounting."""
 
     @abstractmethod
-    def _mount(self, item: str, pose: int) -> None: ...
+    def _mount(self, item: str, pose: int) -> None:
+        """Put the item in front of the rig in that pose, and return once it is at rest there.
+
+        Called by `mount` in IDLE with an item and pose of `_caps`, or with `nothing`, which takes all away.
+        The same item and pose may be asked for again.
+        """

@@ -19,8 +19,18 @@ from fpplab.patterns.fringes import Pattern
 class ProjectorCaps:
     """What a projector can do.
 
-    size: (width, height) in mirrors. bit_depths: depths it can show, with the least
-    exposure in s of each. max_patterns: how many it holds at once.
+    Attributes
+    ----------
+    size : tuple of int
+        (width, height) in mirrors.
+    lattice : Lattice
+        How the mirrors lie.
+    bit_depths : dict of int to float
+        Depths that it can show, with the least exposure in s of each.
+    trigger_outputs : int
+        How many outputs give a pulse with each pattern; 0 where it cannot play.
+    max_patterns : int
+        How many it holds at once.
     """
 
     size: tuple[int, int]
@@ -51,7 +61,22 @@ class Projector(Device):
     def load(self, patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
         """Take patterns and return what will really be shown, quantised as the device does.
 
-        Raises `SettingError` for a wrong size or depth, `CapabilityError` for too many.
+        Parameters
+        ----------
+        patterns : sequence of Pattern
+            In the order in which they will be shown.
+
+        Returns
+        -------
+        tuple of Pattern
+            As many, under the same ids.
+
+        Raises
+        ------
+        SettingError
+            A pattern is of a wrong size or depth.
+        CapabilityError
+            There are none, or too many.
         """
         self._need(State.IDLE, doing="load")
         caps = self.caps
@@ -67,7 +92,18 @@ class Projector(Device):
 
     @final
     def show(self, i: int) -> None:
-        """Show loaded pattern `i` until told otherwise."""
+        """Show one loaded pattern until told otherwise.
+
+        Parameters
+        ----------
+        i : int
+            Its index among those loaded.
+
+        Raises
+        ------
+        SettingError
+            No such pattern is loaded.
+        """
         self._need(State.IDLE, doing="show")
         if not 0 <= i < len(self._loaded):
             raise SettingError(
@@ -78,11 +114,23 @@ class Projector(Device):
 
     @final
     def play(self, exposure_s: float, dark_s: float = 0.0) -> None:
-        """Show every loaded pattern once, `exposure_s` each, giving a trigger pulse with each.
+        """Show every loaded pattern once, giving a trigger pulse with each; ARMED until `blank`.
 
-        At least `dark_s` of darkness follow each. The projector is ARMED until `blank`.
-        Raises `CapabilityError` without trigger output, or for darkness that it cannot make; `SettingError`
-        for too short an exposure.
+        Parameters
+        ----------
+        exposure_s : float
+            s that each is shown.
+        dark_s : float
+            s of darkness that follow each, at least.
+
+        Raises
+        ------
+        CapabilityError
+            It has no trigger output, or cannot make such darkness.
+        StateError
+            No patterns are loaded.
+        SettingError
+            The exposure is shorter than the patterns' depth allows, or the darkness is negative.
         """
         self._need(State.IDLE, doing="play")
         caps = self.caps
@@ -126,19 +174,43 @@ class Projector(Device):
             )
 
     @abstractmethod
-    def _caps(self) -> ProjectorCaps: ...
+    def _caps(self) -> ProjectorCaps:
+        """What this projector can do; called by `caps` in IDLE and ARMED, often: it must be quick."""
 
     @abstractmethod
-    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]: ...
+    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
+        """Take the patterns over, and give what will really be shown.
+
+        Called by `load` in IDLE with 1 to `max_patterns` patterns of the projector's size and of depths that
+        it has; their images are read-only and stay as they are. Nothing may be on show afterwards. Give as
+        many patterns back, with the same ids, their images quantised as the device does (uint8, full scale
+        255). Raise `CapabilityError` for what the device cannot show, before anything has changed::
+
+            def _load(self, patterns):
+                self._held = [replace(p, image=quantise(p.image / 255.0, p.bit_depth)) for p in patterns]
+                return self._held
+        """
 
     @abstractmethod
-    def _show(self, i: int) -> None: ...
+    def _show(self, i: int) -> None:
+        """Show loaded pattern `i`, from 0, and return once it is on show.
+
+        Called by `show` in IDLE. Where the device cannot say when the light has changed, the plan's
+        `settle_s` covers the rest. It stays until the next `_show`, `_play`, `_load` or `_blank`.
+        """
 
     @abstractmethod
-    def _play(self, exposure_s: float, dark_s: float) -> None: ...
+    def _play(self, exposure_s: float, dark_s: float) -> None:
+        """Start to show every loaded pattern once, in order, with a pulse at the beginning of each.
+
+        Called by `play` in IDLE with an exposure that the depths allow; the camera is armed already. Return
+        once the sequence runs or is sure to: do not wait for its end. Both times in s; the darkness after each
+        pattern lasts `dark_s` at least. Only where `trigger_outputs` is not 0.
+        """
 
     @abstractmethod
-    def _blank(self) -> None: ...
+    def _blank(self) -> None:
+        """Go dark, ending a sequence that runs; called by `blank` in IDLE and ARMED."""
 
 
 def _kept(pattern: Pattern) -> Pattern:

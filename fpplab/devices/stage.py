@@ -13,7 +13,13 @@ from fpplab.devices.device import Device, State
 
 @dataclass(frozen=True)
 class StageCaps:
-    """Travel of a stage in mm, (least, most)."""
+    """What a stage can do.
+
+    Attributes
+    ----------
+    travel_mm : tuple of float
+        (least, most) position in mm.
+    """
 
     travel_mm: tuple[float, float]
 
@@ -52,9 +58,28 @@ class Stage(Device):
 
     @final
     def move_to(self, mm: float, timeout_s: float = 60.0) -> float:
-        """Go to an absolute position and return the position READ BACK, in mm.
+        """Go to an absolute position and return the position READ BACK.
 
-        Raises `LimitError` outside the travel, `StateError` before homing, `DeviceTimeoutError`.
+        Parameters
+        ----------
+        mm : float
+            Where to, in mm.
+        timeout_s : float
+            s that it may take at most.
+
+        Returns
+        -------
+        float
+            Where it is, in mm, as the device tells.
+
+        Raises
+        ------
+        LimitError
+            The position lies outside the travel.
+        StateError
+            The stage is not homed.
+        DeviceTimeoutError
+            It did not arrive in time.
         """
         self._need(State.IDLE, doing="move_to")
         self._check_travel("move_to", mm)
@@ -66,7 +91,18 @@ class Stage(Device):
 
     @final
     def check(self, mm: float) -> None:
-        """Refuse a position outside the travel: `LimitError`; nothing moves."""
+        """Refuse a position outside the travel; nothing moves.
+
+        Parameters
+        ----------
+        mm : float
+            The position in mm.
+
+        Raises
+        ------
+        LimitError
+            It lies outside.
+        """
         self._need(State.IDLE, doing="check")
         self._check_travel("check", mm)
 
@@ -94,17 +130,36 @@ class Stage(Device):
             self._halt()
 
     @abstractmethod
-    def _caps(self) -> StageCaps: ...
+    def _caps(self) -> StageCaps:
+        """The travel in mm; called by `caps` in IDLE, before every move."""
 
     @abstractmethod
-    def _home(self) -> None: ...
+    def _home(self) -> None:
+        """Find the reference and return once it is found; called by `home` in IDLE.
+
+        Afterwards positions are absolute. Raise a `DeviceError` if it is not found; the stage then counts as
+        not homed.
+        """
 
     @abstractmethod
     def _move_to(self, mm: float, deadline_s: float) -> None:
-        """Move, and return once there; raise `DeviceTimeoutError` at `deadline_s` of `time.monotonic`."""
+        """Move to an absolute position in mm, and return once at rest there.
+
+        Called by `move_to` in IDLE, homed, within the travel. Raise `DeviceTimeoutError` at `deadline_s` of
+        `time.monotonic`, with the stage braked. The position is read back afterwards through `_position_mm`::
+
+            def _move_to(self, mm, deadline_s):
+                self._send(f"G0 X{mm:.4f}")
+                while self._moving():
+                    if time.monotonic() > deadline_s:
+                        self._halt()
+                        raise DeviceTimeoutError(self.name, "move_to", f"is at {self._position_mm():g} mm")
+        """
 
     @abstractmethod
-    def _position_mm(self) -> float: ...
+    def _position_mm(self) -> float:
+        """Where the stage is in mm, asked of the device; called by `position_mm` and after moves."""
 
     @abstractmethod
-    def _halt(self) -> None: ...
+    def _halt(self) -> None:
+        """Stop at once; called by `halt` in IDLE and ARMED, also from another thread's interruption."""

@@ -56,18 +56,18 @@ class RecordedSession:
         return self.session.records[0]
 
 
-def _recording(name: str, bench: Any) -> RecordedSession:
-    if not isinstance(bench, RecordedSession):
+def _recording(name: str, shared: Any) -> RecordedSession:
+    if not isinstance(shared, RecordedSession):
         raise ConfigError(f"{name}: a replay needs the bench fpplab.sessions.replay:RecordedSession")
-    return bench
+    return shared
 
 
 class ReplayCamera(Camera):
     """Gives the recorded frame of the pattern that the replayed projector shows."""
 
-    def _setup(self, options: dict[str, Any], bench: Any) -> None:
-        super()._setup(options, bench)
-        self._recording = _recording(self.name, bench)
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        super()._setup(options, shared)
+        self._recording = _recording(self.name, shared)
 
     def _open(self) -> None:
         """The bench holds the recording."""
@@ -114,9 +114,9 @@ class ReplayCamera(Camera):
 class ReplayProjector(Projector):
     """Accepts the recorded patterns, and no others."""
 
-    def _setup(self, options: dict[str, Any], bench: Any) -> None:
-        super()._setup(options, bench)
-        self._recording = _recording(self.name, bench)
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        super()._setup(options, shared)
+        self._recording = _recording(self.name, shared)
         self._indices: list[int] = []
 
     def _open(self) -> None:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, characterise, finest_periods, observe
 from fpplab.core.conventions import Floats
-from fpplab.pipeline import decode_session, mean_image
+from fpplab.pipeline import decode_session
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
@@ -87,7 +87,13 @@ def test_a_pose_left_out_is_measured_as_the_board(calibration: tuple[Path, dict]
 
 def observed(session: Session, target: Target) -> Observation:
     periods = finest_periods(session.plan, session.projector()[0])
-    return observe(session.path.name, mean_image(session), decode_session(session), target, periods)
+    return observe(
+        session.path.name,
+        session.recording(verify=False).mean_image(),
+        decode_session(session),
+        target,
+        periods,
+    )
 
 
 def triangulated(seen: Observation, calibration: Calibration) -> Floats:
