@@ -1,12 +1,82 @@
 """fpplab: fringe projection profilometry on a bench, and on its digital twin.
 
-The modules read in the order of a measurement: `plan` and `patterns` say what to
-project, `devices` and `rig` what to project it with, `acquisition` and `session`
-turn patterns into frames on disk, `phase` and `quality` frames into projector
-coordinates, `characterisation` and `reconstruction` those into points, and
-`comparison` points into an error against the true shape.
+With these names a researcher loads a session, decodes, reconstructs, compares and plots::
+
+    from fpplab import Calibration, Session, compare, decode, load_mesh, reconstruct
+
+    session = Session.open("scan")
+    decoded = decode(session.recording())
+    _, cloud = reconstruct(session, Calibration.load("calibration.yaml"))
+    print(compare(cloud, load_mesh("part.stl"), align=True).surface_smcd_um)
+
+The packages read in the order of a measurement: `patterns` says what to project, `devices` what to project it
+with, `acquisition` and `sessions` turn patterns into frames on disk, `phase` frames into projector
+coordinates, `characterisation` and `reconstruction` those into points, and `comparison` points into an error
+against the true shape. `pipeline` has the steps together.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from fpplab.core.version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from fpplab.calibration.model import Calibration
+    from fpplab.clouds import Cloud, load_cloud, load_mesh
+    from fpplab.comparison import compare
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.patterns.recording import Recording
+    from fpplab.phase import Decoded, decode
+    from fpplab.pipeline import characterise_sessions, reconstruct, scan
+    from fpplab.sessions.session import Session
+    from fpplab.targets import Target
+
+_PLACES = {
+    "Calibration": "calibration.model",
+    "Cloud": "clouds",
+    "Decoded": "phase",
+    "Plan": "patterns.plan",
+    "Recording": "patterns.recording",
+    "Rig": "devices.rig",
+    "Session": "sessions.session",
+    "Target": "targets",
+    "characterise_sessions": "pipeline",
+    "compare": "comparison",
+    "decode": "phase",
+    "load_cloud": "clouds",
+    "load_mesh": "clouds",
+    "reconstruct": "pipeline",
+    "scan": "pipeline",
+}
+"""The public names, and where each is defined; imported when first used, so that the command line stays
+quick."""
+
+__all__ = [
+    "Calibration",
+    "Cloud",
+    "Decoded",
+    "Plan",
+    "Recording",
+    "Rig",
+    "Session",
+    "Target",
+    "__version__",
+    "characterise_sessions",
+    "compare",
+    "decode",
+    "load_cloud",
+    "load_mesh",
+    "reconstruct",
+    "scan",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,7 +1,7 @@
 """The steps of a measurement, each from open devices or recorded sessions to a result.
 
-One code for the command line, the demonstration and the tests; nothing here knows what kind
-of rig it runs on.
+One code for the command line, the demonstration, programs and tests; nothing here knows what kind of rig it
+runs on.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
-from fpplab.phase import Decoded, decode
+from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.reconstruction.filtering import filtered
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
@@ -58,10 +58,42 @@ def take(
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> Session:
-    """Acquire the plan on an open rig into `out`, or complete the interrupted session there.
+    """Acquire a plan on an open rig, or complete an interrupted session.
 
-    mount: what the rig's fixture puts up first. complete_too: leave a session that is complete as it is,
-    instead of refusing it. Where the stage cannot go nothing is replaced.
+    Where the stage cannot go nothing is replaced.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What to project and capture.
+    out : path
+        Folder of the session.
+    mount : tuple of str and int, optional
+        Item and pose that the rig's fixture puts up first.
+    force : bool
+        Whether a session that is there already is replaced.
+    complete_too : bool
+        Whether a session that is complete is left as it is, instead of refused.
+    progress : callable
+        Told the share of the frames that are on disk, 0 … 1.
+    observe_frame : callable
+        Given every frame once it is on disk.
+
+    Returns
+    -------
+    Session
+        Complete.
+
+    Raises
+    ------
+    ConfigError
+        The output exists, or the rig lacks what the plan or the item needs.
+    DeviceError
+        A device failed; the frames until then are kept.
+    DataError
+        The session there is of another plan, rig or item, or the disk is full.
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
@@ -125,8 +157,31 @@ def reconstruct(
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and say how well each point is known.
 
-    filtering: whether to filter; by default as the session's plan says. A plan without rules means the usual.
-    Raises `CalibrationError` when the calibration is of another rig.
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    calibration : Calibration
+        Of the rig that took it.
+    progress : callable
+        Told the share done, 0 … 1.
+    filtering : bool, optional
+        Whether points that lie on no surface are removed; by default as the session's plan says. A plan
+        without rules means the usual ones.
+
+    Returns
+    -------
+    decoded : Decoded
+        Maps (height, width), which know what was removed.
+    cloud : Cloud
+        Points in mm in the camera's frame, with their sigmas.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is of another rig.
+    DataError
+        Frames are missing, damaged or out of step with the plan.
     """
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
@@ -143,9 +198,30 @@ def reconstruct(
 def points_of(
     decoded: Decoded, calibration: Calibration, plan: Plan, texture: NDArray[np.uint8] | None = None
 ) -> tuple[Decoded, Cloud]:
-    """Triangulate, and filter as the plan says: the cloud, and the maps that know what was removed.
+    """Triangulate, and filter as the plan says.
 
-    texture: as in `triangulate`, and the same errors.
+    Parameters
+    ----------
+    decoded : Decoded
+        Projector coordinates of every camera pixel.
+    calibration : Calibration
+        Of the rig that they were seen with.
+    plan : Plan
+        Its `filter` says which points are removed.
+    texture : ndarray of uint8, (height, width), optional
+        Grey levels of the points.
+
+    Returns
+    -------
+    decoded : Decoded
+        The same maps, which now know what was removed.
+    cloud : Cloud
+        Points in mm in the camera's frame.
+
+    Raises
+    ------
+    CalibrationError
+        As `fpplab.reconstruction.triangulation.triangulate`.
     """
     cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
     return filtered(decoded, cloud, plan, calibration.projector.size)
@@ -154,7 +230,29 @@ def points_of(
 def finish_scan(
     session: Session, calibration: Calibration, progress: Progress = no_progress
 ) -> tuple[Decoded, Cloud]:
-    """Reconstruct a complete session and leave every result in it."""
+    """Reconstruct a complete session and leave every result in it.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    calibration : Calibration
+        Of the rig that took it; a copy is left in the session.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    decoded : Decoded
+        As written to `decoded.npz`.
+    cloud : Cloud
+        As written to `cloud.ply`.
+
+    Raises
+    ------
+    CalibrationError, DataError
+        As `reconstruct`.
+    """
     decoded, cloud = reconstruct(session, calibration, progress)
     decoded.save(session.path / DECODED)
     save_cloud(cloud, session.path / CLOUD)
@@ -162,10 +260,86 @@ def finish_scan(
     return decoded, cloud
 
 
+def scan(
+    rig: Rig,
+    plan: Plan,
+    calibration: Calibration,
+    out: Path | str,
+    mount: Mounted | None = None,
+    *,
+    force: bool = False,
+    progress: Progress = no_progress,
+) -> Cloud:
+    """Measure: acquire a plan on an open rig, reconstruct, and leave every result in the session.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What to project and capture.
+    calibration : Calibration
+        Of the rig.
+    out : path or str
+        Folder of the session; an interrupted one is completed.
+    mount : tuple of str and int, optional
+        Item and pose that the rig's fixture puts up first.
+    force : bool
+        Whether a session that is there already is replaced.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    Cloud
+        Points in mm in the camera's frame, with their sigmas.
+
+    Raises
+    ------
+    ConfigError, DeviceError, DataError
+        As `take`.
+    CalibrationError
+        As `reconstruct`.
+    """
+    check_unwrapping(plan, "plan")
+    calibration.check_camera(rig.camera.caps.size, "calibration")
+    calibration.check_projector(rig.projector.caps.size, rig.projector.caps.lattice, "calibration")
+    session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
+    return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]
+
+
 def take_poses(
     rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = no_progress
 ) -> list[Session]:
-    """One session per pose of a target that the rig's fixture holds; poses taken before are kept."""
+    """Take one session for each pose of a target that the rig's fixture holds.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, with a fixture.
+    plan : Plan
+        With fringes along x and y.
+    item : str
+        What the fixture calls the target.
+    poses : int
+        How many.
+    folder : path
+        Their folder: `pose_00`, `pose_01` … in it.
+    force : bool
+        Whether poses taken before are taken again; they are kept otherwise.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    list of Session
+        In the order of the poses.
+
+    Raises
+    ------
+    ConfigError, DeviceError, DataError
+        As `take`.
+    """
 
     def one(pose: int) -> Session:
         return take(
@@ -189,11 +363,33 @@ def characterise_sessions(
     level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
-    """Camera, projector and the pose between them from one session per pose of a target.
+    """Find camera, projector and the pose between them from one session for each pose of a target.
 
-    A pose in which the target is not found, or whose frames are out of step with the plan, is left out
-    and named, as long as enough remain. level, refine_board: as in `characterise`.
-    Raises `CalibrationError`.
+    A pose in which the target is not found, or whose frames are out of step with the plan, is left out and
+    named, as long as enough remain.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Complete, of one plan and format.
+    target : Target
+        The board.
+    progress : callable
+        Told the share done, 0 … 1.
+    level : DistortionModel or str
+        Which distortion is fitted; `auto` chooses.
+    refine_board : bool, optional
+        Whether the board's shape is fitted too; by default as the target says.
+
+    Returns
+    -------
+    Characterisation
+        The calibration, and how well it is known.
+
+    Raises
+    ------
+    CalibrationError
+        Too few poses remain, or the models do not fit.
     """
     size, lattice = sessions[0].projector()
     periods = finest_periods(sessions[0].plan, size)
@@ -231,11 +427,35 @@ def _observe_session(session: Session, target: Target, periods: tuple[float, flo
 def measure_response(
     rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = no_progress
 ) -> tuple[Response, Floats]:
-    """Show uniform greys and fit the response; also the levels fitted, (K, 2) of in and out in [0, 1].
+    """Show uniform grey-level images and fit the response.
 
-    The greys are shown from black to white and back, `repeats` times in all, so that a lamp that drifts
-    does not pass for a response; before them one frame with the projector off.
-    Raises `CalibrationError`, `DeviceError`.
+    They are shown from black to white and back, `repeats` times in all, so that a lamp that drifts does not
+    pass for a response; before them one frame with the projector off.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, looking at an evenly white surface.
+    exposure_s : float
+        Exposure in s.
+    greys : GreyLevels, optional
+        How many levels, how often.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    response : Response
+        The fit.
+    levels : ndarray of float64, (K, 2)
+        The levels fitted, in and out, in [0, 1].
+
+    Raises
+    ------
+    CalibrationError
+        The levels do not rise, or are saturated.
+    DeviceError
+        A device failed.
     """
     wanted = greys or GreyLevels()
     settings = rig.camera_settings(exposure_s)

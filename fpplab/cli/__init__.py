@@ -1,4 +1,5 @@
-"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own by entry points.
+"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own by entry
+points.
 
 Heavy modules are imported where they are used, so that `--help` is at once.
 """
