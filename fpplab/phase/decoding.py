@@ -14,7 +14,7 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.decoded import Decoded
-from fpplab.phase.kernels import KernelMaps, Recipe, decode_pixels
+from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
 from fpplab.phase.quality import noise_of
 from fpplab.phase.recipe import recipe_of
@@ -67,15 +67,15 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
     return decoded
 
 
-def _allocate(pixels: int, plan: Plan) -> KernelMaps:
+def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
-    return KernelMaps(*(np.empty(n, np.float32) for n in sizes))
+    return Maps(*(np.empty(n, np.float32) for n in sizes))
 
 
-def _decoded(recipe: Recipe, maps: KernelMaps, shape: tuple[int, ...]) -> Decoded:
+def _decoded(recipe: Recipe, maps: Maps, shape: tuple[int, ...]) -> Decoded:
     spread_u, spread_v = recipe.spread
     v_per_u = float(spread_v / spread_u) if spread_u and spread_v else 1.0
     u, v, modulation, sigma, disagreement = (
@@ -89,7 +89,7 @@ def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
 
 
 def _run(
-    recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: KernelMaps, progress: Progress
+    recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress
 ) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
     like, highest = np.empty(0, dtype), 0.0

@@ -108,7 +108,7 @@ class Recipe(NamedTuple):
     noise_per_level: np.float32
 
 
-class KernelMaps(NamedTuple):
+class Maps(NamedTuple):
     """Flat float32 maps of the camera that the kernel fills; an empty one is left out."""
 
     u: NDArray[np.float32]
@@ -328,7 +328,7 @@ def _erase(out: Any, good: Any, n: int) -> None:
 def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
     """Fill `maps` for the pixels `start` … `stop`; returns the greatest raw value met.
 
-    recipe: `Recipe`. like: an empty array of the frames' type. maps: `KernelMaps`, flat.
+    recipe: `Recipe`. like: an empty array of the frames' type. maps: `Maps`, flat.
     Releases the interpreter's lock, so that threads may share a frame's pixels.
     """
     sets = len(recipe.origin)

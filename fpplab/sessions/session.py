@@ -96,8 +96,9 @@ class Session:
         return cls(path, plan, {})
 
     @classmethod
-    def open(cls, path: Path) -> Session:
+    def open(cls, path: Path | str) -> Session:
         """An existing session. Raises `DataError` when it is none or its journal is damaged."""
+        path = Path(path)
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
         plan = config.load_document(path / PLAN, Plan)
