@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fpplab.cli.lists import spread
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 from typer.testing import CliRunner
@@ -18,6 +17,7 @@ from fpplab.acceptance import Standard, verify, verify_ball_bar, verify_plane
 from fpplab.acceptance.fitting import DISCARDED_SHARE
 from fpplab.artefacts import BallBar
 from fpplab.cli import app
+from fpplab.cli.lists import spread
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core import config
 from fpplab.core.conventions import Floats

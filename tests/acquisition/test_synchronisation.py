@@ -24,8 +24,9 @@ from fpplab.acquisition.synchronisation import (
 )
 from fpplab.core.conventions import Floats, Image, axis_length, full_scale, phase_of_coordinate, phase_steps
 from fpplab.core.errors import CalibrationError, DataError
-from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from tests.support.rigs import BOARD
 
 DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[3] / "shared" / "data")) / "slstudio"
@@ -69,7 +70,7 @@ class Scene:
         self,
         light: dict[str, Floats],
         albedo: Floats,
-        fringe: FringeSet,
+        fringe: Sinusoid,
         shift: float,
         random: np.random.Generator,
     ) -> Image:
@@ -100,7 +101,7 @@ def sets(*fringes: tuple[str, float, int]) -> Plan:
 @st.composite
 def plans(draw: st.DrawFn, least_steps: int = 3, least_sets: int = 1) -> Plan:
     one = st.builds(
-        FringeSet,
+        Sinusoid,
         axis=st.sampled_from("xy"),
         stripes=st.sampled_from((1.0, 1.7, 4.0, 6.5, 8.0)),
         steps=st.integers(least_steps, 13),
@@ -167,7 +168,7 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
             assert fault.words() in verdict.words() or not verdict.fits
 
 
-def coarser(fringe: FringeSet) -> FringeSet:
+def coarser(fringe: Sinusoid) -> Sinusoid:
     """Stripes that a camera of so few pixels resolves."""
     return fringe.model_copy(update={"stripes": min(fringe.stripes, 12.0), "projector_size": None})
 
@@ -247,13 +248,8 @@ def test_a_few_pixels_that_see_fringes_are_enough() -> None:
 def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6)).model_copy(update={"trigger": trigger})
     late = spoilt(Scene().frames(plan), SyncFault(Cause.LATE))
-    session = SimpleNamespace(
-        path=Path("pose_04"),
-        plan=plan,
-        format=(96, 72, 8),
-        stack=lambda progress: late,
-        projector=lambda: (SIZE, None),
-    )
+    recording = Recording(late, plan, SIZE, name="pose_04")
+    session = SimpleNamespace(path=Path("pose_04"), recording=lambda progress=None: recording)
     with pytest.raises(
         CalibrationError, match=r"pose_04: every frame shows the pattern before its own"
     ) as told:

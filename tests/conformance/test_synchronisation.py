@@ -23,7 +23,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, DataError, DeviceError, FppError, SyncError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CLOUD, DECODED, REPORT, characterise_sessions
 from fpplab.sessions.session import Session
@@ -65,7 +65,7 @@ def opened(described: dict[str, Any]) -> Rig:
     return Rig(RigFile(**described), Path(), "rig.yaml")
 
 
-def plan(trigger: str, settle_s: float = 0.0, fringes: tuple[FringeSet, ...] = FRINGES) -> Plan:
+def plan(trigger: str, settle_s: float = 0.0, fringes: tuple[Sinusoid, ...] = FRINGES) -> Plan:
     return Plan(fringes=fringes, trigger=trigger, settle_s=settle_s)  # type: ignore[arg-type]
 
 
@@ -105,7 +105,7 @@ def test_a_display_that_is_slower_than_the_plan_waits_is_named(tmp_path: Path) -
 
 @pytest.mark.parametrize("fringes", [FRINGES, COARSE], ids=["proven by frames", "proven by a marker"])
 @pytest.mark.parametrize("trigger", ["stepped", "triggered"])
-def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[FringeSet, ...], tmp_path: Path) -> None:
+def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[Sinusoid, ...], tmp_path: Path) -> None:
     session = taken(rig(), plan(trigger, fringes=fringes), tmp_path / "s")
     assert session.missing() == []
 
@@ -124,7 +124,7 @@ def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(
 @pytest.mark.parametrize("fringes", [FRINGES, COARSE], ids=["proven by frames", "proven by a marker"])
 @pytest.mark.parametrize("trigger", ["stepped", "triggered"])
 def test_what_is_captured_in_memory_is_what_a_session_holds(
-    trigger: str, fringes: tuple[FringeSet, ...], tmp_path: Path
+    trigger: str, fringes: tuple[Sinusoid, ...], tmp_path: Path
 ) -> None:
     wanted = plan(trigger, fringes=fringes)
     with opened(rig()) as bench:
@@ -136,7 +136,7 @@ def test_what_is_captured_in_memory_is_what_a_session_holds(
 @pytest.mark.parametrize(
     ("fringes", "fault"), [(FRINGES, SyncFault(Cause.DOUBLED, 9)), (COARSE, SyncFault(Cause.MISSED, 1))]
 )
-def test_what_slips_is_not_captured_either(fringes: tuple[FringeSet, ...], fault: SyncFault) -> None:
+def test_what_slips_is_not_captured_either(fringes: tuple[Sinusoid, ...], fault: SyncFault) -> None:
     with opened(slipping(fault)) as bench, pytest.raises(SyncError, match="cable"):
         capture(bench, plan("triggered", fringes=fringes))
 

@@ -27,7 +27,9 @@ def block(language: str) -> str:
     return found[1]
 
 
-def conformance(folder: Path, code: str, tests: str = "tests/conformance") -> subprocess.CompletedProcess[str]:
+def conformance(
+    folder: Path, code: str, tests: str = "tests/conformance"
+) -> subprocess.CompletedProcess[str]:
     (folder / "acme_camera.py").write_text(code, encoding="utf-8")
     (folder / "acme.py").write_text("from tests.docs.acme import *\n", encoding="utf-8")
     (folder / "rig_mine.yaml").write_text(RIG, encoding="utf-8")
@@ -53,7 +55,7 @@ def test_the_camera_of_the_page_passes_the_conformance_suite(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("good", "bad"),
     [
-        ('np.array(buffer, np.uint8 if self._applied.bits == 8 else np.uint16)', "buffer"),
+        ("np.array(buffer, np.uint8 if self._applied.bits == 8 else np.uint16)", "buffer"),
         ("self._count = 0", "self._count = getattr(self, '_count', 0)"),
         ("return self._applied\n\n    def _arm", "return settings\n\n    def _arm"),
     ],

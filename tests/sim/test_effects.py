@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 from fpplab.artefacts import save_stl
 from fpplab.core.conventions import TWO_PI, Floats, Image
 from fpplab.devices import CameraSettings
-from fpplab.patterns.fringe_sets import FringeSet, Sinusoid
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import wrapped_phase
@@ -55,11 +55,11 @@ def quiet(**changes: Any) -> dict[str, Any]:
     return {"projector": projector(**lamp), "camera": eye, **changes}
 
 
-def fringe(steps: int, stripes: float = 16) -> FringeSet:
+def fringe(steps: int, stripes: float = 16) -> Sinusoid:
     return Sinusoid(axis="x", stripes=stripes, steps=steps)
 
 
-def taken(bench: Bench, of: World, fringes: FringeSet) -> list[Image]:
+def taken(bench: Bench, of: World, fringes: Sinusoid) -> list[Image]:
     """A frame of every step."""
     plan = Plan(fringes=(fringes,))
     bench.projector.load(make_patterns(plan, of.projector.size, of.projector.lattice))
@@ -70,7 +70,7 @@ def taken(bench: Bench, of: World, fringes: FringeSet) -> list[Image]:
     return frames
 
 
-def phase(frames: list[Image], fringes: FringeSet) -> Floats:
+def phase(frames: list[Image], fringes: Sinusoid) -> Floats:
     return wrapped_phase(frames, fringes).phase.astype(np.float64)
 
 

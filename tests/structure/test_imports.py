@@ -114,7 +114,7 @@ def test_fpplab_names_nothing_above_it_in_a_string() -> None:
     [
         'BACKEND = "drivers.basler:BaslerCamera"',
         'import importlib\nimportlib.import_module("drivers" + ".clock")',
-        'from importlib import import_module\nimport_module(name)',
+        "from importlib import import_module\nimport_module(name)",
         '__import__("sim.twin")',
     ],
 )
