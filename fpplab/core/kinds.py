@@ -23,15 +23,17 @@ family is; where each has a module of its own in one package, that package's ``_
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from inspect import isabstract
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import core_schema
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,7 @@ def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
         A member has no ``kind`` with a default, or the kind of another.
     """
     members: dict[str, type[BaseModel]] = {}
-    for member in _subclasses(base):
-        if isabstract(member):
-            continue
+    for member in concrete_subclasses(base):
         field = member.model_fields.get("kind")
         kind = None if field is None else field.default
         if not isinstance(kind, str):
@@ -106,15 +106,26 @@ def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
     return dict(sorted(members.items()))
 
 
-def _subclasses(base: type[BaseModel]) -> Iterator[type[BaseModel]]:
-    """Direct and indirect ones, each once."""
-    found: dict[type[BaseModel], None] = {}
+def concrete_subclasses(base: type[T]) -> list[type[T]]:
+    """Collect the classes below a base class that can be made, those below them too.
+
+    Parameters
+    ----------
+    base : type
+        The base class, itself left out.
+
+    Returns
+    -------
+    list of type
+        Each once, in the order in which they were defined under each class.
+    """
+    found: dict[type[T], None] = {}
     waiting = [base]
     while waiting:
         new = [cls for cls in waiting.pop().__subclasses__() if cls not in found]
         found.update(dict.fromkeys(new))
         waiting.extend(new)
-    return iter(found)
+    return [cls for cls in found if not isabstract(cls)]
 
 
 def import_members(package_name: str, package_path: Iterable[str]) -> None:

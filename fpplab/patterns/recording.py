@@ -1,4 +1,5 @@
-"""A recording: the frames that a camera took of a plan's patterns, and all that decoding must know of them."""
+"""A recording: the frames that a camera took of a plan's patterns, and all that decoding must know of
+them."""
 
 from __future__ import annotations
 

@@ -88,9 +88,7 @@ def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
     return flat.reshape(shape) if flat.size else np.broadcast_to(np.float32(np.nan), shape)
 
 
-def _run(
-    recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress
-) -> float:
+def _run(recipe: Recipe, dtype: np.dtype[np.generic], pixels: int, maps: Maps, progress: Progress) -> float:
     """The kernel on all processors, block by block; the greatest raw value met."""
     like, highest = np.empty(0, dtype), 0.0
     pool = ThreadPoolExecutor(_processors())

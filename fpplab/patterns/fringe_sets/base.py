@@ -1,8 +1,8 @@
 """What every kind of fringe set is: images of `stripes` periods along an axis that together give a phase.
 
 A kind is a file of this package with one class. It owns its patterns (`level`), its contribution to decoding
-(`demodulation`, `noise_power`), what a pixel may see of it when everything is in step (`waves`), its part of a
-plan file (its fields) and its documentation (their docstrings). Plans, decoding and the proof of
+(`demodulation`, `noise_power`), what a pixel may see of it when everything is in step (`waves`), its part of
+a plan file (its fields) and its documentation (their docstrings). Plans, decoding and the proof of
 synchronisation take it through this class alone.
 """
 
@@ -25,10 +25,10 @@ Width = Annotated[int, Field(gt=1)]
 class Demodulation:
     """How the images of a set become a phase: sums of the images, N of them, with these weights.
 
-    With `S = Σ sine_n I_n` and `C = Σ cosine_n I_n` the phase is `atan2(S, C) - origin_rad` and the modulation
-    `B = scale sqrt(S² + C²)`; `Σ mean_n I_n` is the offset. The decoder takes what the mean square holds beyond
-    offset² + B²/2 for misfit, which is right if the weights are those of a balanced set: `Σ exp(iδ_n)` and
-    `Σ exp(2iδ_n)` vanish for its phase shifts δ_n.
+    With `S = Σ sine_n I_n` and `C = Σ cosine_n I_n` the phase is `atan2(S, C) - origin_rad` and the
+    modulation `B = scale sqrt(S² + C²)`; `Σ mean_n I_n` is the offset. The decoder takes what the mean
+    square holds beyond offset² + B²/2 for misfit, which is right if the weights are those of a balanced set:
+    `Σ exp(iδ_n)` and `Σ exp(2iδ_n)` vanish for its phase shifts δ_n.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """Unwrapping methods, one file each; every file of this package is found by itself."""
 
-from fpplab.core.kinds import import_members
+from fpplab.core.kinds import concrete_subclasses, import_members
 from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
 
 import_members(__name__, __path__)
@@ -12,9 +12,9 @@ def unwrapping_methods() -> dict[str, UnwrappingMethod]:
     Returns
     -------
     dict of str to UnwrappingMethod
-        By name, in the order of their files.
+        By name.
     """
-    return {kind.name: kind() for kind in UnwrappingMethod.__subclasses__()}
+    return {kind.name: kind() for kind in concrete_subclasses(UnwrappingMethod)}  # type: ignore[type-abstract]
 
 
 __all__ = ["NEGLIGIBLE", "SyntheticWavelength", "UnwrappingMethod", "unwrapping_methods"]

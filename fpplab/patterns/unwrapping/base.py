@@ -1,8 +1,8 @@
 """What every unwrapping method is: a way from a plan's fringe sets to synthetic wavelengths.
 
-A synthetic wavelength is an integer combination of the measured wrapped phases, and so itself a wrapped phase,
-of its own effective stripe count. Unwrapping begins with one of at most one stripe and goes on to the finest
-set. A method is a file of this package with one class; its name in a plan file is the class's `name`.
+A synthetic wavelength is an integer combination of the measured wrapped phases, and so itself a wrapped
+phase, of its own effective stripe count. Unwrapping begins with one of at most one stripe and goes on to the
+finest set. A method is a file of this package with one class; its name in a plan file is the class's `name`.
 """
 
 from __future__ import annotations

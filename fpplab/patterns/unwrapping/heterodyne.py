@@ -1,4 +1,5 @@
-"""Heterodyne (multi-wavelength) temporal unwrapping: beats of neighbouring sets, beats of those, and so on."""
+"""Heterodyne (multi-wavelength) temporal unwrapping: beats of neighbouring sets, beats of those, and so
+on."""
 
 from __future__ import annotations
 

@@ -1,0 +1,134 @@
+"""A new kind of fringe set, and a new unwrapping method, are one class each: here they are, in this file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fpplab.core import config
+from fpplab.core.errors import ConfigError
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.unwrapping import unwrapping_methods
+
+ROOT = Path(__file__).parents[2]
+NEW_KIND = '''
+"""Sinusoids whose images are shown in any order of their shifts, against lamps that drift."""
+
+from typing import Literal
+
+import numpy as np
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet
+
+
+class Reordered(FringeSet):
+    kind: Literal["reordered"] = "reordered"
+    order: tuple[int, ...]
+
+    @property
+    def images(self) -> int:
+        return len(self.order)
+
+    def phase_shifts(self) -> Floats:
+        return 2 * np.pi * np.array(self.order) / self.images
+
+    def wave(self, phase: Floats, step: int) -> Floats:
+        return 0.5 + 0.5 * np.cos(phase - self.phase_shifts()[step])
+
+    def demodulation(self) -> Demodulation:
+        shift, n = self.phase_shifts(), self.images
+        return Demodulation(np.sin(shift), np.cos(shift), np.full(n, 1 / n), 2 / n, 0.0)
+
+    def noise_power(self, sample: Floats) -> tuple[Floats, int]:
+        waves = np.column_stack([np.ones(self.images), self.waves(1)])
+        left = sample - waves @ np.linalg.lstsq(waves, sample, rcond=None)[0]
+        return (left**2).sum(axis=0), max(self.images - 3, 0)
+'''
+NEW_METHOD = '''
+"""Sets as they are, under another name."""
+
+from fpplab.patterns.unwrapping.hierarchical import Hierarchical
+
+
+class Renamed(Hierarchical):
+    name = "renamed"
+'''
+TRIAL = '''
+import numpy as np
+from fpplab import Plan, Recording, decode
+from fpplab.acquisition.synchronisation import check_synchronisation
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.patterns.fringes import make_patterns
+
+text = """
+fringes:
+  - {axis: x, stripes: 1, steps: 4}
+  - {kind: reordered, axis: x, stripes: 7, order: [3, 0, 4, 1, 5, 2]}
+  - {kind: reordered, axis: x, stripes: 40, order: [1, 0, 3, 2, 4]}
+unwrapping: METHOD
+"""
+plan = config.validate(config.parse_yaml(text, "plan"), Plan, "plan")
+assert config.validate(config.parse_yaml(config.dump(plan), "plan"), Plan, "plan") == plan
+size = (400, 48)
+frames = [pattern.image for pattern in make_patterns(plan, size, Lattice.SQUARE)]
+assert check_synchronisation(frames, plan).in_step
+late = [frames[-1], *frames[:-1]]
+assert not check_synchronisation(late, plan).in_step
+rules = plan.masks.model_copy(update={"contrast_min": 0.0})
+bright = [(20 + 0.8 * frame).astype(np.uint8) for frame in frames]
+decoded = decode(Recording(bright, plan.model_copy(update={"masks": rules}), size))
+assert decoded.valid.mean() > 0.99, decoded.valid.mean()
+error = np.abs(decoded.u - np.arange(400))[decoded.valid]
+assert error.max() < 0.1, error.max()
+print("ok")
+'''
+
+
+def copy_of_fpplab(folder: Path, added: dict[str, str]) -> None:
+    import shutil
+
+    shutil.copytree(ROOT / "fpplab", folder / "fpplab", ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in added.items():
+        (folder / "fpplab" / "patterns" / name).write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("method", ["hierarchical", "renamed"])
+def test_a_new_kind_is_one_file(tmp_path: Path, method: str) -> None:
+    added = {"fringe_sets/reordered.py": NEW_KIND, "unwrapping/renamed.py": NEW_METHOD}
+    copy_of_fpplab(tmp_path, added)
+    done = subprocess.run(
+        [sys.executable, "-c", TRIAL.replace("METHOD", method)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "ok\n", done.stderr
+
+
+def test_a_sinusoid_needs_no_kind_and_tells_none() -> None:
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=4),))
+    assert "kind" not in config.dump(plan)
+    named = {"fringes": [{"kind": "sinusoid", "axis": "x", "stripes": 1, "steps": 4}]}
+    assert config.validate(named, Plan, "plan") == plan
+
+
+def test_an_unknown_kind_lists_the_known() -> None:
+    wrong = {"fringes": [{"kind": "gray", "axis": "x", "stripes": 1, "steps": 4}]}
+    with pytest.raises(ConfigError, match=r"'fringes\[0\]' .*must have a 'kind' of sinusoid"):
+        config.validate(wrong, Plan, "plan")
+
+
+def test_an_unknown_method_lists_the_known() -> None:
+    assert sorted(unwrapping_methods()) == ["heterodyne", "hierarchical"]
+    wrong = {"fringes": [{"axis": "x", "stripes": 1, "steps": 4}], "unwrapping": "magic"}
+    with pytest.raises(
+        ConfigError, match="'unwrapping' is 'magic': should be 'hierarchical' or 'heterodyne'"
+    ):
+        config.validate(wrong, Plan, "plan")

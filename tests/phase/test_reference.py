@@ -1,0 +1,90 @@
+"""The compiled decoder does what the reference does in NumPy, for any plan, noise, depth and response."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fpplab.core.conventions import Axis, Image, Lattice
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import MaskRules, Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode, wrapped_phase
+from fpplab.phase.reference import decode_axis
+
+SIZE = (320, 6)
+LENIENT = MaskRules(modulation_min=0.0, contrast_min=0.0, residual_max=10.0, disagreement_max=0.5)
+
+
+def frames(plan: Plan, noise: float, bits: int, seed: int) -> Iterator[Image]:
+    random, full = np.random.default_rng(seed), (1 << bits) - 1
+    for index, step, _ in plan.steps():
+        level = 0.1 + 0.7 * plan.fringes[index].level(step, SIZE, Lattice.SQUARE)
+        level += random.normal(0.0, noise, level.shape)
+        yield np.rint(np.clip(level, 0.0, 0.999) * full).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    ratios=st.lists(st.floats(1.5, 9), min_size=1, max_size=3),
+    steps=st.lists(st.integers(3, 12), min_size=4, max_size=4),
+    heterodyne=st.booleans(),
+    sign=st.sampled_from([1, -1]),
+    origin=st.floats(-5, 5),
+    noise=st.floats(0.0, 0.03),
+    bits=st.sampled_from([8, 12]),
+    seed=st.integers(0, 999),
+)
+def test_the_compiled_decoder_is_held_to_the_reference(
+    ratios: list[float],
+    steps: list[int],
+    heterodyne: bool,
+    sign: int,
+    origin: float,
+    noise: float,
+    bits: int,
+    seed: int,
+) -> None:
+    stripes = [49.0, 56.0, 64.0] if heterodyne else (0.97 * np.cumprod([1.0, *ratios])).tolist()
+    fringes = tuple(
+        Sinusoid(axis="x", stripes=min(s, 150.0 + k), steps=n, shift_sign=sign, phase_origin_rad=origin)
+        for k, (s, n) in enumerate(zip(stripes, steps, strict=False))
+    )
+    plan = Plan(fringes=fringes, unwrapping="heterodyne" if heterodyne else "hierarchical", masks=LENIENT)
+    recording = Recording(list(frames(plan, noise, bits, seed)), plan, SIZE, bits)
+    compiled, reference = decode(recording).u, decode_axis(recording, "x")
+    # Where one is at the very limit of ambiguity, rounding to float32 may leave the other out.
+    assert (np.isnan(compiled) != np.isnan(reference)).mean() < 0.01
+    both = np.isfinite(compiled) & np.isfinite(reference)
+    off = np.abs(compiled - reference)[both]
+    period = SIZE[0] / max(f.stripes for f in fringes)
+    assert (off > 0.25 * period).mean() < 0.002  # an order that is a toss-up
+    np.testing.assert_array_less(off[off < 0.25 * period], 2e-3)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_both_axes_are_the_reference_s(axis: Axis) -> None:
+    sets = tuple(
+        Sinusoid(axis=a, stripes=s, steps=5) for a, coarse in (("x", 1.0), ("y", 1.0)) for s in (coarse, 2.4)
+    )
+    plan = Plan(fringes=sets, masks=LENIENT)
+    recording = Recording(list(frames(plan, 0.002, 8, 3)), plan, SIZE)
+    decoded = decode(recording)
+    compiled = decoded.u if axis == "x" else decoded.v
+    both = np.isfinite(compiled)
+    assert both.mean() > 0.9
+    np.testing.assert_allclose(compiled[both], decode_axis(recording, axis)[both], atol=2e-3)
+
+
+def test_modulation_is_the_reference_s() -> None:
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=7),), masks=LENIENT)
+    recording = Recording(list(frames(plan, 0.01, 12, 1)), plan, SIZE, 12)
+    wrapped = wrapped_phase(*recording.finest()[::-1])
+    decoded = decode(recording)
+    seen = decoded.valid
+    grey = wrapped.modulation[seen] * recording.grey
+    np.testing.assert_allclose(decoded.modulation[seen], grey, rtol=1e-4)
