@@ -34,11 +34,11 @@ from drivers.emulators.dlpc350 import (
     Pulse,
     UsbFault,
 )
-from drivers.emulators.exposure import BenchClock, Collected, EmulatedShutter, mean
+from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_grey_levels
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
-from drivers.emulators.optics import GreyImage, RigInPlaceOfOptics
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.optics import GreyImage, OpticsRig
+from drivers.emulators.terminal import PseudoTerminal
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Image
@@ -47,14 +47,14 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.rig import Rig
 
-STAGE_TIMES_FASTER = 100.0
+STAGE_SPEEDUP = 100.0
 STAGE_DIGITS = 4
 """Of the carriage's position in mm that count: a tenth of a micrometre."""
 
 FaultCount = Annotated[int, Field(ge=0)]
 
 
-class Faults(Document):
+class BenchFaults(Document):
     """What goes wrong, for training and tests; numbers count from 0.
 
     missed, doubled: pulses on the trigger cable since the camera was armed that do not come, or fire two
@@ -71,7 +71,7 @@ class Faults(Document):
     unplug_projector: FaultCount | None = None
     unplug_camera: FaultCount | None = None
 
-    def of_replies(self) -> dict[int, UsbFault]:
+    def reply_faults(self) -> dict[int, UsbFault]:
         """As the emulated wire takes them."""
         faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
@@ -89,7 +89,7 @@ class EmulatedBenchOptions(Document):
     optics: str
     firmware: str | None = None
     refresh_hz: Annotated[float, Field(ge=10, le=120)] = 60.0
-    faults: Faults = Faults()
+    faults: BenchFaults = BenchFaults()
 
 
 class EmulatedBench:
@@ -107,16 +107,16 @@ class EmulatedBench:
 
     def open(self) -> None:
         """Open the optics and connect everything: dark, the stage where the optics have it at 0."""
-        inner = Rig.load(self._options.optics)
-        if inner.file.bench is not None and inner.file.bench.backend.startswith(__name__):
+        optics_rig = Rig.load(self._options.optics)
+        if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
             raise ConfigError(f"bench: 'optics' is '{self._options.optics}': an emulated bench itself")
         with ExitStack() as stack:
-            self.inner = stack.enter_context(inner)
+            self.optics_rig = stack.enter_context(optics_rig)
             self._check_optics()
-            self.optics = RigInPlaceOfOptics(self.inner)
+            self.optics = OpticsRig(self.optics_rig)
             self._make_projector()
             self.shutter, self._exposures = EmulatedShutter(self.clock), 0
-            self.pylon = BenchPylon(self.optics.size, self.shutter, self._seen)
+            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render)
             self.pylon.start()
             stack.callback(self.pylon.close)
             self.terminal = self._make_stage(stack)
@@ -128,7 +128,7 @@ class EmulatedBench:
         self._stack.close()
 
     def _check_optics(self) -> None:
-        depths = self.inner.projector.caps.bit_depths
+        depths = self.optics_rig.projector.caps.bit_depths
         if 8 not in depths:
             raise ConfigError(
                 f"bench: 'optics' is '{self._options.optics}': needs a projector of 8 bits; "
@@ -138,47 +138,49 @@ class EmulatedBench:
     def _make_projector(self) -> None:
         self.clock = BenchClock()
         if self._options.firmware is None:
-            self.controller = Dlpc350(self.clock, [], on_pulse=self._pulsed)
+            self.controller = Dlpc350(self.clock, [], on_pulse=self._on_pulse)
         else:
-            content = _content(Path(self._options.firmware))
-            self.controller = FlashedDlpc350(self.clock, content, on_pulse=self._pulsed)
+            content = _read_firmware(Path(self._options.firmware))
+            self.controller = FlashedDlpc350(self.clock, content, on_pulse=self._on_pulse)
         self.clock.controller = self.controller
-        self.hid = EmulatedHid(self.controller, faults=self.faults.of_replies())
+        self.hid = EmulatedHid(self.controller, faults=self.faults.reply_faults())
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)
 
-    def _make_stage(self, stack: ExitStack) -> Terminal | None:
+    def _make_stage(self, stack: ExitStack) -> PseudoTerminal | None:
         """A stage that goes from the optics' 0, where homing ends, as far as theirs does."""
-        if self.inner.stage is None:
+        if self.optics_rig.stage is None:
             return None
-        _, far_mm = self.inner.stage.caps.travel_mm
+        _, far_mm = self.optics_rig.stage.caps.travel_mm
         pull_off_mm = DEFAULTS[27]
         travel_mm = far_mm + pull_off_mm
         self.grbl = GrblController(
-            lambda: STAGE_TIMES_FASTER * time.monotonic(),
+            lambda: STAGE_SPEEDUP * time.monotonic(),
             {130: travel_mm},
             Rail(length_mm=travel_mm + 5.0, start_mm=pull_off_mm),
         )
-        return stack.enter_context(Terminal(self.grbl))
+        return stack.enter_context(PseudoTerminal(self.grbl))
 
     # --- light
 
-    def _seen(self, settings: CameraSettings, collected: Collected) -> Image:
+    def _render(self, settings: CameraSettings, collected: CollectedLight) -> Image:
         """The picture of what a shutter collected; the camera's cable may be pulled after it."""
-        self._place_stage()
+        self._update_stage()
         light = collected[0][0] if len(collected) == 1 else None
-        picture = self.optics.picture(settings, mean(collected), lambda: self._together(light))
+        image = self.optics.capture(
+            settings, mean_grey_levels(collected), lambda: self._related_patterns(light)
+        )
         self._exposures += 1
         if self._exposures == self.faults.unplug_camera:
             self.pylon.unplug()
-        return picture
+        return image
 
-    def _place_stage(self) -> None:
+    def _update_stage(self) -> None:
         if self.terminal is not None:
             with self.terminal.lock:
                 carriage_mm = self.grbl.drive.carriage_mm
-            self.optics.place(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
+            self.optics.move_stage(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
 
-    def _together(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
+    def _related_patterns(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
         """The patterns of equal kind that are in flash, or in the same video frame."""
         if light is None or light.image is None:
             return
@@ -188,22 +190,22 @@ class EmulatedBench:
                 alike = ProjectedLight(
                     content, light.depth, number, light.inverted, light.levels, light.image
                 )
-                greys = mean([(alike, 1.0)])
+                greys = mean_grey_levels([(alike, 1.0)])
                 assert greys is not None
                 yield greys
 
     # --- the trigger cable
 
-    def _pulsed(self, pulse: Pulse) -> None:
+    def _on_pulse(self, pulse: Pulse) -> None:
         if pulse.output != 1:
             return
         edges = (pulse.rise_s, pulse.fall_s)
         rise_s, fall_s = edges[::-1] if self.controller.inverts_output_1 else edges
-        camera = self.pylon.listener()
+        camera = self.pylon.armed_camera()
         if camera is None:
             return
         number, camera.pulses = camera.pulses, camera.pulses + 1
-        settings, at_s = camera.settings(), camera.fired_s(rise_s, fall_s)
+        settings, at_s = camera.settings(), camera.exposure_start_s(rise_s, fall_s)
         if self.faults.extra and number == 0:
             self.shutter.open(settings, at_s - settings.exposure_s)
         if number not in self.faults.missed:
@@ -225,28 +227,28 @@ class EmulatedFixture(Fixture):
         return self._bench
 
     def _open(self) -> None:
-        self._held_by = self._bench.inner.need_fixture("the rig on it")
+        self._optics_fixture = self._bench.optics_rig.need_fixture("the rig on it")
 
     def _close(self) -> None:
         """It goes on holding what it holds."""
 
     def _info(self) -> DeviceInfo:
-        return self._held_by.info()
+        return self._optics_fixture.info()
 
     def _caps(self) -> FixtureCaps:
-        return self._held_by.caps
+        return self._optics_fixture.caps
 
     def _check(self, item: str, pose: int) -> None:
-        self._held_by.check(item, pose)
+        self._optics_fixture.check(item, pose)
 
     def _mount(self, item: str, pose: int) -> None:
-        self._held_by.mount(item, pose)
+        self._optics_fixture.mount(item, pose)
 
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
-        return self._held_by.pose(item, pose)
+        return self._optics_fixture.pose(item, pose)
 
 
-def _content(firmware: Path) -> bytes:
+def _read_firmware(firmware: Path) -> bytes:
     try:
         return firmware.read_bytes()
     except OSError as error:

@@ -35,7 +35,7 @@ from drivers.basler.transport import Pylon
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
-SWITCH = "PYLON_CAMEMU"
+CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
 """How many cameras pylon emulates: read by pylon at every enumeration."""
 READY_MS = 5000
 
@@ -54,7 +54,7 @@ class PylonPolicy:
     """
 
     exclusive: bool = True
-    patient: bool = True
+    pulse_waits: bool = True
     exposure_s: float = 100e-6
 
 
@@ -77,7 +77,7 @@ class EmulatedPylon(Pylon):
 
     def start(self) -> None:
         """Switch the emulation on."""
-        self._before = os.environ.get(SWITCH)
+        self._before = os.environ.get(CAMERA_COUNT_VARIABLE)
         self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-")
         self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
@@ -86,9 +86,9 @@ class EmulatedPylon(Pylon):
         """Switch it off and leave nothing behind."""
         self._folder.cleanup()
         if self._before is None:
-            os.environ.pop(SWITCH, None)
+            os.environ.pop(CAMERA_COUNT_VARIABLE, None)
         else:
-            os.environ[SWITCH] = self._before
+            os.environ[CAMERA_COUNT_VARIABLE] = self._before
 
     def attach(self, info: Any) -> EmulatedCamera:
         """The camera, as `Pylon.attach` has it. Raises what pylon does when another program has it."""
@@ -108,19 +108,19 @@ class EmulatedPylon(Pylon):
 
     def unplug(self, noticed: bool = True) -> None:
         """Pull the cable. noticed: whether pylon's notice of it comes through, which is sometimes missed."""
-        os.environ[SWITCH] = "0"
+        os.environ[CAMERA_COUNT_VARIABLE] = "0"
         for camera in self._open.values():
-            camera.pulled = True
+            camera.unplugged = True
             if noticed:
                 camera.instant.FirePnPCallback.Execute()
 
     def plug_in(self) -> None:
         """Plug the cable in; the camera has to be opened again."""
-        os.environ[SWITCH] = str(self._cameras)
+        os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
 
     def cameras(self) -> dict[str, Any]:
         """As `Pylon.cameras` has it, of the emulated ones."""
-        return super().cameras() if os.environ[SWITCH] != "0" else {}
+        return super().cameras() if os.environ[CAMERA_COUNT_VARIABLE] != "0" else {}
 
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance().CreateTl("BaslerCamEmu")
@@ -128,7 +128,7 @@ class EmulatedPylon(Pylon):
     def _camera(self, serial: str, instant: Any) -> EmulatedCamera:
         return EmulatedCamera(self, serial, instant)
 
-    def opened(self, camera: EmulatedCamera) -> None:
+    def on_opened(self, camera: EmulatedCamera) -> None:
         """Set the emulator up as the sensor of this bench."""
         self._open[camera.serial] = camera
         instant = camera.instant
@@ -136,12 +136,12 @@ class EmulatedPylon(Pylon):
         instant.HeightMax.SetValue(self.size[1])
         instant.ExposureTimeAbs.SetValue(self.policy.exposure_s * US_PER_S)
         if self.scene is not None:
-            self.light.become(np.zeros(self.size[::-1], np.uint8), 8)
+            self.light.set_image(np.zeros(self.size[::-1], np.uint8), 8)
             instant.TestImageSelector.SetValue("Off")
             instant.ImageFilename.SetValue(str(self.light.folder))
             instant.ImageFileMode.SetValue("On")
 
-    def closed(self, camera: EmulatedCamera) -> None:
+    def on_closed(self, camera: EmulatedCamera) -> None:
         """Another program may have it now."""
         self._open.pop(camera.serial, None)
 
@@ -152,7 +152,7 @@ class EmulatedPylon(Pylon):
     def expose(self, camera: EmulatedCamera) -> None:
         """Let the light of this moment fall on the sensor."""
         if self.scene is not None:
-            self.light.become(self.scene(camera.settings()), camera.settings().bits)
+            self.light.set_image(self.scene(camera.settings()), camera.settings().bits)
 
 
 class EmulatedCamera:
@@ -161,10 +161,10 @@ class EmulatedCamera:
     lose: how many of the next frames are lost on the way. pulled: the cable is out.
     """
 
-    def __init__(self, bench: EmulatedPylon, serial: str, instant: Any) -> None:
+    def __init__(self, emulator: EmulatedPylon, serial: str, instant: Any) -> None:
         self.serial, self.instant = serial, instant
-        self.lose, self.pulled = 0, False
-        self._bench = bench
+        self.frames_to_lose, self.unplugged = 0, False
+        self._emulator = emulator
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.instant, name)
@@ -173,29 +173,29 @@ class EmulatedCamera:
         """As pylon's; the sensor is then this bench's."""
         self.instant.Open()
         self._features = Features(self.serial, self.instant)
-        self._bench.opened(self)
+        self._emulator.on_opened(self)
 
     def Close(self) -> None:
         """As pylon's."""
-        self._bench.closed(self)
+        self._emulator.on_closed(self)
         self.instant.Close()
 
     def DestroyDevice(self) -> None:
         """As pylon's."""
-        self._bench.closed(self)
+        self._emulator.on_closed(self)
         self.instant.DestroyDevice()
 
     def ExecuteSoftwareTrigger(self) -> None:
         """As pylon's, under the light of this moment; it does not reach a camera that is unplugged."""
-        if not self.pulled:
-            self._bench.expose(self)
+        if not self.unplugged:
+            self._emulator.expose(self)
             self.instant.ExecuteSoftwareTrigger()
 
     def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
         """As pylon's, but for the frames that are to be lost."""
         result = self._result(timeout_ms, handling)
-        while self.lose and result.IsValid():
-            self.lose -= 1
+        while self.frames_to_lose and result.IsValid():
+            self.frames_to_lose -= 1
             result = self._result(timeout_ms, handling)
         return result
 
@@ -207,16 +207,16 @@ class EmulatedCamera:
         try:
             self._pulse()
         except genicam.GenericException:
-            if self._bench.has_open(self):
+            if self._emulator.has_open(self):
                 raise
 
     def _pulse(self) -> None:
         armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
-        if self.pulled or not armed or not self.instant.IsGrabbing():
+        if self.unplugged or not armed or not self.instant.IsGrabbing():
             return
-        wait_ms = READY_MS if self._bench.policy.patient else 0
+        wait_ms = READY_MS if self._emulator.policy.pulse_waits else 0
         if self.instant.WaitForFrameTriggerReady(wait_ms, pylon.TimeoutHandling_Return):
-            self._bench.expose(self)
+            self._emulator.expose(self)
             self.instant.TriggerSoftware.Execute()
 
     def settings(self) -> CameraSettings:
@@ -224,16 +224,16 @@ class EmulatedCamera:
         bits = int(self._features.read(PIXEL_FORMAT).removeprefix("Mono"))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
 
-    def fail(self, frames: int) -> None:
+    def fail_frames(self, frames: int) -> None:
         """The next so many frames arrive incomplete."""
         self.instant.ForceFailedBufferCount.SetValue(frames)
         self.instant.ForceFailedBuffer.Execute()
 
-    def break_grabbing(self, words: str) -> None:
+    def fail_grabbing(self, words: str) -> None:
         """Pylon's grab engine fails with these words; mended with none."""
         self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(words)
 
-    def expose_for(self, exposure_s: float) -> None:
+    def set_exposure_duration(self, exposure_s: float) -> None:
         """Let emulated exposures take so long."""
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
@@ -248,12 +248,12 @@ class EmulatedSensorImage:
         for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once
             (self.folder / name).symlink_to(place / "now.tif")
 
-    def become(self, image: Image, bits: int) -> None:
+    def set_image(self, image: Image, bits: int) -> None:
         """From now on this is what falls on the sensor; the emulator takes the upper `bits` of it."""
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
         self._replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
 
-    def garble(self) -> None:
+    def write_invalid_image(self) -> None:
         """From now on what falls on the sensor is no picture."""
         self._replace(lambda path: path.write_bytes(b"no picture"))
 

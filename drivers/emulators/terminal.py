@@ -13,7 +13,7 @@ from fpplab.core.errors import DeviceError
 POLL_S = 0.002
 
 
-class Emulated(Protocol):
+class SerialEmulator(Protocol):
     """A device that is spoken to byte by byte."""
 
     def receive(self, data: bytes) -> None:
@@ -23,7 +23,7 @@ class Emulated(Protocol):
         """Let time pass, and return what there is to say."""
 
 
-class Terminal:
+class PseudoTerminal:
     """Serves a device between `with Terminal(device) as terminal:` and its end, in a thread of its own.
 
     `port` is what a program opens; `lock` keeps the device still while a test looks at it. Speed and parity
@@ -31,7 +31,7 @@ class Terminal:
     pseudo-terminals.
     """
 
-    def __init__(self, device: Emulated) -> None:
+    def __init__(self, device: SerialEmulator) -> None:
         self.device, self.lock = device, threading.Lock()
         self.port = ""
         self._served = threading.Thread(target=self._serve, daemon=True)

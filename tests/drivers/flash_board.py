@@ -47,7 +47,7 @@ class FailingBoard(FlashedDlpc350):
         half = message.payload[: 2 + len(data) // 2] if number == DATA else message.payload
         super().answer(UsbMessage(message.flags, message.sequence, half))
         self.lose_power()
-        self.hid.vanish(self.policy.reset_s)
+        self.hid.leave_bus(self.policy.reset_s)
         return None
 
 
@@ -60,7 +60,7 @@ class Bench:
         self.clock = clock or SteppedClock()
         self.board = FailingBoard(self.clock, content, policy)
         self.hid = self.board.hid = EmulatedHid(self.board)
-        self.board.on_restart = self.hid.vanish
+        self.board.on_restart = self.hid.leave_bus
 
     def link(self) -> Link:
         """Open it, whichever program it runs."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from drivers.emulators.grbl import GrblController, GrblPolicy, Rail
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.terminal import PseudoTerminal
 from drivers.stage_grbl import GrblStage
 
 PULL_OFF_MM, STEP_MM = 2.0, 1 / 400
@@ -25,7 +25,7 @@ class Bench:
         rail: Rail | None = None,
     ) -> None:
         self.controller = GrblController(lambda: times * time.monotonic(), settings, rail, policy)
-        self.terminal = Terminal(self.controller)
+        self.terminal = PseudoTerminal(self.controller)
         self.said: list[str] = []
         self.heard = bytearray()
         receive = self.controller.receive
@@ -50,7 +50,7 @@ class Bench:
 
     def at_mm(self, mm: float, action: Callable[[], None]) -> None:
         """Let something happen when a motion passes `mm` of the stage."""
-        self.controller.drive.when_at(-PULL_OFF_MM - mm, action)
+        self.controller.drive.call_at(-PULL_OFF_MM - mm, action)
 
     def type(self, data: bytes) -> None:
         """What another program sends, which also reads the answers."""
@@ -58,9 +58,9 @@ class Bench:
             self.controller.receive(data)
             self.controller.poll()
 
-    def spoil(self, old: str, new: str) -> None:
+    def alter_line(self, old: str, new: str) -> None:
         """Damage what the controller says from now on."""
-        self.controller.spoil = lambda line: line.replace(old, new)
+        self.controller.alter_line = lambda line: line.replace(old, new)
 
 
 class VirtualTime:

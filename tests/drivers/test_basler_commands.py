@@ -28,8 +28,8 @@ class Used(EmulatedPylon):
         super().__init__(cameras=cameras)
         self.settings = dict(LEFT)
 
-    def opened(self, camera: EmulatedCamera) -> None:
-        super().opened(camera)
+    def on_opened(self, camera: EmulatedCamera) -> None:
+        super().on_opened(camera)
         for name, value in self.settings.items():
             getattr(camera.instant, name).SetValue(value)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.dlp4500.sequence import planes
 from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedDisplay, UsbFault, Video
-from drivers.emulators.dlpc350.light import grey
+from drivers.emulators.dlpc350.light import grey_levels
 from tests.drivers.dlpc350_host import ERROR, OK, Host, flat
 
 FRAME = flat(1, 2, 3)
@@ -139,7 +139,7 @@ def test_a_channel_swap_permutes_the_patterns_of_a_frame(
     swap: str, inputs: list[int], outputs: list[int], names_the_input: bool
 ) -> None:
     """Greys of patterns 0, 1, 2; the board's 04 gives green, red, blue."""
-    host = Host(Dlpc350Policy(swap_names_the_input=names_the_input))
+    host = Host(Dlpc350Policy(swap_letter_is_input=names_the_input))
     host.controller.video = Video(FRAME, 3 * FRAME_S)
     host.write(f"1a37 {swap}")
     host.pattern_mode()
@@ -289,7 +289,7 @@ def test_planes_as_grey_levels(depth: int, number: int, word: int, inverted: boo
     value = sum((word >> plane & 1) << bit for bit, plane in enumerate(wanted))
     full = 2**depth - 1
     value = full - value if inverted else value
-    assert grey(image, depth, number, inverted)[0, 0] == round(value * 255 / full)
+    assert grey_levels(image, depth, number, inverted)[0, 0] == round(value * 255 / full)
 
 
 # --- the wire

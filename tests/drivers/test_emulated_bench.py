@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.emulators.bench import EmulatedFixture, Faults
+from drivers.emulators.bench import BenchFaults, EmulatedFixture
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
@@ -191,7 +191,11 @@ def test_a_pulse_too_many_shifts_all(folder: Path) -> None:
 def test_each_run_begins_anew(folder: Path) -> None:
     with rig_file(folder) as rig:
         bench = bench_of(rig)
-        for faults, count in ((Faults(missed=(0,)), 7), (Faults(), 8), (Faults(doubled=(7,)), 8)):
+        for faults, count in (
+            (BenchFaults(missed=(0,)), 7),
+            (BenchFaults(), 8),
+            (BenchFaults(doubled=(7,)), 8),
+        ):
             bench.faults = faults
             assert len(played(rig, count)) == count
             rig.make_dark()
@@ -202,7 +206,7 @@ def test_each_run_begins_anew(folder: Path) -> None:
 
 def test_slow_optics_are_not_late(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with rig_file(folder) as rig:
-        optics = bench_of(rig).inner.camera
+        optics = bench_of(rig).optics_rig.camera
         really_read = optics._read
 
         def slowly(timeout_s: float) -> Frame:
@@ -235,7 +239,7 @@ def test_what_is_due_in_a_sleep_happens_at_its_time(folder: Path) -> None:
 def test_all_that_is_in_flash_is_loaded_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that a twin can compute what belongs together once, and keep it."""
     with rig_file(folder) as rig:
-        optics = bench_of(rig).inner.projector
+        optics = bench_of(rig).optics_rig.projector
         really_load, loads = optics._load, []
 
         def noted(given: list[Pattern]) -> Any:
@@ -257,7 +261,7 @@ def test_what_the_optics_refuse_is_said(folder: Path) -> None:
 
 def test_the_stage_carries_the_optics_stage(folder: Path) -> None:
     with rig_file(folder) as rig:
-        inner, stage = bench_of(rig).inner.stage, rig.stage
+        inner, stage = bench_of(rig).optics_rig.stage, rig.stage
         assert inner is not None
         assert stage is not None
         next(taken(rig))
@@ -354,6 +358,6 @@ def test_the_fixture_needs_the_bench() -> None:
 
 def test_nothing_is_left_open(folder: Path) -> None:
     with rig_file(folder) as rig:
-        inner = bench_of(rig).inner
+        inner = bench_of(rig).optics_rig
         next(taken(rig))
     assert inner.camera.state is inner.projector.state is State.CLOSED

@@ -19,8 +19,8 @@ from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, training, usbip
 from drivers.emulators.dlpc350.descriptors import REPORTS
-from drivers.emulators.dlpc350.training import described
-from drivers.emulators.dlpc350.usbip import Conversation, PluggedIn
+from drivers.emulators.dlpc350.training import describe_state
+from drivers.emulators.dlpc350.usbip import UsbIpAttachment, UsbIpConnection
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.patterns.fringes import make_patterns
@@ -39,7 +39,7 @@ class Kernel:
         self.hid = EmulatedHid(Dlpc350(SteppedClock(), []))
         near, self._far = socket.socketpair()
         self.near = near
-        self.conversation = Conversation(self.hid, near)
+        self.connection = UsbIpConnection(self.hid, near)
         self._number = 0
 
     def submit(
@@ -49,14 +49,14 @@ class Kernel:
         self._number += 1
         head = struct.pack(">5I", SUBMIT, self._number, 1, direction, endpoint)
         self._far.sendall(head + struct.pack(">Iiiii", 0, length, 0, 0, 0) + setup + data)
-        assert self.conversation.take()
-        self.conversation.give()
+        assert self.connection.handle_request()
+        self.connection.deliver_reports()
         return self._number
 
     def unlink(self, unwanted: int) -> int:
         self._number += 1
         self._far.sendall(struct.pack(">6I24x", UNLINK, self._number, 1, 0, 0, unwanted))
-        assert self.conversation.take()
+        assert self.connection.handle_request()
         return self._number
 
     def hears(self, direction: int) -> tuple[int, int, int, bytes]:
@@ -161,7 +161,7 @@ def test_a_transfer_is_taken_back(kernel: Kernel) -> None:
 
 def test_the_kernel_lets_go(kernel: Kernel) -> None:
     kernel.let_go()
-    assert not kernel.conversation.take()
+    assert not kernel.connection.handle_request()
 
 
 # --- the hub
@@ -199,7 +199,7 @@ def test_a_kernel_without_hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(usbip, "HUB", tmp_path / "nowhere")
     with (
         pytest.raises(DeviceError, match=r"no USB/IP hub .* on Linux: sudo modprobe vhci-hcd"),
-        PluggedIn(EmulatedHid(Dlpc350(SteppedClock(), []))),
+        UsbIpAttachment(EmulatedHid(Dlpc350(SteppedClock(), []))),
     ):
         pass
 
@@ -244,16 +244,16 @@ def test_it_holds_the_default_plan(tmp_path: Path) -> None:
 
 def test_it_says_what_it_does(tmp_path: Path) -> None:
     bench = Bench(greys(9), tmp_path)
-    assert described(bench.controller) == "video mode: red 41%, green 53%, blue 51%"
+    assert describe_state(bench.controller) == "video mode: red 41%, green 53%, blue 51%"
     with bench.projector() as projector:
-        assert described(bench.controller) == "pattern mode, stopped: dark"
+        assert describe_state(bench.controller) == "pattern mode, stopped: dark"
         projector.load(bench.patterns)
         projector.show(4)
         lit = "red 41%, green 53%, blue 51%"
-        assert described(bench.controller) == f"pattern mode, pattern 1 of image 1, 8 bits: {lit}"
+        assert describe_state(bench.controller) == f"pattern mode, pattern 1 of image 1, 8 bits: {lit}"
         projector.play(0.02)
-        assert described(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
+        assert describe_state(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
         projector.blank()
         projector._board.sleep()
-        assert described(bench.controller) == "standby"
+        assert describe_state(bench.controller) == "standby"
         projector._board.wake()

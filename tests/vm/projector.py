@@ -11,7 +11,7 @@ from multiprocessing.managers import BaseManager
 
 from drivers.clock import RealClock
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
-from drivers.emulators.dlpc350.usbip import PluggedIn
+from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.dlp4500 import flash, shown
@@ -31,7 +31,7 @@ class Projector:
         self._caught: deque[ProjectedLight | None] = deque(maxlen=MOST_PULSES)
         self._controller = Dlpc350(RealClock(), images, on_pulse=self._pulsed)
         self._hid = EmulatedHid(self._controller)
-        self._cable = PluggedIn(self._hid)
+        self._cable = UsbIpAttachment(self._hid)
 
     def start(self) -> None:
         """Be on USB from now on."""

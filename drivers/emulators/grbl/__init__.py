@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 from drivers.emulators.grbl.controller import GrblController, GrblPolicy, GrblState
 from drivers.emulators.grbl.drive import Rail
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.terminal import PseudoTerminal
 
 __all__ = ["GrblController", "GrblPolicy", "GrblState", "Rail", "serve_stage"]
 
@@ -23,6 +23,6 @@ __all__ = ["GrblController", "GrblPolicy", "GrblState", "Rail", "serve_stage"]
 @contextmanager
 def serve_stage() -> Iterator[dict[str, str]]:
     """A controller on a pseudo-terminal in real time; gives its port, and the stage of a rig file for it."""
-    with Terminal(GrblController()) as terminal:
+    with PseudoTerminal(GrblController()) as terminal:
         backend = f'{{backend: "drivers.stage_grbl:GrblStage", port: {terminal.port}}}'
         yield {"port": terminal.port, "stage": backend}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from drivers.emulators.grbl.gcode import AxisPositions, Move
 from drivers.emulators.grbl.ramps import Brake, Ramp
-from drivers.emulators.grbl.settings import Settings
+from drivers.emulators.grbl.settings import GrblSettings
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Rail:
     length_mm: float = 205.0
     start_mm: float = 42.0
 
-    def held(self, mm: float) -> float:
+    def clamp(self, mm: float) -> float:
         """Where the carriage is that is pushed to `mm`: end stops do not give way."""
         return min(max(mm, -1.0), self.length_mm)
 
@@ -42,15 +42,19 @@ class Motion:
         """When it is at rest."""
         return self.began_s + self.ramp.duration_s
 
-    def after(self, travelled_mm: float) -> AxisPositions:
+    def position_after(self, travelled_mm: float) -> AxisPositions:
         """Where it is when it has gone so far, mm of the machine."""
         share = travelled_mm / self.ramp.distance_mm
         x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
         return x, y, z
 
-    def at(self, now: float) -> AxisPositions:
+    def position_at(self, now: float) -> AxisPositions:
         """Where it is, mm of the machine."""
-        return self.target if now >= self.ends_s else self.after(self.ramp.travelled_mm(now - self.began_s))
+        return (
+            self.target
+            if now >= self.ends_s
+            else self.position_after(self.ramp.travelled_mm(now - self.began_s))
+        )
 
 
 class Drive:
@@ -59,7 +63,7 @@ class Drive:
     carriage_mm: where it really is, away from the switch. switch_works, switch_sticks: faults of the switch.
     """
 
-    def __init__(self, settings: Settings, rail: Rail) -> None:
+    def __init__(self, settings: GrblSettings, rail: Rail) -> None:
         self._settings, self._rail = settings, rail
         self._steps = [0, 0, 0]
         self._crossings: list[tuple[float, Callable[[], None]]] = []
@@ -79,19 +83,19 @@ class Drive:
         return x, y, z
 
     @property
-    def pressed(self) -> bool:
+    def switch_pressed(self) -> bool:
         """Whether the switch is."""
         return self.switch_sticks or (self.switch_works and self.carriage_mm <= 0.0)
 
-    def forget(self) -> None:
+    def forget_position(self) -> None:
         """Stop dead, and count from here."""
         self.motion, self._steps = None, [0, 0, 0]
 
-    def slip(self, mm: float) -> None:
+    def lose_steps(self, mm: float) -> None:
         """Lose steps: shift the carriage against the motor, away from the switch."""
-        self.carriage_mm = self._rail.held(self.carriage_mm + mm)
+        self.carriage_mm = self._rail.clamp(self.carriage_mm + mm)
 
-    def when_at(self, mm: float, action: Callable[[], None]) -> None:
+    def call_at(self, mm: float, action: Callable[[], None]) -> None:
         """Do something once, when a motion passes `mm` of the machine on the rail's axis."""
         self._crossings.append((mm, action))
 
@@ -116,25 +120,27 @@ class Drive:
         brake = Brake(ramp.speed_mm_s(elapsed), ramp.acceleration_mm_s2)
         gone = min(ramp.travelled_mm(elapsed) + brake.distance_mm, ramp.distance_mm)
         slows = brake.distance_mm > 0.0
-        self.motion = Motion(motion.at(now), motion.after(gone), brake, now) if slows else None
+        self.motion = (
+            Motion(motion.position_at(now), motion.position_after(gone), brake, now) if slows else None
+        )
         return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
 
-    def follow(self, now: float) -> bool:
+    def update(self, now: float) -> bool:
         """Be where the motion is now; True when that has just pressed the switch."""
         assert self.motion is not None
-        before, free = self.position[self.axis], not self.pressed
-        target = self.motion.at(now)
+        before, free = self.position[self.axis], not self.switch_pressed
+        target = self.motion.position_at(now)
         self._steps = [round(mm * self._settings.steps_per_mm(i)) for i, mm in enumerate(target)]
         after = self.position[self.axis]
-        self.carriage_mm = self._rail.held(self.carriage_mm + self._away * (after - before))
-        self._cross(before, after)
-        return free and self.pressed
+        self.carriage_mm = self._rail.clamp(self.carriage_mm + self._away * (after - before))
+        self._run_crossing_actions(before, after)
+        return free and self.switch_pressed
 
     def speed_mm_s(self, now: float) -> float:
         """How fast it is."""
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
-    def homing(self) -> tuple[float, float, int | None]:
+    def homing_cycle(self) -> tuple[float, float, int | None]:
         """How long a homing cycle takes from here, where it leaves the carriage, and the alarm that ends it.
 
         Search, pull-off, slow approach and pull-off again, with a pause after each ($24 to $27).
@@ -144,11 +150,11 @@ class Drive:
         if self.switch_sticks:
             return (
                 self._legs([(0.0, seek), (pull_off, seek)]),
-                self._rail.held(self.carriage_mm + pull_off),
+                self._rail.clamp(self.carriage_mm + pull_off),
                 8,
             )
         if not self.switch_works or way > search:
-            return self._legs([(search, seek)]), self._rail.held(self.carriage_mm - search), 9
+            return self._legs([(search, seek)]), self._rail.clamp(self.carriage_mm - search), 9
         legs = [(way, seek), (pull_off, seek), (pull_off, slow), (pull_off, seek)]
         return self._legs(legs), pull_off, None
 
@@ -169,7 +175,7 @@ class Drive:
         acceleration, pause = self._settings.acceleration_mm_s2(self.axis), self._settings[26] / 1000
         return sum(Ramp(mm, rate, acceleration).duration_s + pause for mm, rate in legs)
 
-    def _cross(self, before: float, after: float) -> None:
+    def _run_crossing_actions(self, before: float, after: float) -> None:
         if before == after:
             return
         passed = [c for c in self._crossings if min(before, after) <= c[0] <= max(before, after)]

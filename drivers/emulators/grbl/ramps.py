@@ -45,7 +45,7 @@ class Ramp:
         a = self.acceleration_mm_s2
         return max(0.0, min(self.peak_mm_s, a * t_s, a * (self.duration_s - t_s)))
 
-    def reached_s(self, mm: float) -> float:
+    def time_to_reach_s(self, mm: float) -> float:
         """When it has gone `mm`, 0 … distance_mm: the inverse of `travelled_mm`."""
         a, up_mm = self.acceleration_mm_s2, self.peak_mm_s**2 / (2 * self.acceleration_mm_s2)
         if mm <= up_mm:

@@ -17,16 +17,16 @@ DEFAULTS: dict[int, float] = {
 _WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
-class Settings(dict[int, float]):
+class GrblSettings(dict[int, float]):
     """Values by number, and what they mean for one axis, 0 … 2."""
 
-    def told(self) -> list[str]:
+    def report_lines(self) -> list[str]:
         """The lines of `$$`."""
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self.items()
         ]
 
-    def take(self, line: str) -> None:
+    def assign(self, line: str) -> None:
         """Obey `$x=value`; raise `GcodeError`."""
         name, equals, text = line[1:].partition("=")
         if not name.isdecimal() or not equals:
