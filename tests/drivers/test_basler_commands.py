@@ -33,10 +33,10 @@ class Used(EmulatedPylon):
         for name, value in self.settings.items():
             getattr(camera.instant, name).SetValue(value)
 
-    def closed(self, camera: EmulatedCamera) -> None:
+    def on_closed(self, camera: EmulatedCamera) -> None:
         if camera.instant.IsOpen():
             self.settings = {name: getattr(camera.instant, name).GetValue() for name in LEFT}
-        super().closed(camera)
+        super().on_closed(camera)
 
 
 @pytest.fixture

@@ -97,7 +97,7 @@ def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPyl
 def test_an_incomplete_frame(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
     camera.arm(3)
     camera.read(1.0)
-    end(camera).fail(1)
+    end(camera).fail_frames(1)
     with pytest.raises(FrameLossError, match="frame 1 is damaged: The buffer was incompletely grabbed"):
         camera.read(1.0)
     assert_disarmed(camera)

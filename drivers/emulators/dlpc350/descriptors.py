@@ -122,7 +122,7 @@ class ControlEndpoint:
         Returns
         -------
         bytes or None
-            Data of a read request, empty for a write request that was carried out; None if the request is refused.
+            Data of a read request, empty for a write request that was carried out; None if it is refused.
         """
         kind, request, value, _, length = struct.unpack("<BBHHH", setup)
         if kind & INWARDS:

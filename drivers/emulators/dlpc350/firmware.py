@@ -204,7 +204,7 @@ class Dlpc350:
         return light if any(light.levels.values()) else None
 
     def _led_level(self, colour: str) -> float:
-        """Return the level 0 … 1 of an LED: on this board current 255 is off, unless the polarity is inverted."""
+        """Return the level 0 … 1 of an LED: on this board current 255 is off unless polarity is inverted."""
         current = self._registers[protocol.LED_CURRENT.number][colour] / 255.0
         return current if self._registers[protocol.LED_POLARITY.number]["inverted"] else 1.0 - current
 

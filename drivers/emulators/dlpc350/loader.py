@@ -156,8 +156,8 @@ def _number(data: bytes) -> int:
 class FlashedDlpc350(Dlpc350):
     """A projector with a flash that can be rewritten: it shows the images stored there.
 
-    It starts its application only if program and configuration in flash are those that it was made with and the
-    flash table leads to them; otherwise only the boot loader.
+    It starts its application only if program and configuration in flash are those that it was made with and
+    the flash table leads to them; otherwise only the boot loader.
 
     Parameters
     ----------

@@ -31,8 +31,8 @@ class Dlpc350Policy:
     needs_lock_before_pattern_mode : bool
         Patterns from the video port run only if its signal was locked when pattern mode was ordered.
     swap_letter_is_input : bool
-        In a channel swap such as "CAB", letter k names the input that goes to channel k; otherwise the channel
-        that input k goes to. The board's own setting is the same either way.
+        In a channel swap such as "CAB", letter k names the input that goes to channel k; otherwise the
+        channel that input k goes to. The board's own setting is the same either way.
     mode_change_s : float
         Time in s that a change of the display mode takes.
     wake_s : float

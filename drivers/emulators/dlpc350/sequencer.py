@@ -220,7 +220,7 @@ class Sequencer:
 
     @property
     def next_s(self) -> float | None:
-        """Time in s when the next pattern begins without a trigger; None when it waits for one or does not run."""
+        """Time in s when the next pattern begins without a trigger; None if it waits for one or stops."""
         return self._next_s if self.running else None
 
     def trigger_in(self, number: int, rising: bool, now: float) -> None:

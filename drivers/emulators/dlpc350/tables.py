@@ -51,7 +51,7 @@ class PatternTables:
         Raises
         ------
         ValueError
-            The data is not a multiple of 3 bytes or goes beyond the end of the table, or a field is out of range.
+            The data is not a multiple of 3 bytes, goes beyond the table or has a field out of range.
         """
         if len(data) % 3 or address + len(data) // 3 > MOST_ENTRIES:
             raise ValueError("entries that do not fit")

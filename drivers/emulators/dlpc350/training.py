@@ -42,8 +42,8 @@ def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
     Parameters
     ----------
     firmware : Path, optional
-        Firmware file with the content of the flash, which can then be rewritten. Without it the flash holds the
-        patterns of `DEFAULT_PLAN` and cannot be written.
+        Firmware file with the content of the flash, which can then be rewritten. Without it the flash holds
+        the patterns of `DEFAULT_PLAN` and cannot be written.
 
     Yields
     ------
@@ -54,7 +54,7 @@ def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
     ------
     DeviceError
         The kernel has no USB/IP hub, or this user may not use it.
-    FpplabError
+    FppError
         The firmware file or the plan cannot be read.
     """
     with TemporaryDirectory(prefix="fpplab-") as folder:

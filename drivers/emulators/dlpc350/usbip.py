@@ -141,7 +141,7 @@ class UsbIpConnection:
 class UsbIpAttachment:
     """The controller on this computer's USB while its context is entered, in real time.
 
-    It leaves the bus and comes back as `hid` does: unplugged, or in a reset. Entering raises `DeviceError` where
+    It leaves the bus and comes back as `hid` does: unplugged, or in a reset. Entering raises `DeviceError` if
     the kernel has no such hub or does not let this user attach a device.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The controller itself: lines, real-time commands, states and reports."""
+"""The GRBL controller: lines, real-time commands, states and reports."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
 RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15
+"""Size of the receive buffer in bytes, longest line in characters, size of the planner's queue in moves."""
 WCO_EVERY, OVERRIDES_EVERY = (10, 30), (10, 20)
-"""Reports from one with this field to the next, at rest and in motion."""
+"""Number of reports from one with this field to the next, at rest and in motion."""
 
 _COMMENT = re.compile(r"\([^)]*\)?|;.*|\s")
 
 
 class GrblState(StrEnum):
-    """The first word of a report."""
+    """The state that a report begins with."""
 
     IDLE = "Idle"
     RUN = "Run"
@@ -43,10 +44,16 @@ class GrblState(StrEnum):
 
 @dataclass(frozen=True)
 class GrblPolicy:
-    """What depends on how GRBL was compiled, or is seen in its source and logs but not in its documentation.
+    """What depends on how GRBL was compiled, or is found in its source and logs but not in its documentation.
 
-    locks_at_power_up: HOMING_INIT_LOCK. forces_origin: HOMING_FORCE_SET_ORIGIN, zero where homing ends.
-    ok_after_abort: a line that a reset breaks off is still answered `ok`, after the alarm.
+    Attributes
+    ----------
+    locks_at_power_up : bool
+        HOMING_INIT_LOCK: with homing enabled it starts in the alarm state.
+    forces_origin : bool
+        HOMING_FORCE_SET_ORIGIN: the machine position is zero where homing ends.
+    ok_after_abort : bool
+        A line that a reset breaks off is still answered `ok`, after the alarm.
     """
 
     locks_at_power_up: bool = True
@@ -55,10 +62,27 @@ class GrblPolicy:
 
 
 class GrblController:
-    """The controller: `receive` bytes, `poll` for the bytes it says.
+    """The controller at the end of a serial line, see `SerialEmulator`.
 
-    clock: seconds, ever growing. settings: what differs from `DEFAULTS`. For faults see `drive`,
-    `power_cycle`, and `spoil`, which is given every line before it is said.
+    Parameters
+    ----------
+    clock : callable
+        Returns the time in s; it never runs backwards.
+    settings : dict of int to float, optional
+        Settings that differ from `DEFAULTS`, by number.
+    rail : Rail, optional
+        The mechanics.
+    policy : GrblPolicy, optional
+        Assumptions about undocumented behaviour.
+
+    Attributes
+    ----------
+    settings : GrblSettings
+        The settings, by number.
+    drive : Drive
+        Motors and rail, with faults to provoke.
+    alter_line : callable
+        Called with every line before it is sent, line end included; returns what is sent instead.
     """
 
     def __init__(
@@ -76,7 +100,13 @@ class GrblController:
         self.power_cycle()
 
     def receive(self, data: bytes) -> None:
-        """Take what came over the wire; real-time commands are obeyed at once."""
+        """Take bytes from the line; real-time commands are obeyed at once.
+
+        Parameters
+        ----------
+        data : bytes
+            As the program sent them; what does not fit in the receive buffer is lost.
+        """
         for byte in data:
             self._advance()
             match byte:
@@ -95,7 +125,13 @@ class GrblController:
             self._read_lines()
 
     def poll(self) -> bytes:
-        """Let time pass, and return what there is to say."""
+        """Advance to the present time and return what there is to send.
+
+        Returns
+        -------
+        bytes
+            Whole lines; may be empty.
+        """
         self._advance()
         self._read_lines()
         output = bytes(self._output)
@@ -104,11 +140,11 @@ class GrblController:
 
     @property
     def mode(self) -> GrblState:
-        """The state that a report would tell."""
+        """The state that a report would give."""
         return self._mode
 
     def power_cycle(self) -> None:
-        """Off and on: the carriage stays where it is, but the position is forgotten."""
+        """Switch off and on: the carriage stays where it is, but the position is forgotten."""
         self.drive.forget_position()
         self._program = Interpreter()
         locked = self._policy.locks_at_power_up and self.settings.flag(22)
@@ -152,7 +188,7 @@ class GrblController:
         self._send(f"ALARM:{code}")
 
     def _lock(self, code: int) -> None:
-        """An alarm after which only a reset is heard."""
+        """Raise an alarm after which only a reset is obeyed."""
         self._alarm(code)
         self._needs_reset = True
         self._send("[MSG:Reset to continue]")
@@ -173,7 +209,7 @@ class GrblController:
         self._end_dwell(now)
 
     def _start_next_move(self, at_s: float) -> None:
-        """What follows when a motion has ended."""
+        """Start the next planned move when a motion has ended; without one come to rest."""
         if self._mode is GrblState.HOLD:
             self._holding = True
             return
@@ -276,7 +312,7 @@ class GrblController:
 
     @property
     def _defers_lines(self) -> bool:
-        """Whether lines wait: real-time commands are obeyed all the same."""
+        """Whether lines wait in the buffer; real-time commands are obeyed all the same."""
         full = len(self._queue) >= PLANNED_MOVES
         return (
             full

@@ -1,4 +1,4 @@
-"""Motors and a rail: where the controller believes the carriage to be, and where it really is."""
+"""Motors and rail: the position that the controller counts, and where the carriage really is."""
 
 from __future__ import annotations
 
@@ -13,10 +13,18 @@ from drivers.emulators.grbl.settings import GrblSettings
 
 @dataclass(frozen=True)
 class Rail:
-    """The mechanics that the controller knows nothing of.
+    """The mechanics, which the controller does not know.
 
-    The home switch is at 0, and lengths count away from it, in mm. length_mm: where the far end stop is; the
-    near one lies 1 mm behind the switch. start_mm: where the carriage stands at first.
+    Lengths count from the home switch, away from it.
+
+    Attributes
+    ----------
+    axis : int
+        The rail's axis of the machine: 0, 1 or 2.
+    length_mm : float
+        Position of the far end stop in mm; the near one is 1 mm behind the switch.
+    start_mm : float
+        Position of the carriage at first in mm.
     """
 
     axis: int = 0
@@ -24,13 +32,36 @@ class Rail:
     start_mm: float = 42.0
 
     def clamp(self, mm: float) -> float:
-        """Where the carriage is that is pushed to `mm`: end stops do not give way."""
+        """Limit a position of the carriage to the range between the end stops.
+
+        Parameters
+        ----------
+        mm : float
+            Position to which it is pushed, in mm.
+
+        Returns
+        -------
+        float
+            Position that it reaches, in mm.
+        """
         return min(max(mm, -1.0), self.length_mm)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One move under way."""
+    """One move under way.
+
+    Attributes
+    ----------
+    origin : AxisPositions
+        Machine position in mm where it began.
+    target : AxisPositions
+        Machine position in mm where it ends.
+    ramp : Ramp or Brake
+        Its speed over time.
+    began_s : float
+        Time in s when it began.
+    """
 
     origin: AxisPositions
     target: AxisPositions
@@ -39,17 +70,39 @@ class Motion:
 
     @property
     def ends_s(self) -> float:
-        """When it is at rest."""
+        """Time in s when it comes to rest."""
         return self.began_s + self.ramp.duration_s
 
     def position_after(self, travelled_mm: float) -> AxisPositions:
-        """Where it is when it has gone so far, mm of the machine."""
+        """Return the position at a distance from the origin.
+
+        Parameters
+        ----------
+        travelled_mm : float
+            Distance along the line in mm.
+
+        Returns
+        -------
+        AxisPositions
+            Machine position in mm.
+        """
         share = travelled_mm / self.ramp.distance_mm
         x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
         return x, y, z
 
     def position_at(self, now: float) -> AxisPositions:
-        """Where it is, mm of the machine."""
+        """Return the position at a time.
+
+        Parameters
+        ----------
+        now : float
+            Time in s, not before it began.
+
+        Returns
+        -------
+        AxisPositions
+            Machine position in mm.
+        """
         return (
             self.target
             if now >= self.ends_s
@@ -58,9 +111,25 @@ class Motion:
 
 
 class Drive:
-    """Counts steps as a controller does; the carriage follows as far as it can.
+    """Counts steps as a controller does; the carriage follows as far as the rail lets it.
 
-    carriage_mm: where it really is, away from the switch. switch_works, switch_sticks: faults of the switch.
+    Parameters
+    ----------
+    settings : GrblSettings
+        Of the controller.
+    rail : Rail
+        The mechanics.
+
+    Attributes
+    ----------
+    carriage_mm : float
+        True position of the carriage in mm, from the switch.
+    switch_works : bool
+        Set to False for a switch that never closes.
+    switch_sticks : bool
+        Set to True for a switch that never opens.
+    motion : Motion or None
+        The move under way.
     """
 
     def __init__(self, settings: GrblSettings, rail: Rail) -> None:
@@ -73,34 +142,56 @@ class Drive:
 
     @property
     def axis(self) -> int:
-        """The rail's: 0, 1 or 2."""
+        """The rail's axis: 0, 1 or 2."""
         return self._rail.axis
 
     @property
     def position(self) -> AxisPositions:
-        """Steps counted, in mm of the machine."""
+        """Machine position in mm by the steps counted."""
         x, y, z = (steps / self._settings.steps_per_mm(i) for i, steps in enumerate(self._steps))
         return x, y, z
 
     @property
     def switch_pressed(self) -> bool:
-        """Whether the switch is."""
+        """Whether the home switch is closed."""
         return self.switch_sticks or (self.switch_works and self.carriage_mm <= 0.0)
 
     def forget_position(self) -> None:
-        """Stop dead, and count from here."""
+        """Stop at once, and count steps from zero."""
         self.motion, self._steps = None, [0, 0, 0]
 
     def lose_steps(self, mm: float) -> None:
-        """Lose steps: shift the carriage against the motor, away from the switch."""
+        """Shift the carriage against the motor, as lost steps do.
+
+        Parameters
+        ----------
+        mm : float
+            Shift in mm, away from the switch.
+        """
         self.carriage_mm = self._rail.clamp(self.carriage_mm + mm)
 
     def call_at(self, mm: float, action: Callable[[], None]) -> None:
-        """Do something once, when a motion passes `mm` of the machine on the rail's axis."""
+        """Call a function once, when a motion passes a position.
+
+        Parameters
+        ----------
+        mm : float
+            Machine position in mm on the rail's axis.
+        action : callable
+            Takes no arguments.
+        """
         self._crossings.append((mm, action))
 
     def begin(self, move: Move, at_s: float) -> None:
-        """Set out for a target; nothing happens when it is there."""
+        """Start a move; a move of no length is left out.
+
+        Parameters
+        ----------
+        move : Move
+            Target and rate.
+        at_s : float
+            Time in s when it begins.
+        """
         ways = [abs(b - a) for a, b in zip(self.position, move.target, strict=True)]
         length = math.dist(self.position, move.target)
         if length == 0.0:
@@ -112,7 +203,18 @@ class Drive:
         self.motion = Motion(self.position, move.target, ramp, at_s)
 
     def brake(self, now: float) -> Move | None:
-        """Slow down to rest, and return what is left to do."""
+        """Slow the present move down to rest.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        Move or None
+            The rest of the move; None if there is none.
+        """
         motion = self.motion
         if motion is None or not isinstance(motion.ramp, Ramp):
             return None
@@ -126,7 +228,18 @@ class Drive:
         return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
 
     def update(self, now: float) -> bool:
-        """Be where the motion is now; True when that has just pressed the switch."""
+        """Move steps and carriage to where the present motion is.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        bool
+            True if that has just closed the home switch.
+        """
         assert self.motion is not None
         before, free = self.position[self.axis], not self.switch_pressed
         target = self.motion.position_at(now)
@@ -137,13 +250,33 @@ class Drive:
         return free and self.switch_pressed
 
     def speed_mm_s(self, now: float) -> float:
-        """How fast it is."""
+        """Return the present speed.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        float
+            Speed in mm/s, 0 at rest.
+        """
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
     def homing_cycle(self) -> tuple[float, float, int | None]:
-        """How long a homing cycle takes from here, where it leaves the carriage, and the alarm that ends it.
+        """Predict a homing cycle from the present position.
 
-        Search, pull-off, slow approach and pull-off again, with a pause after each ($24 to $27).
+        It consists of search, pull-off, slow approach and a second pull-off, with a pause after each ($24 to $27).
+
+        Returns
+        -------
+        duration_s : float
+            How long it takes in s.
+        carriage_mm : float
+            Where it leaves the carriage, in mm from the switch.
+        alarm : int or None
+            Number of the alarm by which it fails; None if it succeeds.
         """
         pull_off, seek, slow = self._settings[27], self._settings[25] / 60, self._settings[24] / 60
         search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
@@ -159,7 +292,15 @@ class Drive:
         return self._legs(legs), pull_off, None
 
     def set_home(self, carriage_mm: float, at_zero: bool) -> None:
-        """The end of homing: the position becomes known. at_zero: call it 0, whichever end it is."""
+        """End a homing cycle: the position becomes known.
+
+        Parameters
+        ----------
+        carriage_mm : float
+            Where the cycle leaves the carriage, in mm from the switch.
+        at_zero : bool
+            Whether the machine position becomes 0, at whichever end the switch is.
+        """
         down = self._settings.homes_down(self.axis)
         switch = -self._settings.travel_mm(self.axis) if down else 0.0
         home = 0.0 if at_zero else switch + self._away * self._settings[27]
