@@ -1,4 +1,4 @@
-"""The emulated bench: the real drivers on emulated wires, in the light of another rig.
+"""The emulated bench: the real drivers connected to emulators, with another rig in place of the optics.
 
     bench:     {backend: "drivers.emulators.bench:EmulatedBench", optics: rig_demo.yaml}
     camera:    {backend: "drivers.basler:BaslerCamera", serial: "0815-0000", roi: [0, 0, 1368, 912]}
@@ -6,11 +6,12 @@
     stage:     {backend: "drivers.stage_grbl:GrblStage"}
     fixture:   {backend: "drivers.emulators.bench:EmulatedFixture"}
 
-The emulated projector decides which pattern lights the scene, its trigger output 1 fires the emulated camera
-on Line1, and the rig called `optics` (a virtual bench, say) gives the picture. Bench time passes only while
-somebody waits for something, so that nothing is early or late by what the computer is doing.
+The emulated projector determines which pattern illuminates the scene, its trigger output 1 triggers the
+emulated camera on Line1, and the rig given as `optics` (a simulation, for instance) renders the image. The
+bench's time passes only while a driver waits for something, so that timing does not depend on the
+computer's load.
 
-What is rehearsed here is proven for the drivers, not for a board or a camera.
+It tests the drivers, not a real board or camera.
 """
 
 from __future__ import annotations
@@ -48,31 +49,40 @@ from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.rig import Rig
 
 STAGE_SPEEDUP = 100.0
+"""Factor by which the emulated stage's time runs faster than real time."""
 STAGE_DIGITS = 4
-"""Of the carriage's position in mm that count: a tenth of a micrometre."""
+"""Decimals of the carriage's position in mm that count: a tenth of a micrometre."""
 
 FaultCount = Annotated[int, Field(ge=0)]
+"""An index or number from 0."""
 
 
 class BenchFaults(Document):
-    """What goes wrong, for training and tests; numbers count from 0.
-
-    missed, doubled: pulses on the trigger cable since the camera was armed that do not come, or fire two
-    frames. extra: a pulse more, one exposure before the first. dropped, late: the projector's replies, by
-    requests since the bench was opened. unplug_projector: at that request. unplug_camera: after so many
-    exposures.
-    """
+    """Faults to provoke, for training and tests; numbers count from 0."""
 
     missed: tuple[FaultCount, ...] = ()
+    """Trigger pulses since the camera was armed that do not arrive."""
     doubled: tuple[FaultCount, ...] = ()
+    """Trigger pulses since the camera was armed that give two frames."""
     extra: bool = False
+    """Whether there is an extra trigger pulse, one exposure before the first."""
     dropped: tuple[FaultCount, ...] = ()
+    """Requests to the projector since the bench was opened whose replies are lost."""
     late: tuple[FaultCount, ...] = ()
+    """Requests to the projector since the bench was opened whose replies are late."""
     unplug_projector: FaultCount | None = None
+    """Request to the projector at which its cable is unplugged."""
     unplug_camera: FaultCount | None = None
+    """Number of exposures after which the camera's cable is unplugged."""
 
     def reply_faults(self) -> dict[int, UsbFault]:
-        """As the emulated wire takes them."""
+        """Return the faults of the projector's replies.
+
+        Returns
+        -------
+        dict of int to UsbFault
+            By index of the request, as `EmulatedHid` takes them.
+        """
         faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
             faults[self.unplug_projector] = UsbFault.UNPLUG_BEFORE
@@ -80,23 +90,46 @@ class BenchFaults(Document):
 
 
 class EmulatedBenchOptions(Document):
-    """The bench's section in a rig file.
-
-    optics: the rig file that gives the pictures. firmware: what is in the projector's flash, from
-    `fpplab dlp4500 build`. refresh_hz: of the display on its video port.
-    """
+    """The section `bench` of a rig file with an emulated bench."""
 
     optics: str
+    """Rig file of the rig that renders the images."""
     firmware: str | None = None
+    """File with the content of the projector's flash, from `fpplab dlp4500 build`."""
     refresh_hz: Annotated[float, Field(ge=10, le=120)] = 60.0
+    """Refresh rate in Hz of the display on the projector's video port."""
     faults: BenchFaults = BenchFaults()
+    """Faults to provoke."""
 
 
 class EmulatedBench:
-    """What the drivers find at the far end of their wires: `pylon`, `hid`, `display`, `clock`, `stage_port`.
+    """What the drivers of a rig find in place of their devices.
 
-    controller: the projector's. terminal: the stage's end of its line, where the optics have a stage.
-    faults: those of the trigger cable may be changed at any time. Raises `ConfigError` for wrong options.
+    Parameters
+    ----------
+    options : dict of str to Any
+        The bench's section in the rig file, see `EmulatedBenchOptions`; a `ConfigError` is raised if it is wrong.
+
+    Attributes
+    ----------
+    faults : BenchFaults
+        Faults to provoke; those of the trigger pulses may be changed at any time.
+    pylon : BenchPylon
+        For the camera driver.
+    hid : EmulatedHid
+        For the projector driver.
+    display : EmulatedDisplay
+        For the projector driver with patterns from the video port.
+    clock : BenchClock
+        The bench's time.
+    stage_port : str or None
+        Serial port for the stage driver; None if the optics have no stage.
+    controller : Dlpc350
+        The projector's controller.
+    terminal : PseudoTerminal or None
+        The stage's end of its serial line; None if the optics have no stage.
+    optics_rig : Rig
+        The rig that renders the images.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -106,7 +139,13 @@ class EmulatedBench:
         self._stack = ExitStack()
 
     def open(self) -> None:
-        """Open the optics and connect everything: dark, the stage where the optics have it at 0."""
+        """Open the optics and connect all devices; the projector is dark, the stage where the optics have their 0.
+
+        Raises
+        ------
+        ConfigError
+            The optics are an emulated bench themselves or their projector lacks 8 bits, or a file cannot be read.
+        """
         optics_rig = Rig.load(self._options.optics)
         if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
             raise ConfigError(f"bench: 'optics' is '{self._options.optics}': an emulated bench itself")
@@ -124,7 +163,7 @@ class EmulatedBench:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Let go of the optics and of every wire."""
+        """Close the optics and disconnect all devices."""
         self._stack.close()
 
     def _check_optics(self) -> None:
@@ -147,7 +186,7 @@ class EmulatedBench:
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)
 
     def _make_stage(self, stack: ExitStack) -> PseudoTerminal | None:
-        """A stage that goes from the optics' 0, where homing ends, as far as theirs does."""
+        """Make a stage with the travel of the optics' one: from their 0, where homing ends, to their far end."""
         if self.optics_rig.stage is None:
             return None
         _, far_mm = self.optics_rig.stage.caps.travel_mm
@@ -163,7 +202,7 @@ class EmulatedBench:
     # --- light
 
     def _render(self, settings: CameraSettings, collected: CollectedLight) -> Image:
-        """The picture of what a shutter collected; the camera's cable may be pulled after it."""
+        """Render the image of what a shutter collected; the camera's cable may be unplugged after it."""
         self._update_stage()
         light = collected[0][0] if len(collected) == 1 else None
         image = self.optics.capture(
@@ -181,7 +220,7 @@ class EmulatedBench:
             self.optics.move_stage(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
 
     def _related_patterns(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
-        """The patterns of equal kind that are in flash, or in the same video frame."""
+        """Yield the patterns of the same kind that are in flash, or in the same video frame."""
         if light is None or light.image is None:
             return
         stored = any(light.content is image for image in self.controller.images)
@@ -215,22 +254,22 @@ class EmulatedBench:
 class EmulatedFixture(Fixture):
     """The fixture of the optics."""
 
-    def _setup(self, options: dict[str, Any], bench: Any) -> None:
-        super()._setup(options, bench)
-        if not isinstance(bench, EmulatedBench):
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        super()._setup(options, shared)
+        if not isinstance(shared, EmulatedBench):
             raise ConfigError(f"{self.name}: needs the bench '{__name__}:EmulatedBench' in the rig file")
-        self._bench = bench
+        self._bench = shared
 
     @property
     def bench(self) -> EmulatedBench:
-        """What it is part of, for those who want to look behind the wires."""
+        """The emulated bench that it is part of, for tests that inspect the emulators."""
         return self._bench
 
     def _open(self) -> None:
         self._optics_fixture = self._bench.optics_rig.need_fixture("the rig on it")
 
     def _close(self) -> None:
-        """It goes on holding what it holds."""
+        """Leave the item mounted."""
 
     def _info(self) -> DeviceInfo:
         return self._optics_fixture.info()

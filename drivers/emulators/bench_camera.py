@@ -1,4 +1,4 @@
-"""pylon's emulated camera as the camera of an emulated bench: exposed in its light and its time."""
+"""pylon's emulated camera as part of an emulated bench: exposed by its light and in its time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,31 @@ from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
 MIN_SENSOR_SIZE = (1024, 1040)
-"""What pylon's emulator takes, (width, height)."""
+"""Smallest sensor that pylon's emulator accepts, (width, height) in px."""
 LINE = "Line1"
-"""Where the trigger cable ends."""
+"""The camera's input to which the trigger cable leads."""
 
 ImageSource = Callable[[CameraSettings, CollectedLight], Image]
-"""What a camera with these settings makes of light."""
+"""Renders the image of a camera with given settings from the light that its shutter collected."""
 
 
 class BenchPylon(EmulatedPylon):
-    """pylon whose one camera looks at the bench. size: of the pictures; beyond them the sensor is dark."""
+    """pylon with one camera, which is part of an emulated bench.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Size (width, height) in px of the rendered images; the rest of the sensor is dark.
+    shutter : EmulatedShutter
+        The camera's shutter.
+    render : ImageSource
+        Renders an image from what the shutter collected.
+
+    Attributes
+    ----------
+    shutter : EmulatedShutter
+        As given.
+    """
 
     def __init__(self, size: tuple[int, int], shutter: EmulatedShutter, render: ImageSource) -> None:
         sensor = (max(size[0], MIN_SENSOR_SIZE[0]), max(size[1], MIN_SENSOR_SIZE[1]))
@@ -34,12 +49,31 @@ class BenchPylon(EmulatedPylon):
         self.shutter, self._render = shutter, render
 
     def armed_camera(self) -> BenchCamera | None:
-        """The camera, if it waits for a pulse on the line."""
+        """Return the camera that waits for a trigger pulse.
+
+        Returns
+        -------
+        BenchCamera or None
+            None if the camera is not armed for pulses.
+        """
         waiting = [c for c in self._open.values() if isinstance(c, BenchCamera) and c.waits_for_pulse()]
         return waiting[0] if waiting else None
 
     def read_out(self, settings: CameraSettings, collected: CollectedLight) -> Image:
-        """The whole sensor after an exposure [v, u]."""
+        """Read the sensor out after an exposure.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+        collected : CollectedLight
+            What the shutter collected.
+
+        Returns
+        -------
+        Image
+            Raw integers of `settings.bits`, the whole sensor [v, u].
+        """
         picture = self._render(settings, collected)
         image: Image = np.zeros(self.size[::-1], raw_dtype(settings.bits))
         image[: picture.shape[0], : picture.shape[1]] = picture
@@ -50,10 +84,24 @@ class BenchPylon(EmulatedPylon):
 
 
 class BenchCamera(EmulatedCamera):
-    """A camera whose exposures are made while the host waits for them, in bench time.
+    """A camera whose exposures are made, in the bench's time, while the host waits for them.
 
-    pulses: on the line since it was armed. However long a picture takes to compute, no host waits too short
-    for it: on the bench it takes no longer than its exposure.
+    However long rendering takes, no timeout of the host runs out because of it: in the bench's time a frame
+    takes no longer than its exposure.
+
+    Parameters
+    ----------
+    emulator : BenchPylon
+        What it is connected to.
+    serial : str
+        Serial number.
+    instant : pylon.InstantCamera
+        Pylon's camera.
+
+    Attributes
+    ----------
+    pulses : int
+        Number of trigger pulses since the camera was armed.
     """
 
     _emulator: BenchPylon
@@ -63,25 +111,50 @@ class BenchCamera(EmulatedCamera):
         self.pulses, self._frame_coming = 0, False
 
     def StartGrabbing(self, strategy: Any) -> None:
-        """As pylon's."""
+        """Arm the camera as pylon does; earlier pulses and exposures are forgotten.
+
+        Parameters
+        ----------
+        strategy : pylon.EGrabStrategy
+            Pylon's grab strategy.
+        """
         self.pulses, self._frame_coming = 0, False
         self._emulator.shutter.clear()
         self.instant.StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
-        """As pylon's, in the light from now on."""
+        """Trigger as pylon does, for an exposure that begins now."""
         super().ExecuteSoftwareTrigger()
         self._frame_coming = not self.unplugged
 
     def waits_for_pulse(self) -> bool:
-        """Whether a pulse on the line fires it."""
+        """Return whether a pulse on the trigger line starts an exposure.
+
+        Returns
+        -------
+        bool
+            False also for a camera that is being closed or is unplugged.
+        """
         with suppress(genicam.GenericException):  # it is being closed, or is gone
             mode, source = self._features.read(TRIGGER_MODE), self._features.read(TRIGGER_SOURCE)
             return not self.unplugged and (mode, source) == ("On", LINE) and bool(self.instant.IsGrabbing())
         return False
 
     def exposure_start_s(self, rise_s: float, fall_s: float) -> float:
-        """When a pulse with these edges opens the shutter."""
+        """Return when a trigger pulse opens the shutter, by the trigger edge and delay that are set.
+
+        Parameters
+        ----------
+        rise_s : float
+            Time of the rising edge in s.
+        fall_s : float
+            Time of the falling edge in s.
+
+        Returns
+        -------
+        float
+            Time in s.
+        """
         edge_s = rise_s if self._features.read(TRIGGER_EDGE) == EDGES["rising"] else fall_s
         return edge_s + float(self._features.read(TRIGGER_DELAY_US) or 0.0) / US_PER_S
 
@@ -94,7 +167,7 @@ class BenchCamera(EmulatedCamera):
         return result
 
     def _expose(self, patience_s: float) -> bool:
-        """Let the bench go on until the shutter has closed, and hand over what it let in."""
+        """Let the bench's time pass until the shutter has closed, and hand the image to pylon."""
         exposed = self._emulator.shutter.wait_next(patience_s)
         if exposed is None:
             return False

@@ -1,4 +1,4 @@
-"""Light in the time of an emulated bench: what leaves the projector, and what an open shutter collects."""
+"""Light in the time of an emulated bench: what the projector emits, and what an open shutter collects."""
 
 from __future__ import annotations
 
@@ -15,18 +15,29 @@ from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
 from fpplab.devices import CameraSettings
 
 NEVER = float("inf")
+"""Time of what never happens, in s."""
 HISTORY_S = 1.0
-"""How far back light is known, beyond what is being exposed."""
+"""How far back light is remembered in s, beyond what is being exposed."""
 ROUNDING_S = 1e-7
-"""A shutter that closes this late, by rounding alone, is closed in time for the next pulse."""
+"""A shutter that closes this late in s, by rounding alone, is closed in time for the next pulse."""
 
 CollectedLight = list[tuple[ProjectedLight, float]]
-"""What a shutter saw: each light, and the share of the exposure in which it was on; the rest was dark."""
+"""What a shutter collected: each light and its share of the exposure time; the rest was dark."""
 
 
 @dataclass(frozen=True)
 class LightInterval:
-    """What left the lens from one moment to another; None in the dark."""
+    """Constant light from the projector during an interval of time.
+
+    Attributes
+    ----------
+    light : ProjectedLight or None
+        The light; None when it is dark.
+    begin_s : float
+        Beginning in s.
+    end_s : float
+        End in s.
+    """
 
     light: ProjectedLight | None
     begin_s: float
@@ -34,9 +45,16 @@ class LightInterval:
 
 
 class BenchClock(SteppedClock):
-    """The time of a bench: whoever sleeps, what is due meanwhile happens, all in order and each at its time.
+    """The time of an emulated bench: whatever is due during a sleep happens, in order and each at its time.
 
-    controller: of the projector. on_passed: told of every interval of time. lock: held while time goes on.
+    Attributes
+    ----------
+    controller : Dlpc350
+        The projector's controller; to be set before time passes.
+    lock : threading.RLock
+        Held while time passes.
+    on_interval : callable
+        Called with every `LightInterval` that has passed.
     """
 
     controller: Dlpc350
@@ -47,11 +65,23 @@ class BenchClock(SteppedClock):
         self.on_interval: Callable[[LightInterval], None] = lambda interval: None
 
     def sleep(self, seconds: float) -> None:
-        """Make it that much later."""
+        """Advance the time.
+
+        Parameters
+        ----------
+        seconds : float
+            By how much, in s.
+        """
         self.sleep_until(self.now() + seconds)
 
     def sleep_until(self, time_s: float) -> None:
-        """Make it that late, unless it is later."""
+        """Advance to a time; without effect if it has passed.
+
+        Parameters
+        ----------
+        time_s : float
+            Time in s.
+        """
         with self.lock:
             while self._now_s < time_s:
                 light = self.controller.light()
@@ -59,7 +89,13 @@ class BenchClock(SteppedClock):
                 self.on_interval(LightInterval(light, begin_s, self._now_s))
 
     def next_change_s(self) -> float:
-        """Let happen what is due now, and tell when the light may change by itself."""
+        """Do what is due now, and return when the light may next change by itself.
+
+        Returns
+        -------
+        float
+            Time in s; `NEVER` if it does not.
+        """
         self.controller.advance()
         sequencer = self.controller.sequencer
         ends_s = sequencer.shown.illuminated_until_s if sequencer.shown else None
@@ -70,7 +106,17 @@ class BenchClock(SteppedClock):
 
 @dataclass(frozen=True)
 class Exposure:
-    """The shutter is open from one moment to another, with the camera set so."""
+    """One exposure of the camera.
+
+    Attributes
+    ----------
+    settings : CameraSettings
+        What the camera is set to.
+    begin_s : float
+        Time in s when the shutter opens.
+    end_s : float
+        Time in s when it closes.
+    """
 
     settings: CameraSettings
     begin_s: float
@@ -78,7 +124,15 @@ class Exposure:
 
 
 class EmulatedShutter:
-    """Opened by pulses; while it is open it takes no notice of them. Each exposure waits to be read out."""
+    """The camera's shutter, opened by pulses; while it is open, further pulses have no effect.
+
+    Exposures are queued until they are read out.
+
+    Parameters
+    ----------
+    clock : BenchClock
+        The bench's time; its `on_interval` is taken over.
+    """
 
     def __init__(self, clock: BenchClock) -> None:
         self._clock = clock
@@ -88,19 +142,40 @@ class EmulatedShutter:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was exposed, and be closed."""
+        """Close the shutter and discard the exposures that were not read out."""
         self._exposures.clear()
         self._closes_s = -NEVER
 
     def open(self, settings: CameraSettings, begin_s: float, times: int = 1) -> None:
-        """Expose from a moment on, unless it is open then; `times` for as many equal frames."""
+        """Start an exposure, unless the shutter is still open at that time.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+        begin_s : float
+            Time in s when it opens.
+        times : int
+            Number of equal frames that it gives.
+        """
         if begin_s < self._closes_s - ROUNDING_S:
             return
         self._closes_s = begin_s + settings.exposure_s
         self._exposures.extend([Exposure(settings, begin_s, self._closes_s)] * times)
 
     def wait_next(self, patience_s: float) -> tuple[CameraSettings, CollectedLight] | None:
-        """Let time pass until an exposure is over, and read it out; None when none begins so soon."""
+        """Let time pass until an exposure is over, and read it out.
+
+        Parameters
+        ----------
+        patience_s : float
+            How long to wait in s for it to begin.
+
+        Returns
+        -------
+        (CameraSettings, CollectedLight) or None
+            Settings of the exposure and what it collected; None if none begins in time.
+        """
         clock = self._clock
         with clock.lock:
             deadline_s = clock.now() + patience_s
@@ -116,7 +191,18 @@ class EmulatedShutter:
             return exposure.settings, self._collect(exposure)
 
     def expose_now(self, settings: CameraSettings) -> CollectedLight:
-        """What it collects when it is opened now."""
+        """Make an exposure that begins now, and let its time pass.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+
+        Returns
+        -------
+        CollectedLight
+            What the shutter collected.
+        """
         with self._clock.lock:
             begin_s = self._clock.now()
             exposure = Exposure(settings, begin_s, begin_s + settings.exposure_s)
@@ -143,7 +229,7 @@ class EmulatedShutter:
 
 
 def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
-    """Whether both light the scene alike; frames of a video port come as ever new arrays."""
+    """Return whether both illuminate the scene alike; frames of a video port are new arrays each time."""
     if a is None or b is None:
         return a is b
     kinds = [(light.depth, light.number, light.inverted, light.levels) for light in (a, b)]
@@ -151,9 +237,20 @@ def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
 
 
 def mean_grey_levels(collected: CollectedLight) -> NDArray[np.uint8] | None:
-    """The grey levels whose light is the mean of what was collected, uint8 (height, width); None for none.
+    """Average the light that was collected, in grey levels of the projector.
 
-    At full LED levels one pattern that was on all the time gives exactly its own; anything else is rounded.
+    At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else is
+    rounded.
+
+    Parameters
+    ----------
+    collected : CollectedLight
+        What the shutter collected.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        uint8 (height, width); None if it was dark.
     """
     if not collected:
         return None

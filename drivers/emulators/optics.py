@@ -1,4 +1,4 @@
-"""The optics of an emulated bench: another rig, which is shown light and gives pictures of it."""
+"""The optics of an emulated bench: another rig, which projects patterns and captures images of them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
 GreyImage = NDArray[np.uint8]
+"""Grey levels, uint8 (height, width)."""
 MAX_LOADED_PATTERNS = 128
-"""Patterns given to the projector at once, at most."""
+"""Number of patterns that the projector is given at once, at most."""
 FRAME_TIMEOUT_S = 60.0
+"""How long to wait for an image, beyond its exposure, in s."""
 
 
 class OpticsRig:
-    """A rig in place of light, lens and sensor, used as any program would.
+    """A rig in place of light, lens and sensor, used as any program would use it.
 
-    Its projector needs 8 bits; mirrors that it has not are left out, evenly.
+    Parameters
+    ----------
+    rig : Rig
+        An open rig, such as the simulation. Its projector needs 8 bits; if it has fewer mirrors than the
+        patterns, some are left out evenly.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -33,11 +39,17 @@ class OpticsRig:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the pictures, (width, height)."""
+        """Size of the images, (width, height) in px."""
         return self._rig.camera.caps.size
 
     def move_stage(self, stage_mm: float) -> None:
-        """Carry the stage to a position; it is homed before it first moves."""
+        """Move the rig's stage, if it has one; it is homed before its first move.
+
+        Parameters
+        ----------
+        stage_mm : float
+            Position in mm.
+        """
         stage = self._rig.stage
         if stage is None or stage_mm == self._stage_mm:
             return
@@ -49,10 +61,22 @@ class OpticsRig:
     def capture(
         self, settings: CameraSettings, greys: GreyImage | None, others: Callable[[], Iterable[GreyImage]]
     ) -> Image:
-        """What the camera sees in this light, or in the dark: raw integers of `settings.bits` [v, u].
+        """Capture an image under given light.
 
-        others: what may be asked for next, see `Slides.show`. A depth that the camera has not is given by its
-        next lower one, shifted up.
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to; a bit depth that the rig's camera lacks is replaced by its next lower one,
+            scaled up by a shift.
+        greys : GreyImage or None
+            What the projector shows, uint8 (height, width); None for darkness.
+        others : callable
+            Returns further patterns that are likely to be asked for next, see `PatternCache.show`.
+
+        Returns
+        -------
+        Image
+            Raw integers of `settings.bits` [v, u].
         """
         camera = self._rig.camera
         bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
@@ -72,7 +96,13 @@ class OpticsRig:
 
 
 class PatternCache:
-    """The patterns of a projector, each known by what it shows: what it has already is not loaded again."""
+    """The patterns that a projector holds, recognised by content, so that none is loaded twice.
+
+    Parameters
+    ----------
+    projector : Projector
+        An open projector of 8 bits.
+    """
 
     def __init__(self, projector: Projector) -> None:
         self._projector, self._size = projector, projector.caps.size
@@ -81,10 +111,15 @@ class PatternCache:
         self._indices: dict[bytes, int] = {}
 
     def show(self, greys: GreyImage, others: Callable[[], Iterable[GreyImage]]) -> None:
-        """Show grey levels, uint8 (height, width) of any size.
+        """Show grey levels.
 
-        others: asked when they are not loaded, for more to be loaded with them: a twin computes faster what
-        it knows to belong together.
+        Parameters
+        ----------
+        greys : GreyImage
+            uint8 (height, width) of any size; resampled by nearest neighbour to the projector's.
+        others : callable
+            Called if they are not loaded; returns further images to load with them, because a simulation computes
+            patterns faster that are loaded together.
         """
         fitted = self._resampled(greys)
         key = _key(fitted)

@@ -313,6 +313,7 @@ class Drive:
         return 1 if self._settings.homes_down(self.axis) else -1
 
     def _legs(self, legs: list[tuple[float, float]]) -> float:
+        """Return the time in s of (length, rate) legs from rest to rest, with a pause after each."""
         acceleration, pause = self._settings.acceleration_mm_s2(self.axis), self._settings[26] / 1000
         return sum(Ramp(mm, rate, acceleration).duration_s + pause for mm, rate in legs)
 
