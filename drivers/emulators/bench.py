@@ -108,7 +108,7 @@ class EmulatedBench:
     Parameters
     ----------
     options : dict of str to Any
-        The bench's section in the rig file, see `EmulatedBenchOptions`; a `ConfigError` is raised if it is wrong.
+        The bench's section in the rig file, see `EmulatedBenchOptions`; a `ConfigError` is raised if invalid.
 
     Attributes
     ----------
@@ -139,12 +139,12 @@ class EmulatedBench:
         self._stack = ExitStack()
 
     def open(self) -> None:
-        """Open the optics and connect all devices; the projector is dark, the stage where the optics have their 0.
+        """Open the optics and connect all devices; the projector is dark, the stage at the optics' 0.
 
         Raises
         ------
         ConfigError
-            The optics are an emulated bench themselves or their projector lacks 8 bits, or a file cannot be read.
+            The optics are an emulated bench or their projector lacks 8 bits, or a file cannot be read.
         """
         optics_rig = Rig.load(self._options.optics)
         if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
@@ -186,7 +186,7 @@ class EmulatedBench:
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)
 
     def _make_stage(self, stack: ExitStack) -> PseudoTerminal | None:
-        """Make a stage with the travel of the optics' one: from their 0, where homing ends, to their far end."""
+        """Make a stage with the travel of the optics' one: homing ends at their 0, it goes to their far end."""
         if self.optics_rig.stage is None:
             return None
         _, far_mm = self.optics_rig.stage.caps.travel_mm

@@ -66,8 +66,8 @@ class OpticsRig:
         Parameters
         ----------
         settings : CameraSettings
-            What the camera is set to; a bit depth that the rig's camera lacks is replaced by its next lower one,
-            scaled up by a shift.
+            What the camera is set to; a bit depth that the rig's camera lacks is replaced by its next lower
+            one, scaled up by a shift.
         greys : GreyImage or None
             What the projector shows, uint8 (height, width); None for darkness.
         others : callable
@@ -118,8 +118,8 @@ class PatternCache:
         greys : GreyImage
             uint8 (height, width) of any size; resampled by nearest neighbour to the projector's.
         others : callable
-            Called if they are not loaded; returns further images to load with them, because a simulation computes
-            patterns faster that are loaded together.
+            Called if they are not loaded; returns further images to load with them, because a simulation
+            computes patterns faster that are loaded together.
         """
         fitted = self._resampled(greys)
         key = _key(fitted)

@@ -37,12 +37,12 @@ from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
 CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
-"""Environment variable with the number of cameras that pylon emulates; pylon reads it at every enumeration."""
+"""Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
 READY_MS = 5000
 """Longest time in ms that the emulator is given to become ready for a trigger."""
 
 SceneSource = Callable[[CameraSettings], Image]
-"""Renders what the sensor sees under given settings: raw integers of `settings.bits`, the whole sensor [v, u]."""
+"""Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""
 
 
 @dataclass(frozen=True)
@@ -318,7 +318,7 @@ class EmulatedCamera:
         return self.instant.RetrieveResult(timeout_ms, handling)
 
     def pulse(self) -> None:
-        """Take a pulse on Line1: one frame, if the camera waits for it; without effect while it is being closed."""
+        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
         try:
             self._pulse()
         except genicam.GenericException:

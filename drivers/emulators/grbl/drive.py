@@ -267,7 +267,7 @@ class Drive:
     def homing_cycle(self) -> tuple[float, float, int | None]:
         """Predict a homing cycle from the present position.
 
-        It consists of search, pull-off, slow approach and a second pull-off, with a pause after each ($24 to $27).
+        It consists of search, pull-off, slow approach and a pull-off, with a pause after each ($24 to $27).
 
         Returns
         -------
