@@ -148,7 +148,9 @@ class EmulatedBench:
         """
         optics_rig = Rig.load(self._options.optics)
         if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
-            raise ConfigError(f"bench: 'optics' is '{self._options.optics}': an emulated bench itself")
+            raise ConfigError(
+                f"bench: 'optics' is '{self._options.optics}': must not be an emulated bench itself"
+            )
         with ExitStack() as stack:
             self.optics_rig = stack.enter_context(optics_rig)
             self._check_optics()
@@ -170,7 +172,7 @@ class EmulatedBench:
         depths = self.optics_rig.projector.caps.bit_depths
         if 8 not in depths:
             raise ConfigError(
-                f"bench: 'optics' is '{self._options.optics}': needs a projector of 8 bits; "
+                f"bench: 'optics' is '{self._options.optics}': needs a projector that shows 8 bits; "
                 f"that one shows {sorted(depths)}"
             )
 
@@ -186,7 +188,7 @@ class EmulatedBench:
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)
 
     def _make_stage(self, stack: ExitStack) -> PseudoTerminal | None:
-        """Make a stage with the travel of the optics' one: homing ends at their 0, it goes to their far end."""
+        """Make a stage with the travel of the optics' one; homing ends at the 0 of the optics."""
         if self.optics_rig.stage is None:
             return None
         _, far_mm = self.optics_rig.stage.caps.travel_mm

@@ -103,4 +103,4 @@ class PseudoTerminal:
             try:
                 data = data[os.write(self._near, data) :]
             except BlockingIOError:
-                return  # nobody reads: a serial line loses it as well
+                return  # no program reads: the bytes are lost, as on a serial line

@@ -1,4 +1,4 @@
-"""The emulated controller, driven with raw bytes: messages, tables, verdicts, sequences."""
+"""The emulated controller, driven with raw bytes: messages, tables, validation, sequences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulated controller by itself: what GRBL's documentation promises, in time."""
+"""The emulated stage controller by itself, compared with GRBL's documentation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The far end of the kernel's USB/IP hub, spoken to as the kernel does, without one."""
+"""The emulated device of the kernel's USB/IP hub; the test takes the part of the kernel."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Kernel:
     def submit(
         self, endpoint: int, direction: int, length: int, data: bytes = b"", setup: bytes = bytes(8)
     ) -> int:
-        """Ask for a transfer; its number."""
+        """Request a transfer; return its number."""
         self._number += 1
         head = struct.pack(">5I", SUBMIT, self._number, 1, direction, endpoint)
         self._far.sendall(head + struct.pack(">Iiiii", 0, length, 0, 0, 0) + setup + data)
@@ -60,7 +60,7 @@ class Kernel:
         return self._number
 
     def hears(self, direction: int) -> tuple[int, int, int, bytes]:
-        """What came back: kind, number, status and data."""
+        """Return the answer: kind, number, status and data."""
         kind, number, _, _, _, status, actual = struct.unpack(">5Iii20x", self._far.recv(48))
         return kind, number, status, self._far.recv(actual) if direction == IN and actual else b""
 
@@ -74,7 +74,7 @@ class Kernel:
             self._far.setblocking(True)
 
     def ask(self, kind: int, what: int, value: int, length: int = 255) -> bytes | None:
-        """A control request towards the computer; None when it is refused."""
+        """Make a control request that reads; None when it is refused."""
         setup = struct.pack("<BBHHH", kind, what, value, 0, length)
         number = self.submit(0, IN, length, setup=setup)
         answered, about, status, data = self.hears(IN)
@@ -169,7 +169,7 @@ def test_the_kernel_lets_go(kernel: Kernel) -> None:
 
 @pytest.fixture
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder like the kernel's."""
+    """Make a folder like the kernel's."""
     monkeypatch.setattr(usbip, "HUB", tmp_path)
     (tmp_path / "status").write_text(
         "hub port sta spd dev      sockfd local_busid\n"

@@ -114,7 +114,7 @@ class Dlpc350:
         self._timing = 0
         self._tables = PatternTables()
 
-    # --- what the world sees
+    # --- light and triggers
 
     def _report_pulse(self, pulse: Pulse) -> None:
         self.on_pulse(pulse)

@@ -148,15 +148,15 @@ def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
     (splash,) = struct.unpack_from("<I", flash, SPLASH_ADDRESS)
     start = splash - BASE_ADDRESS
     if flash[start : start + 8] != bytes.fromhex("7856341221436587"):
-        raise ValueError(f"no images at {start:#x}")
+        raise ValueError(f"there are no images at {start:#x}")
     (count,) = struct.unpack_from("<I", flash, start + 8)
     table = [struct.unpack_from("<II", flash, start + 12 + 8 * i) for i in range(256)]
     if any(entry != (NONE, NONE) for entry in table[count:]):
-        raise ValueError(f"the table of {count} images goes on")
+        raise ValueError(f"the table of {count} images has entries beyond its end")
     found, end = [], start + 2060
     for address, size in table[:count]:
         if address - BASE_ADDRESS != end:
-            raise ValueError(f"an image at {address:#x}, and the one before ends at {end:#x}")
+            raise ValueError(f"an image begins at {address:#x}, but the one before it ends at {end:#x}")
         end += size
         found.append(_image(bytes(flash[end - size : end])))
     return found
@@ -167,14 +167,14 @@ def _image(blob: bytes) -> StoredImage:
         blob
     )
     if (magic, *constant, pixel_format, order, chroma) != (b"Splc", NONE, NONE, 0, 1, 1, 0):
-        raise ValueError(f"a header of an image that says {blob[: _HEADER.size].hex()}")
+        raise ValueError(f"an image has the unknown header {blob[: _HEADER.size].hex()}")
     if len(blob) != _HEADER.size + stored:
-        raise ValueError(f"an image of {len(blob)} bytes, and {stored} by its header")
-    pixels = decode_pixels(compression, blob[_HEADER.size :], width, height)
+        raise ValueError(f"an image has {len(blob)} bytes, but its header says {stored} without the header")
+    pixels = decompress_pixels(compression, blob[_HEADER.size :], width, height)
     return StoredImage(compression, stored, pixels[..., ::-1])
 
 
-def decode_pixels(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
+def decompress_pixels(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
     """Decompress the pixels of an image.
 
     Parameters
@@ -205,7 +205,7 @@ def decode_pixels(compression: int, data: bytes, width: int, height: int) -> NDA
     elif compression == 0:
         flat = data
     else:
-        raise ValueError(f"compression {compression}")
+        raise ValueError(f"unknown compression {compression}")
     return np.frombuffer(flat, np.uint8).reshape(height, width, 3)
 
 
@@ -236,5 +236,5 @@ def _from_runs(data: bytes, width: int, height: int) -> bytes:
 def _skip_padding(data: bytes, at: int, multiple: int) -> int:
     end = at + -at % multiple
     if any(data[at:end]):
-        raise ValueError(f"no zeros at {at}")
+        raise ValueError(f"the padding at byte {at} is not zero")
     return end

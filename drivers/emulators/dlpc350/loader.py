@@ -199,7 +199,7 @@ class FlashedDlpc350(Dlpc350):
         if runs:
             try:
                 self.images = [image.planes for image in stored_images(self.flash.content)]
-            except (ValueError, IndexError, struct.error):  # no images, or broken ones
+            except (ValueError, IndexError, struct.error):  # no images, or invalid ones
                 self.images = []
             self.load_s = [self.policy.image_load_s] * len(self.images)
             self.restart()

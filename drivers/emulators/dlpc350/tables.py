@@ -54,7 +54,7 @@ class PatternTables:
             The data is not a multiple of 3 bytes, goes beyond the table or has a field out of range.
         """
         if len(data) % 3 or address + len(data) // 3 > MOST_ENTRIES:
-            raise ValueError("entries that do not fit")
+            raise ValueError("the entries do not fit in the pattern table")
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
         _write_entries(self.patterns, address, entries)
 
@@ -76,7 +76,7 @@ class PatternTables:
             The data goes beyond the end of the table.
         """
         if address + len(data) > most:
-            raise ValueError("images that do not fit")
+            raise ValueError("the images do not fit in the image table")
         _write_entries(self.images, address, list(data))
 
     def fill_variable(self, address: int, values: Values) -> None:

@@ -214,7 +214,7 @@ class EmulatedDevice:
             The device is gone.
         """
         if timeout_ms <= 0:
-            raise ValueError("hidapi would wait for ever")
+            raise ValueError("hidapi would wait without limit")
         if not self._is_alive():
             raise UnpluggedError("read error")
         now = self._clock.now()
@@ -246,7 +246,7 @@ class EmulatedDevice:
         try:
             length = header(self._incoming[0]).length
         except ValueError:
-            self._incoming = []  # longer than the buffer: nothing that could be answered
+            self._incoming = []  # longer than the buffer: it cannot be answered
             return
         if len(self._incoming) == 1 + further_reports(length):
             message, self._incoming = joined(self._incoming), []

@@ -134,7 +134,7 @@ class UsbIpConnection:
         self._send(struct.pack(">IIIIIii20x", _SUBMITTED, number, 0, 0, 0, status, actual) + data)
 
     def _send(self, data: bytes) -> None:
-        with suppress(ConnectionError):  # the kernel has let go meanwhile: `take` finds out
+        with suppress(ConnectionError):  # the kernel has closed the connection: `handle_request` will notice
             self._socket.sendall(data)
 
 
@@ -252,4 +252,6 @@ def free_port() -> int:
         hub, port, state, *_ = line.split()
         if hub == "hs" and state == _FREE:
             return int(port)
-    raise DeviceError(NAME, "plug in", "every port of the kernel's USB/IP hub is taken", "end what uses it")
+    raise DeviceError(
+        NAME, "plug in", "every port of the kernel's USB/IP hub is taken", "detach a device from it"
+    )
