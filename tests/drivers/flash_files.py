@@ -23,7 +23,7 @@ PROGRAM = {
     42: (0xF90E0240, 1024),
     43: (0xF90E0640, 1024),
 }
-"""Addresses of program and configuration in release 4.4 of the maker's firmware, by index in the flash table."""
+"""Program and configuration in release 4.4 of the maker's firmware, by index in the flash table."""
 
 IMAGES = {20: (0xF915EFD0, 37520), 21: (0xF9168260, 39504), 22: (0xF9171CB0, 43216)}
 """Address of the images that it comes with."""

@@ -1,4 +1,4 @@
-"""An emulated LightCrafter 4500 on an emulated USB connection, with patterns in its flash, to test its driver."""
+"""An emulated LightCrafter 4500 on an emulated USB connection, with patterns in flash, to test its driver."""
 
 from __future__ import annotations
 

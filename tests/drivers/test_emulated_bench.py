@@ -1,4 +1,4 @@
-"""The emulated bench: frames that the real drivers take are what the optics capture of the projected patterns."""
+"""The emulated bench: what the real drivers take is what the optics capture of the projected patterns."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_a_shutter_is_not_kept_open_by_rounding(folder: Path) -> None:
         shutter = bench_of(rig).shutter
         for k in range(20):
             shutter.open(CameraSettings(0.1), 0.1 * k)
-        assert len(list(iter(lambda: shutter.next(0.0), None))) == 20
+        assert len(list(iter(lambda: shutter.wait_next(0.0), None))) == 20
 
 
 def test_a_missed_pulse_shifts_what_follows(folder: Path) -> None:

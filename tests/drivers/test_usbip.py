@@ -223,14 +223,14 @@ def test_the_kernel_does_not_take_the_cable(
 def test_firmware_is_for_the_projector_alone() -> None:
     done = run("emulate", "stage", "--firmware", "x.bin")
     assert done.code == 2
-    assert "--firmware is for dlp4500" in done.err
+    assert "the emulator 'stage' has no flash" in done.err
 
 
 # --- what people get
 
 
 def test_it_holds_the_default_plan(tmp_path: Path) -> None:
-    controller, index = training._filled(tmp_path)
+    controller, index = training._from_default_plan(tmp_path)
     patterns = make_patterns(Plan.load(training.DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
     wire = SimpleNamespace(hid=EmulatedHid(controller), clock=controller.clock)
     with Dlp4500("projector", {"flash": str(index)}, wire) as projector:

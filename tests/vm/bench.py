@@ -16,7 +16,7 @@ POLL_S = 0.005
 
 
 class UsbBench(ReferenceBench):
-    """It emulates no USB connection: the driver finds the projector through hidapi. index: file for its flash's."""
+    """The driver finds the projector through hidapi. index: file for its flash's."""
 
     projector: Projector
 

@@ -31,7 +31,7 @@ def wait_until(true: Callable[[], bool]) -> None:
 
 
 def is_on_usb() -> bool:
-    """Whether libusb and the kernel's own driver both know both its interfaces: before that it may fail to open."""
+    """Whether libusb and the kernel's own driver both know both its interfaces."""
     import hidraw  # which only Linux has
 
     return all(

@@ -1,4 +1,4 @@
-"""`fpplab emulate dlp4500` as an operator uses it: on USB, with a flash that can be written, reporting what it shows."""
+"""`fpplab emulate dlp4500` as an operator uses it: on USB, with a writable flash, reporting its state."""
 
 from __future__ import annotations
 
