@@ -1,0 +1,1 @@
+"""Software emulators of the devices at the far end of the drivers' connections, for tests and training."""

@@ -1,4 +1,4 @@
-"""The emulated bench: the real drivers on emulated wires, in the light of another rig.
+"""The emulated bench: the real drivers connected to emulators, with another rig in place of the optics.
 
     bench:     {backend: "drivers.emulators.bench:EmulatedBench", optics: rig_demo.yaml}
     camera:    {backend: "drivers.basler:BaslerCamera", serial: "0815-0000", roi: [0, 0, 1368, 912]}
@@ -6,11 +6,12 @@
     stage:     {backend: "drivers.stage_grbl:GrblStage"}
     fixture:   {backend: "drivers.emulators.bench:EmulatedFixture"}
 
-The emulated projector decides which pattern lights the scene, its trigger output 1 fires the emulated camera
-on Line1, and the rig called `optics` (a virtual bench, say) gives the picture. Bench time passes only while
-somebody waits for something, so that nothing is early or late by what the computer is doing.
+The emulated projector determines which pattern illuminates the scene, its trigger output 1 triggers the
+emulated camera on Line1, and the rig given as `optics` (a simulation, for instance) renders the image. The
+bench's time passes only while a driver waits for something, so that timing does not depend on the
+computer's load.
 
-What is rehearsed here is proven for the drivers, not for a board or a camera.
+It tests the drivers, not a real board or camera.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from drivers.emulators.dlpc350 import (
     Pulse,
     UsbFault,
 )
-from drivers.emulators.exposure import BenchClock, Collected, EmulatedShutter, mean
+from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutter, mean_grey_levels
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
-from drivers.emulators.optics import GreyImage, RigInPlaceOfOptics
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.optics import GreyImage, OpticsRig
+from drivers.emulators.terminal import PseudoTerminal
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Image
@@ -47,32 +48,41 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.rig import Rig
 
-STAGE_TIMES_FASTER = 100.0
+STAGE_SPEEDUP = 100.0
+"""Factor by which the emulated stage's time runs faster than real time."""
 STAGE_DIGITS = 4
-"""Of the carriage's position in mm that count: a tenth of a micrometre."""
+"""Decimals of the carriage's position in mm that count: a tenth of a micrometre."""
 
 FaultCount = Annotated[int, Field(ge=0)]
+"""An index or number from 0."""
 
 
-class Faults(Document):
-    """What goes wrong, for training and tests; numbers count from 0.
-
-    missed, doubled: pulses on the trigger cable since the camera was armed that do not come, or fire two
-    frames. extra: a pulse more, one exposure before the first. dropped, late: the projector's replies, by
-    requests since the bench was opened. unplug_projector: at that request. unplug_camera: after so many
-    exposures.
-    """
+class BenchFaults(Document):
+    """Faults to provoke, for training and tests; numbers count from 0."""
 
     missed: tuple[FaultCount, ...] = ()
+    """Trigger pulses since the camera was armed that do not arrive."""
     doubled: tuple[FaultCount, ...] = ()
+    """Trigger pulses since the camera was armed that give two frames."""
     extra: bool = False
+    """Whether there is an extra trigger pulse, one exposure before the first."""
     dropped: tuple[FaultCount, ...] = ()
+    """Requests to the projector since the bench was opened whose replies are lost."""
     late: tuple[FaultCount, ...] = ()
+    """Requests to the projector since the bench was opened whose replies are late."""
     unplug_projector: FaultCount | None = None
+    """Request to the projector at which its cable is unplugged."""
     unplug_camera: FaultCount | None = None
+    """Number of exposures after which the camera's cable is unplugged."""
 
-    def of_replies(self) -> dict[int, UsbFault]:
-        """As the emulated wire takes them."""
+    def reply_faults(self) -> dict[int, UsbFault]:
+        """Return the faults of the projector's replies.
+
+        Returns
+        -------
+        dict of int to UsbFault
+            By index of the request, as `EmulatedHid` takes them.
+        """
         faults = dict.fromkeys(self.dropped, UsbFault.DROP) | dict.fromkeys(self.late, UsbFault.LATE)
         if self.unplug_projector is not None:
             faults[self.unplug_projector] = UsbFault.UNPLUG_BEFORE
@@ -80,23 +90,46 @@ class Faults(Document):
 
 
 class EmulatedBenchOptions(Document):
-    """The bench's section in a rig file.
-
-    optics: the rig file that gives the pictures. firmware: what is in the projector's flash, from
-    `fpplab dlp4500 build`. refresh_hz: of the display on its video port.
-    """
+    """The section `bench` of a rig file with an emulated bench."""
 
     optics: str
+    """Rig file of the rig that renders the images."""
     firmware: str | None = None
+    """File with the content of the projector's flash, from `fpplab dlp4500 build`."""
     refresh_hz: Annotated[float, Field(ge=10, le=120)] = 60.0
-    faults: Faults = Faults()
+    """Refresh rate in Hz of the display on the projector's video port."""
+    faults: BenchFaults = BenchFaults()
+    """Faults to provoke."""
 
 
 class EmulatedBench:
-    """What the drivers find at the far end of their wires: `pylon`, `hid`, `display`, `clock`, `stage_port`.
+    """What the drivers of a rig find in place of their devices.
 
-    controller: the projector's. terminal: the stage's end of its line, where the optics have a stage.
-    faults: those of the trigger cable may be changed at any time. Raises `ConfigError` for wrong options.
+    Parameters
+    ----------
+    options : dict of str to Any
+        The bench's section in the rig file, see `EmulatedBenchOptions`; a `ConfigError` is raised if invalid.
+
+    Attributes
+    ----------
+    faults : BenchFaults
+        Faults to provoke; those of the trigger pulses may be changed at any time.
+    pylon : BenchPylon
+        For the camera driver.
+    hid : EmulatedHid
+        For the projector driver.
+    display : EmulatedDisplay
+        For the projector driver with patterns from the video port.
+    clock : BenchClock
+        The bench's time.
+    stage_port : str or None
+        Serial port for the stage driver; None if the optics have no stage.
+    controller : Dlpc350
+        The projector's controller.
+    terminal : PseudoTerminal or None
+        The stage's end of its serial line; None if the optics have no stage.
+    optics_rig : Rig
+        The rig that renders the images.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -106,17 +139,25 @@ class EmulatedBench:
         self._stack = ExitStack()
 
     def open(self) -> None:
-        """Open the optics and connect everything: dark, the stage where the optics have it at 0."""
-        inner = Rig.load(self._options.optics)
-        if inner.file.bench is not None and inner.file.bench.backend.startswith(__name__):
-            raise ConfigError(f"bench: 'optics' is '{self._options.optics}': an emulated bench itself")
+        """Open the optics and connect all devices; the projector is dark, the stage at the optics' 0.
+
+        Raises
+        ------
+        ConfigError
+            The optics are an emulated bench or their projector lacks 8 bits, or a file cannot be read.
+        """
+        optics_rig = Rig.load(self._options.optics)
+        if optics_rig.file.bench is not None and optics_rig.file.bench.backend.startswith(__name__):
+            raise ConfigError(
+                f"bench: 'optics' is '{self._options.optics}': must not be an emulated bench itself"
+            )
         with ExitStack() as stack:
-            self.inner = stack.enter_context(inner)
+            self.optics_rig = stack.enter_context(optics_rig)
             self._check_optics()
-            self.optics = RigInPlaceOfOptics(self.inner)
+            self.optics = OpticsRig(self.optics_rig)
             self._make_projector()
             self.shutter, self._exposures = EmulatedShutter(self.clock), 0
-            self.pylon = BenchPylon(self.optics.size, self.shutter, self._seen)
+            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render)
             self.pylon.start()
             stack.callback(self.pylon.close)
             self.terminal = self._make_stage(stack)
@@ -124,62 +165,64 @@ class EmulatedBench:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Let go of the optics and of every wire."""
+        """Close the optics and disconnect all devices."""
         self._stack.close()
 
     def _check_optics(self) -> None:
-        depths = self.inner.projector.caps.bit_depths
+        depths = self.optics_rig.projector.caps.bit_depths
         if 8 not in depths:
             raise ConfigError(
-                f"bench: 'optics' is '{self._options.optics}': needs a projector of 8 bits; "
+                f"bench: 'optics' is '{self._options.optics}': needs a projector that shows 8 bits; "
                 f"that one shows {sorted(depths)}"
             )
 
     def _make_projector(self) -> None:
         self.clock = BenchClock()
         if self._options.firmware is None:
-            self.controller = Dlpc350(self.clock, [], on_pulse=self._pulsed)
+            self.controller = Dlpc350(self.clock, [], on_pulse=self._on_pulse)
         else:
-            content = _content(Path(self._options.firmware))
-            self.controller = FlashedDlpc350(self.clock, content, on_pulse=self._pulsed)
+            content = _read_firmware(Path(self._options.firmware))
+            self.controller = FlashedDlpc350(self.clock, content, on_pulse=self._on_pulse)
         self.clock.controller = self.controller
-        self.hid = EmulatedHid(self.controller, faults=self.faults.of_replies())
+        self.hid = EmulatedHid(self.controller, faults=self.faults.reply_faults())
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)
 
-    def _make_stage(self, stack: ExitStack) -> Terminal | None:
-        """A stage that goes from the optics' 0, where homing ends, as far as theirs does."""
-        if self.inner.stage is None:
+    def _make_stage(self, stack: ExitStack) -> PseudoTerminal | None:
+        """Make a stage with the travel of the optics' one; homing ends at the 0 of the optics."""
+        if self.optics_rig.stage is None:
             return None
-        _, far_mm = self.inner.stage.caps.travel_mm
+        _, far_mm = self.optics_rig.stage.caps.travel_mm
         pull_off_mm = DEFAULTS[27]
         travel_mm = far_mm + pull_off_mm
         self.grbl = GrblController(
-            lambda: STAGE_TIMES_FASTER * time.monotonic(),
+            lambda: STAGE_SPEEDUP * time.monotonic(),
             {130: travel_mm},
             Rail(length_mm=travel_mm + 5.0, start_mm=pull_off_mm),
         )
-        return stack.enter_context(Terminal(self.grbl))
+        return stack.enter_context(PseudoTerminal(self.grbl))
 
     # --- light
 
-    def _seen(self, settings: CameraSettings, collected: Collected) -> Image:
-        """The picture of what a shutter collected; the camera's cable may be pulled after it."""
-        self._place_stage()
+    def _render(self, settings: CameraSettings, collected: CollectedLight) -> Image:
+        """Render the image of what a shutter collected; the camera's cable may be unplugged after it."""
+        self._update_stage()
         light = collected[0][0] if len(collected) == 1 else None
-        picture = self.optics.picture(settings, mean(collected), lambda: self._together(light))
+        image = self.optics.capture(
+            settings, mean_grey_levels(collected), lambda: self._related_patterns(light)
+        )
         self._exposures += 1
         if self._exposures == self.faults.unplug_camera:
             self.pylon.unplug()
-        return picture
+        return image
 
-    def _place_stage(self) -> None:
+    def _update_stage(self) -> None:
         if self.terminal is not None:
             with self.terminal.lock:
                 carriage_mm = self.grbl.drive.carriage_mm
-            self.optics.place(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
+            self.optics.move_stage(round(carriage_mm - DEFAULTS[27], STAGE_DIGITS))
 
-    def _together(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
-        """The patterns of equal kind that are in flash, or in the same video frame."""
+    def _related_patterns(self, light: ProjectedLight | None) -> Iterator[GreyImage]:
+        """Yield the patterns of the same kind that are in flash, or in the same video frame."""
         if light is None or light.image is None:
             return
         stored = any(light.content is image for image in self.controller.images)
@@ -188,22 +231,22 @@ class EmulatedBench:
                 alike = ProjectedLight(
                     content, light.depth, number, light.inverted, light.levels, light.image
                 )
-                greys = mean([(alike, 1.0)])
+                greys = mean_grey_levels([(alike, 1.0)])
                 assert greys is not None
                 yield greys
 
     # --- the trigger cable
 
-    def _pulsed(self, pulse: Pulse) -> None:
+    def _on_pulse(self, pulse: Pulse) -> None:
         if pulse.output != 1:
             return
         edges = (pulse.rise_s, pulse.fall_s)
         rise_s, fall_s = edges[::-1] if self.controller.inverts_output_1 else edges
-        camera = self.pylon.listener()
+        camera = self.pylon.armed_camera()
         if camera is None:
             return
         number, camera.pulses = camera.pulses, camera.pulses + 1
-        settings, at_s = camera.settings(), camera.fired_s(rise_s, fall_s)
+        settings, at_s = camera.settings(), camera.exposure_start_s(rise_s, fall_s)
         if self.faults.extra and number == 0:
             self.shutter.open(settings, at_s - settings.exposure_s)
         if number not in self.faults.missed:
@@ -213,40 +256,40 @@ class EmulatedBench:
 class EmulatedFixture(Fixture):
     """The fixture of the optics."""
 
-    def _setup(self, options: dict[str, Any], bench: Any) -> None:
-        super()._setup(options, bench)
-        if not isinstance(bench, EmulatedBench):
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        super()._setup(options, shared)
+        if not isinstance(shared, EmulatedBench):
             raise ConfigError(f"{self.name}: needs the bench '{__name__}:EmulatedBench' in the rig file")
-        self._bench = bench
+        self._bench = shared
 
     @property
     def bench(self) -> EmulatedBench:
-        """What it is part of, for those who want to look behind the wires."""
+        """The emulated bench that it is part of, for tests that inspect the emulators."""
         return self._bench
 
     def _open(self) -> None:
-        self._held_by = self._bench.inner.need_fixture("the rig on it")
+        self._optics_fixture = self._bench.optics_rig.need_fixture("the rig on it")
 
     def _close(self) -> None:
-        """It goes on holding what it holds."""
+        """Leave the item mounted."""
 
     def _info(self) -> DeviceInfo:
-        return self._held_by.info()
+        return self._optics_fixture.info()
 
     def _caps(self) -> FixtureCaps:
-        return self._held_by.caps
+        return self._optics_fixture.caps
 
     def _check(self, item: str, pose: int) -> None:
-        self._held_by.check(item, pose)
+        self._optics_fixture.check(item, pose)
 
     def _mount(self, item: str, pose: int) -> None:
-        self._held_by.mount(item, pose)
+        self._optics_fixture.mount(item, pose)
 
     def _pose(self, item: str, pose: int) -> RigidTransform | None:
-        return self._held_by.pose(item, pose)
+        return self._optics_fixture.pose(item, pose)
 
 
-def _content(firmware: Path) -> bytes:
+def _read_firmware(firmware: Path) -> bytes:
     try:
         return firmware.read_bytes()
     except OSError as error:

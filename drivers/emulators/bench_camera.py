@@ -1,4 +1,4 @@
-"""pylon's emulated camera as the camera of an emulated bench: exposed in its light and its time."""
+"""pylon's emulated camera as part of an emulated bench: exposed by its light and in its time."""
 
 from __future__ import annotations
 
@@ -11,36 +11,70 @@ from pypylon import genicam, pylon
 
 from drivers.basler.features import TRIGGER_DELAY_US, TRIGGER_EDGE, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
 from drivers.basler.options import EDGES
-from drivers.emulators.exposure import Collected, EmulatedShutter
+from drivers.emulators.exposure import CollectedLight, EmulatedShutter
 from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
-LEAST_SENSOR = (1024, 1040)
-"""What pylon's emulator takes, (width, height)."""
+MIN_SENSOR_SIZE = (1024, 1040)
+"""Smallest sensor that pylon's emulator accepts, (width, height) in px."""
 LINE = "Line1"
-"""Where the trigger cable ends."""
+"""The camera's input to which the trigger cable leads."""
 
-CameraResponse = Callable[[CameraSettings, Collected], Image]
-"""What a camera with these settings makes of light."""
+ImageSource = Callable[[CameraSettings, CollectedLight], Image]
+"""Renders the image of a camera with given settings from the light that its shutter collected."""
 
 
 class BenchPylon(EmulatedPylon):
-    """pylon whose one camera looks at the bench. size: of the pictures; beyond them the sensor is dark."""
+    """pylon with one camera, which is part of an emulated bench.
 
-    def __init__(self, size: tuple[int, int], shutter: EmulatedShutter, picture: CameraResponse) -> None:
-        sensor = (max(size[0], LEAST_SENSOR[0]), max(size[1], LEAST_SENSOR[1]))
-        super().__init__(sensor, lambda settings: self.read_out(settings, shutter.now(settings)))
-        self.shutter, self._picture = shutter, picture
+    Parameters
+    ----------
+    size : (int, int)
+        Size (width, height) in px of the rendered images; the rest of the sensor is dark.
+    shutter : EmulatedShutter
+        The camera's shutter.
+    render : ImageSource
+        Renders an image from what the shutter collected.
 
-    def listener(self) -> BenchCamera | None:
-        """The camera, if it waits for a pulse on the line."""
-        waiting = [c for c in self._open.values() if isinstance(c, BenchCamera) and c.listens()]
+    Attributes
+    ----------
+    shutter : EmulatedShutter
+        As given.
+    """
+
+    def __init__(self, size: tuple[int, int], shutter: EmulatedShutter, render: ImageSource) -> None:
+        sensor = (max(size[0], MIN_SENSOR_SIZE[0]), max(size[1], MIN_SENSOR_SIZE[1]))
+        super().__init__(sensor, lambda settings: self.read_out(settings, shutter.expose_now(settings)))
+        self.shutter, self._render = shutter, render
+
+    def armed_camera(self) -> BenchCamera | None:
+        """Return the camera that waits for a trigger pulse.
+
+        Returns
+        -------
+        BenchCamera or None
+            None if the camera is not armed for pulses.
+        """
+        waiting = [c for c in self._open.values() if isinstance(c, BenchCamera) and c.waits_for_pulse()]
         return waiting[0] if waiting else None
 
-    def read_out(self, settings: CameraSettings, collected: Collected) -> Image:
-        """The whole sensor after an exposure [v, u]."""
-        picture = self._picture(settings, collected)
+    def read_out(self, settings: CameraSettings, collected: CollectedLight) -> Image:
+        """Read the sensor out after an exposure.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+        collected : CollectedLight
+            What the shutter collected.
+
+        Returns
+        -------
+        Image
+            Raw integers of `settings.bits`, the whole sensor [v, u].
+        """
+        picture = self._render(settings, collected)
         image: Image = np.zeros(self.size[::-1], raw_dtype(settings.bits))
         image[: picture.shape[0], : picture.shape[1]] = picture
         return image
@@ -50,56 +84,95 @@ class BenchPylon(EmulatedPylon):
 
 
 class BenchCamera(EmulatedCamera):
-    """A camera whose exposures are made while the host waits for them, in bench time.
+    """A camera whose exposures are made, in the bench's time, while the host waits for them.
 
-    pulses: on the line since it was armed. However long a picture takes to compute, no host waits too short
-    for it: on the bench it takes no longer than its exposure.
+    However long rendering takes, no timeout of the host runs out because of it: in the bench's time a frame
+    takes no longer than its exposure.
+
+    Parameters
+    ----------
+    emulator : BenchPylon
+        What it is connected to.
+    serial : str
+        Serial number.
+    instant : pylon.InstantCamera
+        Pylon's camera.
+
+    Attributes
+    ----------
+    pulses : int
+        Number of trigger pulses since the camera was armed.
     """
 
-    _bench: BenchPylon
+    _emulator: BenchPylon
 
-    def __init__(self, bench: BenchPylon, serial: str, instant: Any) -> None:
-        super().__init__(bench, serial, instant)
-        self.pulses, self._coming = 0, False
+    def __init__(self, emulator: BenchPylon, serial: str, instant: Any) -> None:
+        super().__init__(emulator, serial, instant)
+        self.pulses, self._frame_coming = 0, False
 
     def StartGrabbing(self, strategy: Any) -> None:
-        """As pylon's."""
-        self.pulses, self._coming = 0, False
-        self._bench.shutter.clear()
+        """Arm the camera as pylon does; earlier pulses and exposures are forgotten.
+
+        Parameters
+        ----------
+        strategy : pylon.EGrabStrategy
+            Pylon's grab strategy.
+        """
+        self.pulses, self._frame_coming = 0, False
+        self._emulator.shutter.clear()
         self.instant.StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
-        """As pylon's, in the light from now on."""
+        """Trigger as pylon does, for an exposure that begins now."""
         super().ExecuteSoftwareTrigger()
-        self._coming = not self.pulled
+        self._frame_coming = not self.unplugged
 
-    def listens(self) -> bool:
-        """Whether a pulse on the line fires it."""
+    def waits_for_pulse(self) -> bool:
+        """Return whether a pulse on the trigger line starts an exposure.
+
+        Returns
+        -------
+        bool
+            False also for a camera that is being closed or is unplugged.
+        """
         with suppress(genicam.GenericException):  # it is being closed, or is gone
             mode, source = self._features.read(TRIGGER_MODE), self._features.read(TRIGGER_SOURCE)
-            return not self.pulled and (mode, source) == ("On", LINE) and bool(self.instant.IsGrabbing())
+            return not self.unplugged and (mode, source) == ("On", LINE) and bool(self.instant.IsGrabbing())
         return False
 
-    def fired_s(self, rise_s: float, fall_s: float) -> float:
-        """When a pulse with these edges opens the shutter."""
+    def exposure_start_s(self, rise_s: float, fall_s: float) -> float:
+        """Return when a trigger pulse opens the shutter, by the trigger edge and delay that are set.
+
+        Parameters
+        ----------
+        rise_s : float
+            Time of the rising edge in s.
+        fall_s : float
+            Time of the falling edge in s.
+
+        Returns
+        -------
+        float
+            Time in s.
+        """
         edge_s = rise_s if self._features.read(TRIGGER_EDGE) == EDGES["rising"] else fall_s
         return edge_s + float(self._features.read(TRIGGER_DELAY_US) or 0.0) / US_PER_S
 
     def _result(self, timeout_ms: int, handling: Any) -> Any:
-        if not self._coming and self.listens():
-            self._coming = self._expose(timeout_ms / 1000)
-        result = super()._result(max(timeout_ms, READY_MS) if self._coming else timeout_ms, handling)
+        if not self._frame_coming and self.waits_for_pulse():
+            self._frame_coming = self._expose(timeout_ms / 1000)
+        result = super()._result(max(timeout_ms, READY_MS) if self._frame_coming else timeout_ms, handling)
         if result.IsValid():
-            self._coming = False
+            self._frame_coming = False
         return result
 
     def _expose(self, patience_s: float) -> bool:
-        """Let the bench go on until the shutter has closed, and hand over what it let in."""
-        exposed = self._bench.shutter.next(patience_s)
+        """Let the bench's time pass until the shutter has closed, and hand the image to pylon."""
+        exposed = self._emulator.shutter.wait_next(patience_s)
         if exposed is None:
             return False
         self.instant.WaitForFrameTriggerReady(READY_MS, pylon.TimeoutHandling_ThrowException)
         settings, collected = exposed
-        self._bench.light.become(self._bench.read_out(settings, collected), settings.bits)
+        self._emulator.light.set_image(self._emulator.read_out(settings, collected), settings.bits)
         self.instant.TriggerSoftware.Execute()
         return True

@@ -1,4 +1,4 @@
-"""Light in the time of an emulated bench: what leaves the projector, and what an open shutter collects."""
+"""Light in the time of an emulated bench: what the projector emits, and what an open shutter collects."""
 
 from __future__ import annotations
 
@@ -15,18 +15,29 @@ from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
 from fpplab.devices import CameraSettings
 
 NEVER = float("inf")
-REMEMBERED_S = 1.0
-"""How far back light is known, beyond what is being exposed."""
+"""Time of what never happens, in s."""
+HISTORY_S = 1.0
+"""How far back light is remembered in s, beyond what is being exposed."""
 ROUNDING_S = 1e-7
-"""A shutter that closes this late, by rounding alone, is closed in time for the next pulse."""
+"""A shutter that closes this late in s, by rounding alone, is closed in time for the next pulse."""
 
-Collected = list[tuple[ProjectedLight, float]]
-"""What a shutter saw: each light, and the share of the exposure in which it was on; the rest was dark."""
+CollectedLight = list[tuple[ProjectedLight, float]]
+"""What a shutter collected: each light and its share of the exposure time; the rest was dark."""
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """What left the lens from one moment to another; None in the dark."""
+class LightInterval:
+    """Constant light from the projector during an interval of time.
+
+    Attributes
+    ----------
+    light : ProjectedLight or None
+        The light; None when it is dark.
+    begin_s : float
+        Beginning in s.
+    end_s : float
+        End in s.
+    """
 
     light: ProjectedLight | None
     begin_s: float
@@ -34,9 +45,16 @@ class Stretch:
 
 
 class BenchClock(SteppedClock):
-    """The time of a bench: whoever sleeps, what is due meanwhile happens, all in order and each at its time.
+    """The time of an emulated bench: whatever is due during a sleep happens, in order and each at its time.
 
-    controller: of the projector. on_passed: told of every stretch of time. lock: held while time goes on.
+    Attributes
+    ----------
+    controller : Dlpc350
+        The projector's controller; to be set before time passes.
+    lock : threading.RLock
+        Held while time passes.
+    on_interval : callable
+        Called with every `LightInterval` that has passed.
     """
 
     controller: Dlpc350
@@ -44,25 +62,43 @@ class BenchClock(SteppedClock):
     def __init__(self) -> None:
         super().__init__()
         self.lock = threading.RLock()
-        self.on_passed: Callable[[Stretch], None] = lambda stretch: None
+        self.on_interval: Callable[[LightInterval], None] = lambda interval: None
 
     def sleep(self, seconds: float) -> None:
-        """Make it that much later."""
+        """Advance the time.
+
+        Parameters
+        ----------
+        seconds : float
+            By how much, in s.
+        """
         self.sleep_until(self.now() + seconds)
 
     def sleep_until(self, time_s: float) -> None:
-        """Make it that late, unless it is later."""
+        """Advance to a time; without effect if it has passed.
+
+        Parameters
+        ----------
+        time_s : float
+            Time in s.
+        """
         with self.lock:
             while self._now_s < time_s:
                 light = self.controller.light()
-                begin_s, self._now_s = self._now_s, min(time_s, self.next_s())
-                self.on_passed(Stretch(light, begin_s, self._now_s))
+                begin_s, self._now_s = self._now_s, min(time_s, self.next_change_s())
+                self.on_interval(LightInterval(light, begin_s, self._now_s))
 
-    def next_s(self) -> float:
-        """Let happen what is due now, and tell when the light may change by itself."""
+    def next_change_s(self) -> float:
+        """Do what is due now, and return when the light may next change by itself.
+
+        Returns
+        -------
+        float
+            Time in s; `NEVER` if it does not.
+        """
         self.controller.advance()
         sequencer = self.controller.sequencer
-        ends_s = sequencer.shown.lit_until_s if sequencer.shown else None
+        ends_s = sequencer.shown.illuminated_until_s if sequencer.shown else None
         return min(
             (s for s in (sequencer.next_s, ends_s) if s is not None and s > self._now_s), default=NEVER
         )
@@ -70,7 +106,17 @@ class BenchClock(SteppedClock):
 
 @dataclass(frozen=True)
 class Exposure:
-    """The shutter is open from one moment to another, with the camera set so."""
+    """One exposure of the camera.
+
+    Attributes
+    ----------
+    settings : CameraSettings
+        What the camera is set to.
+    begin_s : float
+        Time in s when the shutter opens.
+    end_s : float
+        Time in s when it closes.
+    """
 
     settings: CameraSettings
     begin_s: float
@@ -78,82 +124,133 @@ class Exposure:
 
 
 class EmulatedShutter:
-    """Opened by pulses; while it is open it takes no notice of them. Each exposure waits to be read out."""
+    """The camera's shutter, opened by pulses; while it is open, further pulses have no effect.
+
+    Exposures are queued until they are read out.
+
+    Parameters
+    ----------
+    clock : BenchClock
+        The bench's time; its `on_interval` is taken over.
+    """
 
     def __init__(self, clock: BenchClock) -> None:
         self._clock = clock
-        self._past: deque[Stretch] = deque()
+        self._past: deque[LightInterval] = deque()
         self._exposures: deque[Exposure] = deque()
-        clock.on_passed = self._remember
+        clock.on_interval = self._record
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was exposed, and be closed."""
+        """Close the shutter and discard the exposures that were not read out."""
         self._exposures.clear()
         self._closes_s = -NEVER
 
     def open(self, settings: CameraSettings, begin_s: float, times: int = 1) -> None:
-        """Expose from a moment on, unless it is open then; `times` for as many equal frames."""
+        """Start an exposure, unless the shutter is still open at that time.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+        begin_s : float
+            Time in s when it opens.
+        times : int
+            Number of equal frames that it gives.
+        """
         if begin_s < self._closes_s - ROUNDING_S:
             return
         self._closes_s = begin_s + settings.exposure_s
         self._exposures.extend([Exposure(settings, begin_s, self._closes_s)] * times)
 
-    def next(self, patience_s: float) -> tuple[CameraSettings, Collected] | None:
-        """Let time pass until an exposure is over, and read it out; None when none begins so soon."""
+    def wait_next(self, patience_s: float) -> tuple[CameraSettings, CollectedLight] | None:
+        """Let time pass until an exposure is over, and read it out.
+
+        Parameters
+        ----------
+        patience_s : float
+            How long to wait in s for it to begin.
+
+        Returns
+        -------
+        (CameraSettings, CollectedLight) or None
+            Settings of the exposure and what it collected; None if none begins in time.
+        """
         clock = self._clock
         with clock.lock:
             deadline_s = clock.now() + patience_s
             while True:
-                next_s = clock.next_s()
+                next_change_s = clock.next_change_s()
                 if self._exposures:
                     break
                 if clock.now() >= deadline_s:
                     return None
-                clock.sleep_until(min(next_s, deadline_s))
+                clock.sleep_until(min(next_change_s, deadline_s))
             clock.sleep_until(self._exposures[0].end_s)
             exposure = self._exposures.popleft()
-            return exposure.settings, self._collected(exposure)
+            return exposure.settings, self._collect(exposure)
 
-    def now(self, settings: CameraSettings) -> Collected:
-        """What it collects when it is opened now."""
+    def expose_now(self, settings: CameraSettings) -> CollectedLight:
+        """Make an exposure that begins now, and let its time pass.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to.
+
+        Returns
+        -------
+        CollectedLight
+            What the shutter collected.
+        """
         with self._clock.lock:
             begin_s = self._clock.now()
             exposure = Exposure(settings, begin_s, begin_s + settings.exposure_s)
             self._clock.sleep_until(exposure.end_s)
-            return self._collected(exposure)
+            return self._collect(exposure)
 
-    def _remember(self, stretch: Stretch) -> None:
+    def _record(self, interval: LightInterval) -> None:
         past = self._past
-        if past and _alike(past[-1].light, stretch.light):
-            past[-1] = replace(past[-1], end_s=stretch.end_s)
+        if past and _same_light(past[-1].light, interval.light):
+            past[-1] = replace(past[-1], end_s=interval.end_s)
         else:
-            past.append(stretch)
-        needed_s = min([stretch.end_s - REMEMBERED_S, *(exposure.begin_s for exposure in self._exposures)])
+            past.append(interval)
+        needed_s = min([interval.end_s - HISTORY_S, *(exposure.begin_s for exposure in self._exposures)])
         while past[0].end_s < needed_s:
             past.popleft()
 
-    def _collected(self, exposure: Exposure) -> Collected:
+    def _collect(self, exposure: Exposure) -> CollectedLight:
         found = []
-        for stretch in self._past:
-            open_s = min(stretch.end_s, exposure.end_s) - max(stretch.begin_s, exposure.begin_s)
-            if stretch.light is not None and open_s > 0:
-                found.append((stretch.light, open_s / (exposure.end_s - exposure.begin_s)))
+        for interval in self._past:
+            open_s = min(interval.end_s, exposure.end_s) - max(interval.begin_s, exposure.begin_s)
+            if interval.light is not None and open_s > 0:
+                found.append((interval.light, open_s / (exposure.end_s - exposure.begin_s)))
         return found
 
 
-def _alike(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
-    """Whether both light the scene alike; frames of a video port come as ever new arrays."""
+def _same_light(a: ProjectedLight | None, b: ProjectedLight | None) -> bool:
+    """Return whether both illuminate the scene alike; frames of a video port are new arrays each time."""
     if a is None or b is None:
         return a is b
     kinds = [(light.depth, light.number, light.inverted, light.levels) for light in (a, b)]
     return kinds[0] == kinds[1] and (a.content is b.content or np.array_equal(a.content, b.content))
 
 
-def mean(collected: Collected) -> NDArray[np.uint8] | None:
-    """The grey levels whose light is the mean of what was collected, uint8 (height, width); None for none.
+def mean_grey_levels(collected: CollectedLight) -> NDArray[np.uint8] | None:
+    """Average the light that was collected, in grey levels of the projector.
 
-    At full LED levels one pattern that was on all the time gives exactly its own; anything else is rounded.
+    At full LED levels one pattern that was on all the time gives exactly its own grey levels; anything else
+    is rounded.
+
+    Parameters
+    ----------
+    collected : CollectedLight
+        What the shutter collected.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        uint8 (height, width); None if it was dark.
     """
     if not collected:
         return None

@@ -1,4 +1,4 @@
-"""The optics of an emulated bench: another rig, which is shown light and gives pictures of it."""
+"""The optics of an emulated bench: another rig, which projects patterns and captures images of them."""
 
 from __future__ import annotations
 
@@ -14,30 +14,42 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
 GreyImage = NDArray[np.uint8]
-TOGETHER = 128
-"""Patterns given to the projector at once, at most."""
-PATIENCE_S = 60.0
+"""Grey levels, uint8 (height, width)."""
+MAX_LOADED_PATTERNS = 128
+"""Number of patterns that the projector is given at once, at most."""
+FRAME_TIMEOUT_S = 60.0
+"""How long to wait for an image, beyond its exposure, in s."""
 
 
-class RigInPlaceOfOptics:
-    """A rig in place of light, lens and sensor, used as any program would.
+class OpticsRig:
+    """A rig in place of light, lens and sensor, used as any program would use it.
 
-    Its projector needs 8 bits; mirrors that it has not are left out, evenly.
+    Parameters
+    ----------
+    rig : Rig
+        An open rig, such as the simulation. Its projector needs 8 bits; if it has fewer mirrors than the
+        patterns, some are left out evenly.
     """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._slides = Slides(rig.projector)
+        self._patterns = PatternCache(rig.projector)
         self._settings: CameraSettings | None = None
         self._stage_mm = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the pictures, (width, height)."""
+        """Size of the images, (width, height) in px."""
         return self._rig.camera.caps.size
 
-    def place(self, stage_mm: float) -> None:
-        """Carry the stage to a position; it is homed before it first moves."""
+    def move_stage(self, stage_mm: float) -> None:
+        """Move the rig's stage, if it has one; it is homed before its first move.
+
+        Parameters
+        ----------
+        stage_mm : float
+            Position in mm.
+        """
         stage = self._rig.stage
         if stage is None or stage_mm == self._stage_mm:
             return
@@ -46,13 +58,25 @@ class RigInPlaceOfOptics:
         stage.move_to(stage_mm)
         self._stage_mm = stage_mm
 
-    def picture(
+    def capture(
         self, settings: CameraSettings, greys: GreyImage | None, others: Callable[[], Iterable[GreyImage]]
     ) -> Image:
-        """What the camera sees in this light, or in the dark: raw integers of `settings.bits` [v, u].
+        """Capture an image under given light.
 
-        others: what may be asked for next, see `Slides.show`. A depth that the camera has not is given by its
-        next lower one, shifted up.
+        Parameters
+        ----------
+        settings : CameraSettings
+            What the camera is set to; a bit depth that the rig's camera lacks is replaced by its next lower
+            one, scaled up by a shift.
+        greys : GreyImage or None
+            What the projector shows, uint8 (height, width); None for darkness.
+        others : callable
+            Returns further patterns that are likely to be asked for next, see `PatternCache.show`.
+
+        Returns
+        -------
+        Image
+            Raw integers of `settings.bits` [v, u].
         """
         camera = self._rig.camera
         bits = max(bits for bits in camera.caps.bits if bits <= settings.bits)
@@ -64,42 +88,53 @@ class RigInPlaceOfOptics:
         if greys is None:
             self._rig.projector.blank()
         else:
-            self._slides.show(greys, others)
-        image = camera.snap(settings.exposure_s + PATIENCE_S).image
+            self._patterns.show(greys, others)
+        image = camera.snap(settings.exposure_s + FRAME_TIMEOUT_S).image
         if bits == settings.bits:
             return image
         return np.left_shift(image.astype(np.uint16), settings.bits - bits, dtype=np.uint16)
 
 
-class Slides:
-    """The patterns of a projector, each known by what it shows: what it has already is not loaded again."""
+class PatternCache:
+    """The patterns that a projector holds, recognised by content, so that none is loaded twice.
+
+    Parameters
+    ----------
+    projector : Projector
+        An open projector of 8 bits.
+    """
 
     def __init__(self, projector: Projector) -> None:
         self._projector, self._size = projector, projector.caps.size
-        self._most = min(TOGETHER, projector.caps.max_patterns)
+        self._capacity = min(MAX_LOADED_PATTERNS, projector.caps.max_patterns)
         self._loaded: dict[bytes, Pattern] = {}
-        self._places: dict[bytes, int] = {}
+        self._indices: dict[bytes, int] = {}
 
     def show(self, greys: GreyImage, others: Callable[[], Iterable[GreyImage]]) -> None:
-        """Show grey levels, uint8 (height, width) of any size.
+        """Show grey levels.
 
-        others: asked when they are not loaded, for more to be loaded with them: a twin computes faster what
-        it knows to belong together.
+        Parameters
+        ----------
+        greys : GreyImage
+            uint8 (height, width) of any size; resampled by nearest neighbour to the projector's.
+        others : callable
+            Called if they are not loaded; returns further images to load with them, because a simulation
+            computes patterns faster that are loaded together.
         """
-        fitted = self._fitted(greys)
+        fitted = self._resampled(greys)
         key = _key(fitted)
-        if key not in self._places:
-            images = {_key(image): image for image in map(self._fitted, others())} | {key: fitted}
-            self._load(images if len(images) <= self._most else {key: fitted})
-        self._projector.show(self._places[key])
+        if key not in self._indices:
+            images = {_key(image): image for image in map(self._resampled, others())} | {key: fitted}
+            self._load(images if len(images) <= self._capacity else {key: fitted})
+        self._projector.show(self._indices[key])
 
     def _load(self, images: dict[bytes, GreyImage]) -> None:
         self._loaded = {key: self._loaded.get(key) or _pattern(key, image) for key, image in images.items()}
-        self._places = {}
+        self._indices = {}
         self._projector.load(list(self._loaded.values()))
-        self._places = {key: place for place, key in enumerate(self._loaded)}
+        self._indices = {key: index for index, key in enumerate(self._loaded)}
 
-    def _fitted(self, greys: GreyImage) -> GreyImage:
+    def _resampled(self, greys: GreyImage) -> GreyImage:
         (height, width), (columns, rows) = greys.shape, self._size
         if (width, height) == self._size:
             return greys

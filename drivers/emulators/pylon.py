@@ -1,12 +1,13 @@
-"""The other end of pylon: its own camera emulator, fed with frames, pulsed, and made to fail.
+"""pylon's own camera emulator as the far end of the camera driver: fed with images, triggered, made to fail.
 
-The camera is pylon's (`PYLON_CAMEMU`), in this process, behind the same `InstantCamera` as a real one. What
-is added is what a bench adds: light that depends on the camera's settings, a wire to Line1, another program
-that has the camera, a cable that is pulled, frames that are lost on the way. Serial numbers are 0815-0000,
+The camera is pylon's (`PYLON_CAMEMU`), in this process, behind the same `InstantCamera` as a real one. Added
+is what a laboratory adds: light that depends on the camera's settings, a trigger signal on Line1, another
+program that has opened the camera, an unplugged cable, and lost frames. Serial numbers are 0815-0000,
 0815-0001, …
 
-The emulator reads a file at the end of each exposure: two names of one file, which is replaced as a whole,
-are the light on the sensor now. What it cannot do, and its behaviour that no camera documents, is `PylonPolicy`.
+The emulator reads an image file at the end of each exposure. Its folder has two names of one file, which is
+always replaced as a whole. What the emulator cannot do, and its behaviour that no camera documents, is
+`PylonPolicy`.
 """
 
 from __future__ import annotations
@@ -35,34 +36,56 @@ from drivers.basler.transport import Pylon
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
-SWITCH = "PYLON_CAMEMU"
-"""How many cameras pylon emulates: read by pylon at every enumeration."""
+CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
+"""Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
 READY_MS = 5000
+"""Longest time in ms that the emulator is given to become ready for a trigger."""
 
 SceneSource = Callable[[CameraSettings], Image]
-"""What the sensor sees under some settings: raw integers of `settings.bits`, the whole sensor [v, u]."""
+"""Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""
 
 
 @dataclass(frozen=True)
 class PylonPolicy:
-    """Behaviour of the emulated bench that is chosen, not documented.
+    """Behaviour of the emulated camera that is chosen, not documented.
 
-    exclusive: a camera that is open cannot be opened again, as reported of real ones; pylon's emulator
-        lets it.
-    patient: a pulse waits for a camera that is not ready; otherwise it is lost, as on a real wire.
-    exposure_s: what an emulated exposure takes, whatever the camera is set to.
+    Attributes
+    ----------
+    exclusive : bool
+        A camera that is open cannot be opened again, as is reported of real ones; pylon's emulator allows it.
+    pulse_waits : bool
+        A trigger pulse waits for a camera that is not ready; otherwise it is lost, as on a real wire.
+    exposure_s : float
+        Time in s that an emulated exposure takes, whatever the camera is set to.
     """
 
     exclusive: bool = True
-    patient: bool = True
+    pulse_waits: bool = True
     exposure_s: float = 100e-6
 
 
 class EmulatedPylon(Pylon):
-    """pylon with emulated cameras alone, between `start` and `close`.
+    """Stands in for pylon, with emulated cameras only, between `start` and `close`.
 
-    size: of the sensor, at least 1024 x 1040; smaller pictures by the camera's ROI. scene: what it sees;
-    pylon's moving test image without one. A rig's bench hands it to the driver as its `pylon`.
+    A rig's shared object hands it to the camera driver as its `pylon`.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Sensor size (width, height) in px, at least (1024, 1040); the camera's ROI gives smaller images.
+    scene : SceneSource, optional
+        What the sensor sees; without it pylon's moving test image.
+    policy : PylonPolicy
+        Assumptions about undocumented behaviour.
+    cameras : int
+        Number of cameras.
+
+    Attributes
+    ----------
+    size, scene, policy
+        As given.
+    light : EmulatedSensorImage
+        The image on the sensor, from `start` on.
     """
 
     def __init__(
@@ -76,22 +99,38 @@ class EmulatedPylon(Pylon):
         self._open: dict[str, EmulatedCamera] = {}
 
     def start(self) -> None:
-        """Switch the emulation on."""
-        self._before = os.environ.get(SWITCH)
+        """Switch pylon's emulation on and plug the cameras in."""
+        self._before = os.environ.get(CAMERA_COUNT_VARIABLE)
         self._folder = tempfile.TemporaryDirectory(prefix="fpplab-pylon-")
         self.light = EmulatedSensorImage(Path(self._folder.name))
         self.plug_in()
 
     def close(self) -> None:
-        """Switch it off and leave nothing behind."""
+        """Switch the emulation off and remove its files."""
         self._folder.cleanup()
         if self._before is None:
-            os.environ.pop(SWITCH, None)
+            os.environ.pop(CAMERA_COUNT_VARIABLE, None)
         else:
-            os.environ[SWITCH] = self._before
+            os.environ[CAMERA_COUNT_VARIABLE] = self._before
 
     def attach(self, info: Any) -> EmulatedCamera:
-        """The camera, as `Pylon.attach` has it. Raises what pylon does when another program has it."""
+        """Create the camera of a device, as `Pylon.attach` does.
+
+        Parameters
+        ----------
+        info : pylon.DeviceInfo
+            Entry of the enumeration.
+
+        Returns
+        -------
+        EmulatedCamera
+            Not yet open.
+
+        Raises
+        ------
+        genicam.RuntimeException
+            Another program has opened the camera; the message is pylon's.
+        """
         serial = info.GetSerialNumber()
         if self.policy.exclusive and serial in self._open:
             raise genicam.RuntimeException(
@@ -101,26 +140,44 @@ class EmulatedPylon(Pylon):
         return self._camera(serial, super().attach(info))
 
     def pulse(self, times: int = 1) -> None:
-        """Pulses on Line1 of the camera that was opened last, from whatever thread they come."""
+        """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it.
+
+        Parameters
+        ----------
+        times : int
+            Number of pulses.
+        """
         for _ in range(times):
             for camera in list(self._open.values())[-1:]:
                 camera.pulse()
 
     def unplug(self, noticed: bool = True) -> None:
-        """Pull the cable. noticed: whether pylon's notice of it comes through, which is sometimes missed."""
-        os.environ[SWITCH] = "0"
+        """Unplug the cable.
+
+        Parameters
+        ----------
+        noticed : bool
+            Whether pylon notices and calls back; sometimes it does not.
+        """
+        os.environ[CAMERA_COUNT_VARIABLE] = "0"
         for camera in self._open.values():
-            camera.pulled = True
+            camera.unplugged = True
             if noticed:
                 camera.instant.FirePnPCallback.Execute()
 
     def plug_in(self) -> None:
         """Plug the cable in; the camera has to be opened again."""
-        os.environ[SWITCH] = str(self._cameras)
+        os.environ[CAMERA_COUNT_VARIABLE] = str(self._cameras)
 
     def cameras(self) -> dict[str, Any]:
-        """As `Pylon.cameras` has it, of the emulated ones."""
-        return super().cameras() if os.environ[SWITCH] != "0" else {}
+        """List the emulated cameras, as `Pylon.cameras` does.
+
+        Returns
+        -------
+        dict of str to pylon.DeviceInfo
+            By serial number; empty while the cable is unplugged.
+        """
+        return super().cameras() if os.environ[CAMERA_COUNT_VARIABLE] != "0" else {}
 
     def _layer(self) -> Any:
         return pylon.TlFactory.GetInstance().CreateTl("BaslerCamEmu")
@@ -128,74 +185,132 @@ class EmulatedPylon(Pylon):
     def _camera(self, serial: str, instant: Any) -> EmulatedCamera:
         return EmulatedCamera(self, serial, instant)
 
-    def opened(self, camera: EmulatedCamera) -> None:
-        """Set the emulator up as the sensor of this bench."""
+    def on_opened(self, camera: EmulatedCamera) -> None:
+        """Configure pylon's emulator for this sensor; called by a camera that was opened.
+
+        Parameters
+        ----------
+        camera : EmulatedCamera
+            The camera.
+        """
         self._open[camera.serial] = camera
         instant = camera.instant
         instant.WidthMax.SetValue(self.size[0])
         instant.HeightMax.SetValue(self.size[1])
         instant.ExposureTimeAbs.SetValue(self.policy.exposure_s * US_PER_S)
         if self.scene is not None:
-            self.light.become(np.zeros(self.size[::-1], np.uint8), 8)
+            self.light.set_image(np.zeros(self.size[::-1], np.uint8), 8)
             instant.TestImageSelector.SetValue("Off")
             instant.ImageFilename.SetValue(str(self.light.folder))
             instant.ImageFileMode.SetValue("On")
 
-    def closed(self, camera: EmulatedCamera) -> None:
-        """Another program may have it now."""
+    def on_closed(self, camera: EmulatedCamera) -> None:
+        """Let other programs open a camera; called by the camera when it is closed.
+
+        Parameters
+        ----------
+        camera : EmulatedCamera
+            The camera.
+        """
         self._open.pop(camera.serial, None)
 
     def has_open(self, camera: EmulatedCamera) -> bool:
-        """Whether a program has it."""
+        """Return whether a program has opened a camera.
+
+        Parameters
+        ----------
+        camera : EmulatedCamera
+            The camera.
+
+        Returns
+        -------
+        bool
+            False if it was opened through another `EmulatedCamera`.
+        """
         return self._open.get(camera.serial) is camera
 
     def expose(self, camera: EmulatedCamera) -> None:
-        """Let the light of this moment fall on the sensor."""
+        """Put what the scene shows at this moment on the sensor.
+
+        Parameters
+        ----------
+        camera : EmulatedCamera
+            The camera, whose settings count.
+        """
         if self.scene is not None:
-            self.light.become(self.scene(camera.settings()), camera.settings().bits)
+            self.light.set_image(self.scene(camera.settings()), camera.settings().bits)
 
 
 class EmulatedCamera:
-    """An `InstantCamera` at the end of an emulated cable; everything else is pylon's.
+    """An `InstantCamera` at the end of an emulated cable; all other attributes are those of pylon's.
 
-    lose: how many of the next frames are lost on the way. pulled: the cable is out.
+    Parameters
+    ----------
+    emulator : EmulatedPylon
+        What it is connected to.
+    serial : str
+        Serial number.
+    instant : pylon.InstantCamera
+        Pylon's camera.
+
+    Attributes
+    ----------
+    serial, instant
+        As given.
+    frames_to_lose : int
+        Number of the next frames that are lost on the way.
+    unplugged : bool
+        Whether the cable is unplugged.
     """
 
-    def __init__(self, bench: EmulatedPylon, serial: str, instant: Any) -> None:
+    def __init__(self, emulator: EmulatedPylon, serial: str, instant: Any) -> None:
         self.serial, self.instant = serial, instant
-        self.lose, self.pulled = 0, False
-        self._bench = bench
+        self.frames_to_lose, self.unplugged = 0, False
+        self._emulator = emulator
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.instant, name)
 
     def Open(self) -> None:
-        """As pylon's; the sensor is then this bench's."""
+        """Open the camera as pylon does, then give it this sensor."""
         self.instant.Open()
         self._features = Features(self.serial, self.instant)
-        self._bench.opened(self)
+        self._emulator.on_opened(self)
 
     def Close(self) -> None:
-        """As pylon's."""
-        self._bench.closed(self)
+        """Close the camera as pylon does."""
+        self._emulator.on_closed(self)
         self.instant.Close()
 
     def DestroyDevice(self) -> None:
-        """As pylon's."""
-        self._bench.closed(self)
+        """Destroy the device as pylon does."""
+        self._emulator.on_closed(self)
         self.instant.DestroyDevice()
 
     def ExecuteSoftwareTrigger(self) -> None:
-        """As pylon's, under the light of this moment; it does not reach a camera that is unplugged."""
-        if not self.pulled:
-            self._bench.expose(self)
+        """Trigger as pylon does, in the light of this moment; without effect on an unplugged camera."""
+        if not self.unplugged:
+            self._emulator.expose(self)
             self.instant.ExecuteSoftwareTrigger()
 
     def RetrieveResult(self, timeout_ms: int, handling: Any) -> Any:
-        """As pylon's, but for the frames that are to be lost."""
+        """Retrieve a grab result as pylon does, except for the frames that are to be lost.
+
+        Parameters
+        ----------
+        timeout_ms : int
+            How long to wait in ms, for each frame.
+        handling : pylon.ETimeoutHandling
+            What to do when none comes.
+
+        Returns
+        -------
+        pylon.GrabResult
+            Invalid if none comes.
+        """
         result = self._result(timeout_ms, handling)
-        while self.lose and result.IsValid():
-            self.lose -= 1
+        while self.frames_to_lose and result.IsValid():
+            self.frames_to_lose -= 1
             result = self._result(timeout_ms, handling)
         return result
 
@@ -203,43 +318,78 @@ class EmulatedCamera:
         return self.instant.RetrieveResult(timeout_ms, handling)
 
     def pulse(self) -> None:
-        """A pulse on Line1: one frame, if the camera waits for it; a camera being closed takes no notice."""
+        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
         try:
             self._pulse()
         except genicam.GenericException:
-            if self._bench.has_open(self):
+            if self._emulator.has_open(self):
                 raise
 
     def _pulse(self) -> None:
         armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
-        if self.pulled or not armed or not self.instant.IsGrabbing():
+        if self.unplugged or not armed or not self.instant.IsGrabbing():
             return
-        wait_ms = READY_MS if self._bench.policy.patient else 0
+        wait_ms = READY_MS if self._emulator.policy.pulse_waits else 0
         if self.instant.WaitForFrameTriggerReady(wait_ms, pylon.TimeoutHandling_Return):
-            self._bench.expose(self)
+            self._emulator.expose(self)
             self.instant.TriggerSoftware.Execute()
 
     def settings(self) -> CameraSettings:
-        """What the camera is set to."""
+        """Return what the camera is set to.
+
+        Returns
+        -------
+        CameraSettings
+            Exposure, gain and bits.
+        """
         bits = int(self._features.read(PIXEL_FORMAT).removeprefix("Mono"))
         return CameraSettings(self._features.read(EXPOSURE_US) / US_PER_S, self._features.read(GAIN_DB), bits)
 
-    def fail(self, frames: int) -> None:
-        """The next so many frames arrive incomplete."""
+    def fail_frames(self, frames: int) -> None:
+        """Let the next frames arrive incomplete.
+
+        Parameters
+        ----------
+        frames : int
+            Their number.
+        """
         self.instant.ForceFailedBufferCount.SetValue(frames)
         self.instant.ForceFailedBuffer.Execute()
 
-    def break_grabbing(self, words: str) -> None:
-        """Pylon's grab engine fails with these words; mended with none."""
+    def fail_grabbing(self, words: str) -> None:
+        """Let pylon's grab engine fail.
+
+        Parameters
+        ----------
+        words : str
+            The error message; an empty one ends the failure.
+        """
         self.instant.GetStreamGrabberNodeMap().GetNode("ImposedError").SetValue(words)
 
-    def expose_for(self, exposure_s: float) -> None:
-        """Let emulated exposures take so long."""
+    def set_exposure_duration(self, exposure_s: float) -> None:
+        """Set how long emulated exposures take.
+
+        Parameters
+        ----------
+        exposure_s : float
+            Time in s.
+        """
         self.instant.ExposureTimeAbs.SetValue(exposure_s * US_PER_S)
 
 
 class EmulatedSensorImage:
-    """The picture on the sensor, as the file that the emulator reads at the end of an exposure."""
+    """The image on the sensor, as the file that the emulator reads at the end of an exposure.
+
+    Parameters
+    ----------
+    place : Path
+        Folder for its files.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder that the emulator is told to read.
+    """
 
     def __init__(self, place: Path) -> None:
         self._place = place
@@ -248,13 +398,21 @@ class EmulatedSensorImage:
         for name in ("a.tif", "b.tif"):  # of a single name the emulator would read the file once
             (self.folder / name).symlink_to(place / "now.tif")
 
-    def become(self, image: Image, bits: int) -> None:
-        """From now on this is what falls on the sensor; the emulator takes the upper `bits` of it."""
+    def set_image(self, image: Image, bits: int) -> None:
+        """Replace the image on the sensor.
+
+        Parameters
+        ----------
+        image : Image
+            Raw integers of `bits`, the whole sensor [v, u].
+        bits : int
+            Bit depth; more than 8 are scaled to 16, of which the emulator takes the upper ones.
+        """
         scaled = image if bits == 8 else np.left_shift(image.astype(raw_dtype(16)), 16 - bits)
         self._replace(lambda path: tifffile.imwrite(path, scaled, photometric="minisblack", metadata=None))
 
-    def garble(self) -> None:
-        """From now on what falls on the sensor is no picture."""
+    def write_invalid_image(self) -> None:
+        """Replace the image on the sensor by a file that is not an image."""
         self._replace(lambda path: path.write_bytes(b"no picture"))
 
     def _replace(self, write: Callable[[Path], object]) -> None:

@@ -1,4 +1,4 @@
-"""A pseudo-terminal with an emulated device at the far end: programs open it as they open a serial port."""
+"""A pseudo-terminal with an emulated device at its far end: programs open it as they open a serial port."""
 
 from __future__ import annotations
 
@@ -11,27 +11,56 @@ from typing import Protocol, Self
 from fpplab.core.errors import DeviceError
 
 POLL_S = 0.002
+"""Longest time in s between two looks at the emulated device."""
 
 
-class Emulated(Protocol):
-    """A device that is spoken to byte by byte."""
+class SerialEmulator(Protocol):
+    """An emulated device that is connected by a serial line.
 
-    def receive(self, data: bytes) -> None:
-        """Take what came over the wire."""
-
-    def poll(self) -> bytes:
-        """Let time pass, and return what there is to say."""
-
-
-class Terminal:
-    """Serves a device between `with Terminal(device) as terminal:` and its end, in a thread of its own.
-
-    `port` is what a program opens; `lock` keeps the device still while a test looks at it. Speed and parity
-    are whatever the program likes, since there is no wire. Raises `DeviceError` where the system has no
-    pseudo-terminals.
+    `PseudoTerminal` calls both methods from its own thread while it holds its lock.
     """
 
-    def __init__(self, device: Emulated) -> None:
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the line; called whenever there are some.
+
+        Parameters
+        ----------
+        data : bytes
+            At least one byte, as the program sent it.
+        """
+
+    def poll(self) -> bytes:
+        """Advance to the present time and return what there is to send; called at least every `POLL_S`.
+
+        Returns
+        -------
+        bytes
+            Bytes for the line; may be empty.
+        """
+
+
+class PseudoTerminal:
+    """Serves a device while its context is entered, in a thread of its own.
+
+    Baud rate and parity do not matter, since there is no wire. Bytes that no program reads are lost, as on a
+    serial line. Entering raises `DeviceError` where the system has no pseudo-terminals.
+
+    Parameters
+    ----------
+    device : SerialEmulator
+        The emulated device.
+
+    Attributes
+    ----------
+    device : SerialEmulator
+        As given.
+    port : str
+        Name of the serial port that a program opens; empty before the context is entered.
+    lock : threading.Lock
+        Held while the device is served; take it to inspect the device.
+    """
+
+    def __init__(self, device: SerialEmulator) -> None:
         self.device, self.lock = device, threading.Lock()
         self.port = ""
         self._served = threading.Thread(target=self._serve, daemon=True)
@@ -56,7 +85,7 @@ class Terminal:
         self._served.join()
 
     def unplug(self) -> None:
-        """Take the cable out, for good; may be called by the device itself."""
+        """Unplug the cable for good; the device itself may call it too."""
         self._plugged = False
 
     def _serve(self) -> None:
@@ -74,4 +103,4 @@ class Terminal:
             try:
                 data = data[os.write(self._near, data) :]
             except BlockingIOError:
-                return  # nobody reads: a serial line loses it as well
+                return  # no program reads: the bytes are lost, as on a serial line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from drivers.emulators.grbl import GrblController
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.terminal import PseudoTerminal
 from tests.conformance.reference import ReferenceBench
 
 TIMES_FASTER = 100.0
@@ -16,7 +16,7 @@ class GrblBench(ReferenceBench):
 
     def open(self) -> None:
         super().open()
-        self._terminal = Terminal(GrblController(lambda: TIMES_FASTER * time.monotonic()))
+        self._terminal = PseudoTerminal(GrblController(lambda: TIMES_FASTER * time.monotonic()))
         self.stage_port = self._terminal.__enter__().port
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Basler cameras at the end of an emulated cable: what their tests have in common."""
+"""Helpers for tests of the Basler driver with emulated cameras."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SOON_S, LONG_S = 0.05, 20.0
 
 
 class Counter:
-    """A scene whose brightness counts the exposures: no frame can be taken for another."""
+    """A scene whose brightness counts the exposures, so that every frame is different."""
 
     def __init__(self) -> None:
         self.exposures = 0
@@ -37,7 +37,7 @@ def driver(bench: EmulatedPylon, **options: Any) -> BaslerCamera:
 
 
 def end(camera: BaslerCamera) -> EmulatedCamera:
-    """The other end of the camera's cable."""
+    """Return the emulated camera of a driver."""
     found: EmulatedCamera = camera._camera
     return found
 
@@ -53,7 +53,7 @@ def assert_disarmed(camera: BaslerCamera) -> None:
 
 
 def assert_mended(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
-    """Closed and opened again it takes a frame, and that of now."""
+    """Check that the camera, closed and opened again, takes a current frame."""
     camera.close()
     bench.plug_in()
     camera.open()

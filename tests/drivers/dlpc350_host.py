@@ -20,7 +20,7 @@ def flat(green: int, red: int, blue: int) -> FlashImage:
 
 
 FLASH = [flat(10 * i + 1, 10 * i + 2, 10 * i + 3) for i in range(4)]
-"""Greys 1, 2, 3 in image 0; 11, 12, 13 in image 1 and so on."""
+"""Uniform grey levels 1, 2, 3 in image 0; 11, 12, 13 in image 1 and so on."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Host:
         self.device.open_path(b"emulated:0")
 
     def send(self, words: str, flags: int = 0x40, sequence: int = 7) -> bytes:
-        """A command and its data in hex; the whole reply, empty in silence."""
+        """Send a command and its data in hex; return the whole reply, empty if there is none."""
         payload = bytes.fromhex(words)
         payload = payload[1::-1] + payload[2:]  # written as 1A24, sent as 24 1A
         whole = bytes([flags, sequence]) + len(payload).to_bytes(2, "little") + payload
@@ -54,11 +54,11 @@ class Host:
         return reply[: 4 + int.from_bytes(reply[2:4], "little")]
 
     def write(self, words: str) -> int:
-        """The flags of the reply."""
+        """Return the flags of the reply."""
         return self.send(words)[0]
 
     def read(self, words: str) -> bytes:
-        """The data of the reply."""
+        """Return the data of the reply."""
         reply = self.send(words, 0xC0)
         assert reply[0] == 0xC0, f"{words} was refused"
         return reply[4:]
@@ -68,7 +68,7 @@ class Host:
         self.clock.sleep(1.0)
 
     def tables(self, entries: str, images: str, mode: str = "01") -> None:
-        """Trigger mode, pattern table and image table."""
+        """Write trigger mode, pattern table and image table."""
         self.write(f"1a23 {mode}")
         for mailbox, data in (("02", entries), ("01", images)):
             assert self.write(f"1a33 {mailbox}") == OK
@@ -86,7 +86,7 @@ class Host:
         patterns: int | None = None,
         mode: str = "01",
     ) -> None:
-        """Pattern mode and a sequence; by default the three 8-bit patterns of image 0."""
+        """Set pattern mode and a sequence, by default of the three 8-bit patterns of image 0."""
         count, swaps = len(bytes.fromhex(entries)) // 3, len(bytes.fromhex(images))
         self.pattern_mode()
         self.write(f"1a31 {count - 1:02x} {repeat:02x} {(patterns or count) - 1:02x} {swaps - 1:02x}")
@@ -95,7 +95,7 @@ class Host:
         self.tables(entries, images, mode)
 
     def validate(self) -> int:
-        """The verdict, once it is there."""
+        """Return the result of a validation, once it is there."""
         assert self.write("1a1a 00") == OK
         for _ in range(100):
             verdict = self.read("1a1a")[0]
@@ -104,7 +104,7 @@ class Host:
         raise AssertionError("busy for ever")
 
     def run(self, **changes: Any) -> None:
-        """A sequence, validated and started."""
+        """Set, validate and start a sequence."""
         self.sequence(**changes)
         assert self.validate() == 0
         assert self.write("1a24 02") == OK

@@ -1,4 +1,4 @@
-"""The real drivers on an emulated bench whose optics are the reference rig, and what is to be seen there."""
+"""The real drivers on an emulated bench whose optics are the reference rig, and the images expected there."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.drivers.flash_files import maker_firmware
 
 FULL = {"red": 255, "green": 255, "blue": 255}
 PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4), Sinusoid(axis="y", stripes=1, steps=4)))
-"""Eight patterns, three images: no two look alike."""
+"""Eight patterns in three images, all different."""
 REFERENCE = Path(__file__).parents[1] / "conformance" / "rigs" / "rig_reference.yaml"
 
 
@@ -35,7 +35,7 @@ def patterns() -> tuple[Pattern, ...]:
 
 
 def burn(folder: Path) -> None:
-    """The patterns as firmware and index."""
+    """Write the patterns as firmware and index."""
     base = folder / "base.bin"
     base.write_bytes(maker_firmware())
     (folder / "patterns.bin").write_bytes(Firmware.load(base).with_patterns(patterns(), base).content)
@@ -49,7 +49,7 @@ def rig_file(
     camera: dict[str, Any] | None = None,
     projector: dict[str, Any] | None = None,
 ) -> Rig:
-    """The rig, not open yet; the sections hold what differs."""
+    """Make the rig, not open yet; the sections hold what differs from the default."""
     own = "drivers.emulators.bench:"
     sections = {
         "bench": {"backend": own + "EmulatedBench", "optics": str(REFERENCE), "firmware": "patterns.bin"},
@@ -74,25 +74,25 @@ def rig_file(
 
 
 def on_video(folder: Path, camera: dict[str, Any] | None = None) -> Rig:
-    """The rig with its patterns from the video port, not open yet."""
+    """Make the rig with its patterns from the video port, not open yet."""
     return rig_file(folder, {"firmware": None}, camera, {"flash": None, "video": {"display": 0}})
 
 
 def bench_of(rig: Rig) -> EmulatedBench:
-    """What is behind the wires."""
+    """Return the emulated bench of a rig."""
     assert isinstance(rig.fixture, EmulatedFixture)
     return rig.fixture.bench
 
 
 def taken(rig: Rig, plan: Plan = PLAN, shown: Sequence[Pattern] | None = None) -> Iterator[Image]:
-    """The frames of a plan."""
+    """Capture the frames of a plan."""
     for frame in expose(rig, shown or patterns(), rig.camera_settings(plan.exposure_s), plan):
         yield frame.image
 
 
 @contextmanager
 def reference() -> Iterator[Rig]:
-    """The optics by themselves, as new."""
+    """Make the rig of the optics by itself."""
     with Rig.load(REFERENCE) as rig:
         yield rig
 
@@ -100,7 +100,7 @@ def reference() -> Iterator[Rig]:
 def seen(
     rig: Rig, image: np.ndarray[Any, Any] | None, bits: int = 12, exposure_s: float = PLAN.exposure_s
 ) -> Image:
-    """What the optics see of grey levels on the projector's mirrors, or in the dark."""
+    """Capture an image of grey levels with the optics alone, or of darkness."""
     if image is None:
         rig.projector.blank()
     else:

@@ -1,4 +1,4 @@
-"""A projector whose flash can be written, and whose power can fail at any message."""
+"""An emulated projector with a flash that can be rewritten, and whose power can fail at any message."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class FailingBoard(FlashedDlpc350):
         half = message.payload[: 2 + len(data) // 2] if number == DATA else message.payload
         super().answer(UsbMessage(message.flags, message.sequence, half))
         self.lose_power()
-        self.hid.vanish(self.policy.reset_s)
+        self.hid.leave_bus(self.policy.reset_s)
         return None
 
 
 class Bench:
-    """The board on its wire."""
+    """The board and its USB connection."""
 
     def __init__(
         self, content: bytes, policy: Dlpc350Policy | None = None, clock: Clock | None = None
@@ -60,14 +60,14 @@ class Bench:
         self.clock = clock or SteppedClock()
         self.board = FailingBoard(self.clock, content, policy)
         self.hid = self.board.hid = EmulatedHid(self.board)
-        self.board.on_restart = self.hid.vanish
+        self.board.on_restart = self.hid.leave_bus
 
     def link(self) -> Link:
-        """Open it, whichever program it runs."""
+        """Open it, whether it runs the application or the boot loader."""
         return Link(connect(self.hid, "projector", None)[0], self.clock, "projector")
 
     def upload(self, firmware: Firmware) -> list[str]:
-        """As the command does it; the words for the operator."""
+        """Upload as the command does; return the messages for the operator."""
         with programming(self.link, self.clock, "projector") as loader:
             work = prepare(firmware, loader)
             perform(firmware, loader, work, lambda share: None)
@@ -75,14 +75,14 @@ class Bench:
         return work.words
 
     def flash(self) -> NDArray[np.uint8]:
-        """All of it, as it is now."""
+        """Return the present content of the flash."""
         return np.frombuffer(self.board.flash.content, np.uint8).copy()
 
     def runs_program(self) -> bool:
-        """Whether it would be of use now, and not only to be written."""
+        """Whether it would start its application now, and not only the boot loader."""
         return self.board.loader is None
 
 
 def firmware(content: bytes) -> Firmware:
-    """A file that was read."""
+    """Make a firmware file as it is read."""
     return Firmware(content, Path("patterns.bin"))

@@ -1,4 +1,4 @@
-"""A firmware file as the maker lays it out."""
+"""A firmware file in the maker's layout."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ PROGRAM = {
     42: (0xF90E0240, 1024),
     43: (0xF90E0640, 1024),
 }
-"""Where release 4.4 of the maker's firmware has program and configuration, by place in the flash table."""
+"""Program and configuration in release 4.4 of the maker's firmware, by index in the flash table."""
 
 IMAGES = {20: (0xF915EFD0, 37520), 21: (0xF9168260, 39504), 22: (0xF9171CB0, 43216)}
-"""The images that it comes with."""
+"""Address of the images that it comes with."""
 
 END = 0x17C580
 BEHIND_PROGRAM = 0x160000
@@ -34,7 +34,7 @@ BEHIND_PROGRAM = 0x160000
 
 
 def maker_firmware(blocks: dict[int, tuple[int, int]] | None = None, end: int = END) -> bytes:
-    """A file with a flash table of these blocks (address, size), and noise everywhere else."""
+    """Make a file with a flash table of these blocks (address, size), and noise everywhere else."""
     content = bytearray(np.random.default_rng(1).bytes(end))
     listed = [(PROGRAM | IMAGES if blocks is None else blocks).get(i, NOTHING) for i in range(56)]
     table = struct.pack("<IIII", 0x01234567, BASE, 0x13, end)

@@ -1,4 +1,4 @@
-"""A GRBL stage for tests: the driver, the controller, and the wire between them."""
+"""An emulated GRBL stage for tests: driver, controller and the serial line between them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from drivers.emulators.grbl import GrblController, GrblPolicy, Rail
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.terminal import PseudoTerminal
 from drivers.stage_grbl import GrblStage
 
 PULL_OFF_MM, STEP_MM = 2.0, 1 / 400
-"""As the emulated controller is set."""
+"""Settings of the emulated controller."""
 
 
 class Bench:
@@ -25,7 +25,7 @@ class Bench:
         rail: Rail | None = None,
     ) -> None:
         self.controller = GrblController(lambda: times * time.monotonic(), settings, rail, policy)
-        self.terminal = Terminal(self.controller)
+        self.terminal = PseudoTerminal(self.controller)
         self.said: list[str] = []
         self.heard = bytearray()
         receive = self.controller.receive
@@ -43,28 +43,28 @@ class Bench:
             self.terminal.__exit__(None, None, None)
 
     def homed(self) -> GrblStage:
-        """The stage, open and homed."""
+        """Open and home the stage."""
         self.stage.open()
         self.stage.home()
         return self.stage
 
     def at_mm(self, mm: float, action: Callable[[], None]) -> None:
-        """Let something happen when a motion passes `mm` of the stage."""
-        self.controller.drive.when_at(-PULL_OFF_MM - mm, action)
+        """Call a function when a motion passes `mm` of the stage."""
+        self.controller.drive.call_at(-PULL_OFF_MM - mm, action)
 
     def type(self, data: bytes) -> None:
-        """What another program sends, which also reads the answers."""
+        """Send bytes as another program that also reads the answers."""
         with self.terminal.lock:
             self.controller.receive(data)
             self.controller.poll()
 
-    def spoil(self, old: str, new: str) -> None:
-        """Damage what the controller says from now on."""
-        self.controller.spoil = lambda line: line.replace(old, new)
+    def alter_line(self, old: str, new: str) -> None:
+        """Replace text in all that the controller sends from now on."""
+        self.controller.alter_line = lambda line: line.replace(old, new)
 
 
 class VirtualTime:
-    """In place of the module `time`."""
+    """Stands in for the module `time`."""
 
     def __init__(self, clock: list[float]) -> None:
         self._clock = clock
@@ -77,7 +77,7 @@ class VirtualTime:
 
 
 class DirectLine:
-    """In place of `serial.Serial`: no wire, and time passes only while somebody waits."""
+    """Stands in for `serial.Serial`: no serial line, and time passes only during a wait."""
 
     def __init__(self, controller: GrblController, clock: list[float]) -> None:
         self._controller, self._clock, self._data = controller, clock, b""
@@ -102,4 +102,4 @@ class DirectLine:
         self._controller.receive(data)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """There is nothing to close."""

@@ -125,7 +125,7 @@ class NodeMap:
 
 
 class NodeCamera:
-    """An `InstantCamera` and the bench's `pylon` that hands it out, both in one."""
+    """An `InstantCamera` and the `pylon` that creates it, in one class."""
 
     def __init__(self, nodes: dict[str, Node] = ACE, device_class: str = "BaslerUsb") -> None:
         self.map, self.results = NodeMap(nodes), deque[Result]()

@@ -1,4 +1,4 @@
-"""A LightCrafter 4500 on an emulated wire, with patterns in its flash, for the tests of its driver."""
+"""An emulated LightCrafter 4500 on an emulated USB connection, with patterns in flash, to test its driver."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def packed(patterns: Sequence[Pattern]) -> tuple[list[FlashImage], FlashIndex]:
 
 
 def flat(name: str, grey: int, bits: int = 8) -> Pattern:
-    """An even grey."""
+    """A uniform grey-level image."""
     return Pattern(name, np.full((HEIGHT, WIDTH), grey, np.uint8), bits)
 
 
 def greys(count: int, bits: int = 8) -> list[Pattern]:
-    """Even greys of which no two are alike, from nearly black to white."""
+    """Uniform grey-level images, all different, from nearly black to white."""
     return [flat(f"grey-{i:02d}", round(255 * (i + 1) / count), bits) for i in range(count)]
 
 
 @dataclass
 class Bench:
-    """The projector, what drives it, and every pulse that it gave."""
+    """The emulated projector, its driver, and all its trigger pulses."""
 
     patterns: Sequence[Pattern]
     folder: Path
@@ -72,11 +72,11 @@ class Bench:
         self.flash.write_text(config.dump(index), encoding="utf-8")
 
     def projector(self, **options: Any) -> Dlp4500:
-        """The driver, not open yet."""
+        """Make the driver, not open yet."""
         return Dlp4500("projector", {"flash": str(self.flash), **options}, self)
 
     def grey(self) -> int:
-        """The grey that leaves the lens now; -1 in the dark."""
+        """Return the grey level that is projected now; -1 in the dark."""
         light = self.controller.light()
         return int(light.grey[0, 0]) if light is not None else -1
 

@@ -155,7 +155,7 @@ def test_no_first_trigger_is_lost(camera: BaslerCamera, scene: Counter) -> None:
 
 def test_no_first_pulse_is_lost(scene: Counter) -> None:
     """On a wire that does not wait: armed means ready."""
-    bench = EmulatedPylon(scene=scene, policy=PylonPolicy(patient=False))
+    bench = EmulatedPylon(scene=scene, policy=PylonPolicy(pulse_waits=False))
     bench.start()
     try:
         with driver(bench) as camera:

@@ -28,15 +28,15 @@ class Used(EmulatedPylon):
         super().__init__(cameras=cameras)
         self.settings = dict(LEFT)
 
-    def opened(self, camera: EmulatedCamera) -> None:
-        super().opened(camera)
+    def on_opened(self, camera: EmulatedCamera) -> None:
+        super().on_opened(camera)
         for name, value in self.settings.items():
             getattr(camera.instant, name).SetValue(value)
 
-    def closed(self, camera: EmulatedCamera) -> None:
+    def on_closed(self, camera: EmulatedCamera) -> None:
         if camera.instant.IsOpen():
             self.settings = {name: getattr(camera.instant, name).GetValue() for name in LEFT}
-        super().closed(camera)
+        super().on_closed(camera)
 
 
 @pytest.fixture

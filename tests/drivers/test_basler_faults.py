@@ -35,7 +35,7 @@ from tests.drivers.basler_bench import (
 def test_a_frame_that_comes_too_late_is_taken_by_nobody(
     camera: BaslerCamera, bench: EmulatedPylon, scene: Counter
 ) -> None:
-    end(camera).expose_for(0.3)
+    end(camera).set_exposure_duration(0.3)
     camera.arm(2)
     with pytest.raises(DeviceTimeoutError, match=r"no frame came within 0.05 s; allow it more time"):
         camera.read(SOON_S)
@@ -54,7 +54,7 @@ def test_without_a_pulse_the_cable_is_suspected(camera: BaslerCamera) -> None:
 
 def test_a_camera_that_does_not_become_ready(camera: BaslerCamera) -> None:
     camera.arm(2)
-    end(camera).expose_for(1.0)
+    end(camera).set_exposure_duration(1.0)
     end(camera).instant.TriggerSoftware.Execute()
     with pytest.raises(DeviceTimeoutError, match="does not become ready for a trigger"):
         camera.read(SOON_S)
@@ -68,7 +68,7 @@ def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon, sce
     camera.arm(4, "hardware")
     bench.pulse(3)
     assert camera.read(1.0).index == 0
-    end(camera).lose = 1
+    end(camera).frames_to_lose = 1
     with pytest.raises(FrameLossError, match="frame 2 arrived instead of frame 1"):
         camera.read(1.0)
     assert_disarmed(camera)
@@ -77,7 +77,7 @@ def test_a_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon, sce
 
 def test_the_first_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPylon) -> None:
     camera.arm(4, "hardware")
-    end(camera).lose = 1
+    end(camera).frames_to_lose = 1
     bench.pulse(2)
     with pytest.raises(FrameLossError, match="frame 1 arrived instead of frame 0"):
         camera.read(1.0)
@@ -88,7 +88,7 @@ def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPyl
     camera.arm(2, "hardware")
     bench.pulse(2)
     camera.read(1.0)
-    end(camera).lose = 1
+    end(camera).frames_to_lose = 1
     with pytest.raises(DeviceTimeoutError):
         camera.read(SOON_S)
     assert_disarmed(camera)
@@ -97,7 +97,7 @@ def test_the_last_frame_lost_on_the_way(camera: BaslerCamera, bench: EmulatedPyl
 def test_an_incomplete_frame(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
     camera.arm(3)
     camera.read(1.0)
-    end(camera).fail(1)
+    end(camera).fail_frames(1)
     with pytest.raises(FrameLossError, match="frame 1 is damaged: The buffer was incompletely grabbed"):
         camera.read(1.0)
     assert_disarmed(camera)
@@ -108,7 +108,7 @@ def test_a_frame_that_is_no_picture(
     camera: BaslerCamera, bench: EmulatedPylon, scene: Counter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(bench, "expose", lambda camera: bench.light.garble())
+        patch.setattr(bench, "expose", lambda camera: bench.light.write_invalid_image())
         with pytest.raises(FrameLossError, match=r"frame 0 is damaged: .*\(0x7\)"):
             camera.snap(1.0)
     assert_disarmed(camera)
@@ -127,7 +127,7 @@ def test_a_picture_of_another_size(camera: BaslerCamera, bench: EmulatedPylon, s
 def test_pylons_engine_breaks_down(camera: BaslerCamera, bench: EmulatedPylon, scene: Counter) -> None:
     camera.arm(3)
     camera.read(1.0)
-    end(camera).break_grabbing("out of transfer memory")
+    end(camera).fail_grabbing("out of transfer memory")
     with pytest.raises(DeviceError, match="pylon says: out of transfer memory; close it and open it again"):
         camera.read(1.0)
     assert_disarmed(camera)

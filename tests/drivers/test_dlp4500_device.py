@@ -315,7 +315,7 @@ def test_trigger_delays_are_in_microseconds(bench: Bench) -> None:
         assert bench.pulses[-2].fall_s - begin == pytest.approx(EXPOSURE_S + 1.072e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize("policy", [Dlpc350Policy(), Dlpc350Policy(keeps_the_last_pattern=False)])
+@pytest.mark.parametrize("policy", [Dlpc350Policy(), Dlpc350Policy(keeps_last_pattern=False)])
 def test_dark_after_blank_and_after_closing(tmp_path: Path, policy: Dlpc350Policy) -> None:
     bench = Bench(greys(2), tmp_path, policy)
     projector = bench.projector()

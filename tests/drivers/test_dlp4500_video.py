@@ -18,7 +18,7 @@ from drivers.dlp4500.packing import in_frames, packed
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
 from drivers.emulators.dlpc350 import EmulatedDisplay, UsbFault
-from drivers.emulators.dlpc350.light import grey
+from drivers.emulators.dlpc350.light import grey_levels
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -106,7 +106,7 @@ def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
     assert len(images) == slots[-1].image + 1
     for pattern, slot in zip(patterns, slots, strict=True):
         np.testing.assert_array_equal(
-            grey(images[slot.image], bits, slot.number, False), shown_image(pattern)
+            grey_levels(images[slot.image], bits, slot.number, False), shown_image(pattern)
         )
 
 

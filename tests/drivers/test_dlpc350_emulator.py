@@ -1,4 +1,4 @@
-"""The emulated controller, driven with raw bytes: messages, tables, verdicts, sequences."""
+"""The emulated controller, driven with raw bytes: messages, tables, validation, sequences."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ def test_once_means_as_often_as_patterns_are_counted(host: Host) -> None:
 
 def test_what_stays_after_the_end_is_a_policy() -> None:
     for keeps, after in ((True, 3), (False, -1)):
-        host = Host(Dlpc350Policy(keeps_the_last_pattern=keeps))
+        host = Host(Dlpc350Policy(keeps_last_pattern=keeps))
         host.run(repeat=0)
         host.clock.sleep(1.0)
         assert host.grey() == after

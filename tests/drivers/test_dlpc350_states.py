@@ -1,4 +1,4 @@
-"""The emulated controller, driven with raw bytes: what it refuses, its modes, its light and its wire."""
+"""The emulated controller, driven with raw bytes: refused commands, modes, light and USB faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.dlp4500.sequence import planes
 from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedDisplay, UsbFault, Video
-from drivers.emulators.dlpc350.light import grey
+from drivers.emulators.dlpc350.light import grey_levels
 from tests.drivers.dlpc350_host import ERROR, OK, Host, flat
 
 FRAME = flat(1, 2, 3)
@@ -106,7 +106,7 @@ def to_the_next_vsync(host: Host) -> None:
 
 
 def run_from_video(host: Host, entries: str, exposure_us: int, repeat: int) -> None:
-    """Pattern mode from a port whose signal is there, and a sequence that begins at the next VSYNC."""
+    """Set pattern mode from a port with a signal, and a sequence that begins at the next VSYNC."""
     host.pattern_mode()
     host.write("1a22 00")
     times = {"exposure_us": exposure_us, "period_us": exposure_us}
@@ -138,8 +138,8 @@ def test_without_the_policy_a_signal_may_come_later() -> None:
 def test_a_channel_swap_permutes_the_patterns_of_a_frame(
     swap: str, inputs: list[int], outputs: list[int], names_the_input: bool
 ) -> None:
-    """Greys of patterns 0, 1, 2; the board's 04 gives green, red, blue."""
-    host = Host(Dlpc350Policy(swap_names_the_input=names_the_input))
+    """Grey levels of patterns 0, 1, 2; the board's setting 04 gives green, red, blue."""
+    host = Host(Dlpc350Policy(swap_letter_is_input=names_the_input))
     host.controller.video = Video(FRAME, 3 * FRAME_S)
     host.write(f"1a37 {swap}")
     host.pattern_mode()
@@ -280,7 +280,7 @@ def test_a_reset_takes_it_off_the_bus_and_all_back(host: Host) -> None:
 
 @given(st.integers(1, 8), st.integers(0, 23), st.integers(0, 2**24 - 1), st.booleans())
 def test_planes_as_grey_levels(depth: int, number: int, word: int, inverted: bool) -> None:
-    """Against a sum over single planes."""
+    """Compared with a sum over single bit planes."""
     try:
         wanted = planes(depth, number)
     except ValueError:
@@ -289,7 +289,7 @@ def test_planes_as_grey_levels(depth: int, number: int, word: int, inverted: boo
     value = sum((word >> plane & 1) << bit for bit, plane in enumerate(wanted))
     full = 2**depth - 1
     value = full - value if inverted else value
-    assert grey(image, depth, number, inverted)[0, 0] == round(value * 255 / full)
+    assert grey_levels(image, depth, number, inverted)[0, 0] == round(value * 255 / full)
 
 
 # --- the wire

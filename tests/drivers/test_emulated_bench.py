@@ -1,4 +1,4 @@
-"""The emulated bench: real drivers, whose frames are what the optics see of what the projector shows."""
+"""The emulated bench: what the real drivers take is what the optics capture of the projected patterns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.emulators.bench import EmulatedFixture, Faults
+from drivers.emulators.bench import BenchFaults, EmulatedFixture
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
@@ -48,18 +48,18 @@ def mixed(*shares: tuple[int, float]) -> np.ndarray[Any, Any]:
 
 
 def expected(*images: np.ndarray[Any, Any] | None, **settings: Any) -> list[Image]:
-    """What the optics by themselves see of one after another."""
+    """Capture images of patterns one after another with the optics alone."""
     with reference() as rig:
         return [seen(rig, image, **settings) for image in images]
 
 
 def assert_within_rounding(frame: Image, image: Image) -> None:
-    """Of grey levels that share an exposure: to half a grey, here 16 of 4095 at most."""
+    """Compare images of grey levels that share an exposure: to half a grey level, here 16 of 4095 at most."""
     np.testing.assert_allclose(frame.astype(int), image.astype(int), rtol=0, atol=18)
 
 
 def played(rig: Rig, count: int, exposure_s: float = PLAN.exposure_s, play_s: float = 0.02) -> list[Image]:
-    """Frames of so many pulses, of the patterns played `play_s` each."""
+    """Capture frames of so many pulses, of patterns that are played for `play_s` each."""
     rig.camera.configure(rig.camera_settings(exposure_s))
     rig.projector.load(patterns())
     rig.camera.arm(count, "hardware")
@@ -73,7 +73,7 @@ def played(rig: Rig, count: int, exposure_s: float = PLAN.exposure_s, play_s: fl
 def test_frames_are_those_of_the_optics_to_the_last_bit(
     folder: Path, trigger: str, bits: int, rig_on: Callable[..., Rig]
 ) -> None:
-    """The noise, too: the optics take one frame for each."""
+    """The noise is equal too, because the optics take one frame for each."""
     plan = PLAN.model_copy(update={"trigger": trigger, "exposure_s": 0.016})
     wanted = expected(*(pattern.image for pattern in patterns()), bits=bits, exposure_s=plan.exposure_s)
     with rig_on(folder, camera={"bits": bits}) as rig:
@@ -121,7 +121,7 @@ def test_a_pattern_that_ends_in_an_exposure_is_mixed_with_the_next(folder: Path)
 
 
 def test_dark_between_patterns_dims_them(folder: Path) -> None:
-    """Three images: each has to be loaded while the one before it is on show, which takes 30 ms here."""
+    """Three images: each has to be loaded while the one before it is shown, which takes 30 ms here."""
     wanted = expected(*(mixed((i, 0.5)) for i in range(8)))
     with rig_file(folder) as rig:
         bench_of(rig).controller.load_s = [0.06] * 3
@@ -153,7 +153,7 @@ def test_a_shutter_is_not_kept_open_by_rounding(folder: Path) -> None:
         shutter = bench_of(rig).shutter
         for k in range(20):
             shutter.open(CameraSettings(0.1), 0.1 * k)
-        assert len(list(iter(lambda: shutter.next(0.0), None))) == 20
+        assert len(list(iter(lambda: shutter.wait_next(0.0), None))) == 20
 
 
 def test_a_missed_pulse_shifts_what_follows(folder: Path) -> None:
@@ -191,7 +191,11 @@ def test_a_pulse_too_many_shifts_all(folder: Path) -> None:
 def test_each_run_begins_anew(folder: Path) -> None:
     with rig_file(folder) as rig:
         bench = bench_of(rig)
-        for faults, count in ((Faults(missed=(0,)), 7), (Faults(), 8), (Faults(doubled=(7,)), 8)):
+        for faults, count in (
+            (BenchFaults(missed=(0,)), 7),
+            (BenchFaults(), 8),
+            (BenchFaults(doubled=(7,)), 8),
+        ):
             bench.faults = faults
             assert len(played(rig, count)) == count
             rig.make_dark()
@@ -202,7 +206,7 @@ def test_each_run_begins_anew(folder: Path) -> None:
 
 def test_slow_optics_are_not_late(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with rig_file(folder) as rig:
-        optics = bench_of(rig).inner.camera
+        optics = bench_of(rig).optics_rig.camera
         really_read = optics._read
 
         def slowly(timeout_s: float) -> Frame:
@@ -233,9 +237,9 @@ def test_what_is_due_in_a_sleep_happens_at_its_time(folder: Path) -> None:
 
 
 def test_all_that_is_in_flash_is_loaded_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that a twin can compute what belongs together once, and keep it."""
+    """So that a simulation can compute related patterns once, and keep the results."""
     with rig_file(folder) as rig:
-        optics = bench_of(rig).inner.projector
+        optics = bench_of(rig).optics_rig.projector
         really_load, loads = optics._load, []
 
         def noted(given: list[Pattern]) -> Any:
@@ -257,7 +261,7 @@ def test_what_the_optics_refuse_is_said(folder: Path) -> None:
 
 def test_the_stage_carries_the_optics_stage(folder: Path) -> None:
     with rig_file(folder) as rig:
-        inner, stage = bench_of(rig).inner.stage, rig.stage
+        inner, stage = bench_of(rig).optics_rig.stage, rig.stage
         assert inner is not None
         assert stage is not None
         next(taken(rig))
@@ -354,6 +358,6 @@ def test_the_fixture_needs_the_bench() -> None:
 
 def test_nothing_is_left_open(folder: Path) -> None:
     with rig_file(folder) as rig:
-        inner = bench_of(rig).inner
+        inner = bench_of(rig).optics_rig
         next(taken(rig))
     assert inner.camera.state is inner.projector.state is State.CLOSED

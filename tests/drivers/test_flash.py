@@ -17,7 +17,7 @@ from drivers.dlp4500.flash.compression import Compression, compress, run_lengths
 from drivers.dlp4500.flash.firmware import TABLE, Firmware, arranged
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.sequence import SIZE, Slot
-from drivers.emulators.dlpc350.flash import pixels_of, stored_images
+from drivers.emulators.dlpc350.flash import decompress_pixels, stored_images
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
@@ -54,12 +54,12 @@ def _noise(count: int) -> list[Pattern]:
 # --- compression ----------------------------------------------------------------------------------
 
 GREYS = st.sampled_from([0, 1, 255])
-"""Few, so that pixels repeat."""
+"""Few grey levels, so that pixels repeat."""
 
 
 @st.composite
 def structured(draw: st.DrawFn) -> np.ndarray:
-    """Rows of runs with lengths about those where a count byte ends."""
+    """Rows with runs of lengths around the limit of a count byte."""
     lengths = draw(st.lists(st.sampled_from([1, 1, 1, 2, 3, 254, 255, 256, 257]), min_size=1, max_size=6))
     width, height = sum(lengths), draw(st.integers(1, 5))
     rows = []
@@ -74,13 +74,13 @@ def structured(draw: st.DrawFn) -> np.ndarray:
     lambda shape: (*shape, 3)), elements=GREYS)))  # fmt: skip
 def test_runs_give_the_image_back(image):
     height, width, _ = image.shape
-    assert np.array_equal(pixels_of(1, run_lengths(image), width, height), image)
+    assert np.array_equal(decompress_pixels(1, run_lengths(image), width, height), image)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 600), st.integers(1, 3))
 def test_literals_of_any_length_give_the_image_back(seed, width, height):
     image = np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
-    assert np.array_equal(pixels_of(1, run_lengths(image), width, height), image)
+    assert np.array_equal(decompress_pixels(1, run_lengths(image), width, height), image)
 
 
 @given(hnp.arrays(np.uint8, (9, 3, 3), elements=GREYS), st.booleans())
@@ -88,7 +88,7 @@ def test_what_is_chosen_gives_the_image_back(image, repeats):
     if repeats:
         image = image[np.arange(9) % 4]
     stored = compress(image)
-    assert np.array_equal(pixels_of(stored.method, stored.data, 3, 9), image)
+    assert np.array_equal(decompress_pixels(stored.method, stored.data, 3, 9), image)
     assert (stored.method is Compression.FOUR_LINE) == np.array_equal(image[4:], image[:-4])
 
 

@@ -1,4 +1,4 @@
-"""The emulated controller by itself: what GRBL's documentation promises, in time."""
+"""The emulated stage controller by itself, compared with GRBL's documentation."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Talk:
 def test_ramps_and_their_inverse(distance: float, rate: float, acceleration: float, share: float) -> None:
     ramp = Ramp(distance, rate, acceleration)
     mm = share * distance
-    assert ramp.travelled_mm(ramp.reached_s(mm)) == pytest.approx(mm, abs=1e-6 * distance)
+    assert ramp.travelled_mm(ramp.time_to_reach_s(mm)) == pytest.approx(mm, abs=1e-6 * distance)
     assert ramp.travelled_mm(ramp.duration_s) == distance
     t = share * ramp.duration_s
     assert ramp.travelled_mm(t) + ramp.travelled_mm(ramp.duration_s - t) == pytest.approx(distance)

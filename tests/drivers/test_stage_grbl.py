@@ -172,7 +172,7 @@ def test_an_interruption_leaves_it_at_rest(
 def test_a_limit_switch_ends_the_move(bench: Bench, impatient: None) -> None:
     stage = bench.homed()
     stage.move_to(100.0)
-    bench.controller.drive.slip(-30.0)
+    bench.controller.drive.lose_steps(-30.0)
     with pytest.raises(DeviceError, match=r"ALARM:1, a limit switch was hit"):
         stage.move_to(0.0)
     assert stage.state is State.FAULT
@@ -183,7 +183,7 @@ def test_steps_lost_towards_the_switch_are_seen_without_hard_limits() -> None:
     with Bench({21: 0}) as bench:
         stage = bench.homed()
         stage.move_to(100.0)
-        bench.controller.drive.slip(-30.0)
+        bench.controller.drive.lose_steps(-30.0)
         assert stage.move_to(50.0) == 50.0  # nothing tells yet
         with pytest.raises(DeviceError, match=r"home switch is pressed, though .* steps were lost"):
             stage.move_to(0.0)
@@ -193,7 +193,7 @@ def test_other_lost_steps_are_put_right_by_homing(bench: Bench) -> None:
     """GRBL cannot see them; the promise is only that homing again makes the position true."""
     stage = bench.homed()
     stage.move_to(100.0)
-    bench.controller.drive.slip(5.0)
+    bench.controller.drive.lose_steps(5.0)
     assert stage.move_to(50.0) == 50.0
     assert bench.controller.drive.carriage_mm == pytest.approx(57.0, abs=HALF_STEP)
     stage.home()
@@ -299,13 +299,13 @@ def test_homing_switched_off_is_said_at_once() -> None:
     ],
 )
 def test_settings_that_cannot_be_are_refused(old: str, new: str, words: str, bench: Bench) -> None:
-    bench.spoil(old, new)
+    bench.alter_line(old, new)
     with pytest.raises(DeviceError, match=words):
         bench.stage.open()
 
 
 def test_another_version_is_refused(bench: Bench) -> None:
-    bench.spoil("Grbl 1.1f", "Grbl 0.9j")
+    bench.alter_line("Grbl 1.1f", "Grbl 0.9j")
     with pytest.raises(DeviceError, match=r"speaks GRBL 0\.9j"):
         bench.stage.open()
 
@@ -321,11 +321,11 @@ def test_silence_is_a_time_out(
     if use != "open":
         bench.homed()
         monkeypatch.setattr(stage, "_mechanics", replace(stage._open_mechanics, homing_s=0.1))
-    bench.controller.spoil = lambda line: ""
+    bench.controller.alter_line = lambda line: ""
     with pytest.raises(DeviceTimeoutError):
         _use(stage, use)
     assert stage.state is (State.CLOSED if use == "open" else State.FAULT)
-    bench.controller.spoil = lambda line: line
+    bench.controller.alter_line = lambda line: line
 
 
 @pytest.mark.parametrize(
@@ -334,36 +334,36 @@ def test_silence_is_a_time_out(
 )
 def test_noise_is_never_ignored(old: str, new: str, bench: Bench) -> None:
     stage = bench.homed()
-    bench.spoil(old, new)
+    bench.alter_line(old, new)
     with pytest.raises(ProtocolError, match="see to the cable"):
         stage.move_to(20.0)
     assert stage.state is State.FAULT
-    bench.spoil("", "")
+    bench.alter_line("", "")
 
 
 def test_lines_without_end_are_no_answer(bench: Bench, impatient: None) -> None:
     stage = bench.homed()
-    bench.spoil("\n", "")
+    bench.alter_line("\n", "")
     with pytest.raises(DeviceTimeoutError, match="no report"):
         stage.move_to(20.0)
-    bench.spoil("", "")
+    bench.alter_line("", "")
 
 
 @pytest.mark.parametrize("use", ["home", "move_to"])
 def test_a_refusal_is_told_in_words(use: str, bench: Bench) -> None:
     stage = bench.homed()
-    bench.spoil("ok", "error:3")
+    bench.alter_line("ok", "error:3")
     with pytest.raises(DeviceError, match=r"refused '.*': error:3, an unknown \$ command"):
         _use(stage, use)
-    bench.spoil("", "")
+    bench.alter_line("", "")
 
 
 def test_noise_without_end_is_not_collected(bench: Bench) -> None:
     stage = bench.homed()
-    bench.controller.spoil = lambda line: "\x7f" * 1000
+    bench.controller.alter_line = lambda line: "\x7f" * 1000
     with pytest.raises(ProtocolError, match="set the controller to 115200 baud"):
         stage.move_to(20.0)
-    bench.controller.spoil = lambda line: line
+    bench.controller.alter_line = lambda line: line
 
 
 def test_answers_to_another_program_are_noticed(bench: Bench) -> None:

@@ -1,4 +1,4 @@
-"""The far end of the kernel's USB/IP hub, spoken to as the kernel does, without one."""
+"""The emulated device of the kernel's USB/IP hub; the test takes the part of the kernel."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, training, usbip
 from drivers.emulators.dlpc350.descriptors import REPORTS
-from drivers.emulators.dlpc350.training import described
-from drivers.emulators.dlpc350.usbip import Conversation, PluggedIn
+from drivers.emulators.dlpc350.training import describe_state
+from drivers.emulators.dlpc350.usbip import UsbIpAttachment, UsbIpConnection
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.patterns.fringes import make_patterns
@@ -39,28 +39,28 @@ class Kernel:
         self.hid = EmulatedHid(Dlpc350(SteppedClock(), []))
         near, self._far = socket.socketpair()
         self.near = near
-        self.conversation = Conversation(self.hid, near)
+        self.connection = UsbIpConnection(self.hid, near)
         self._number = 0
 
     def submit(
         self, endpoint: int, direction: int, length: int, data: bytes = b"", setup: bytes = bytes(8)
     ) -> int:
-        """Ask for a transfer; its number."""
+        """Request a transfer; return its number."""
         self._number += 1
         head = struct.pack(">5I", SUBMIT, self._number, 1, direction, endpoint)
         self._far.sendall(head + struct.pack(">Iiiii", 0, length, 0, 0, 0) + setup + data)
-        assert self.conversation.take()
-        self.conversation.give()
+        assert self.connection.handle_request()
+        self.connection.deliver_reports()
         return self._number
 
     def unlink(self, unwanted: int) -> int:
         self._number += 1
         self._far.sendall(struct.pack(">6I24x", UNLINK, self._number, 1, 0, 0, unwanted))
-        assert self.conversation.take()
+        assert self.connection.handle_request()
         return self._number
 
     def hears(self, direction: int) -> tuple[int, int, int, bytes]:
-        """What came back: kind, number, status and data."""
+        """Return the answer: kind, number, status and data."""
         kind, number, _, _, _, status, actual = struct.unpack(">5Iii20x", self._far.recv(48))
         return kind, number, status, self._far.recv(actual) if direction == IN and actual else b""
 
@@ -74,7 +74,7 @@ class Kernel:
             self._far.setblocking(True)
 
     def ask(self, kind: int, what: int, value: int, length: int = 255) -> bytes | None:
-        """A control request towards the computer; None when it is refused."""
+        """Make a control request that reads; None when it is refused."""
         setup = struct.pack("<BBHHH", kind, what, value, 0, length)
         number = self.submit(0, IN, length, setup=setup)
         answered, about, status, data = self.hears(IN)
@@ -161,7 +161,7 @@ def test_a_transfer_is_taken_back(kernel: Kernel) -> None:
 
 def test_the_kernel_lets_go(kernel: Kernel) -> None:
     kernel.let_go()
-    assert not kernel.conversation.take()
+    assert not kernel.connection.handle_request()
 
 
 # --- the hub
@@ -169,7 +169,7 @@ def test_the_kernel_lets_go(kernel: Kernel) -> None:
 
 @pytest.fixture
 def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder like the kernel's."""
+    """Make a folder like the kernel's."""
     monkeypatch.setattr(usbip, "HUB", tmp_path)
     (tmp_path / "status").write_text(
         "hub port sta spd dev      sockfd local_busid\n"
@@ -199,7 +199,7 @@ def test_a_kernel_without_hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(usbip, "HUB", tmp_path / "nowhere")
     with (
         pytest.raises(DeviceError, match=r"no USB/IP hub .* on Linux: sudo modprobe vhci-hcd"),
-        PluggedIn(EmulatedHid(Dlpc350(SteppedClock(), []))),
+        UsbIpAttachment(EmulatedHid(Dlpc350(SteppedClock(), []))),
     ):
         pass
 
@@ -223,14 +223,14 @@ def test_the_kernel_does_not_take_the_cable(
 def test_firmware_is_for_the_projector_alone() -> None:
     done = run("emulate", "stage", "--firmware", "x.bin")
     assert done.code == 2
-    assert "--firmware is for dlp4500" in done.err
+    assert "the emulator 'stage' has no flash" in done.err
 
 
 # --- what people get
 
 
 def test_it_holds_the_default_plan(tmp_path: Path) -> None:
-    controller, index = training._filled(tmp_path)
+    controller, index = training._from_default_plan(tmp_path)
     patterns = make_patterns(Plan.load(training.DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
     wire = SimpleNamespace(hid=EmulatedHid(controller), clock=controller.clock)
     with Dlp4500("projector", {"flash": str(index)}, wire) as projector:
@@ -244,16 +244,16 @@ def test_it_holds_the_default_plan(tmp_path: Path) -> None:
 
 def test_it_says_what_it_does(tmp_path: Path) -> None:
     bench = Bench(greys(9), tmp_path)
-    assert described(bench.controller) == "video mode: red 41%, green 53%, blue 51%"
+    assert describe_state(bench.controller) == "video mode: red 41%, green 53%, blue 51%"
     with bench.projector() as projector:
-        assert described(bench.controller) == "pattern mode, stopped: dark"
+        assert describe_state(bench.controller) == "pattern mode, stopped: dark"
         projector.load(bench.patterns)
         projector.show(4)
         lit = "red 41%, green 53%, blue 51%"
-        assert described(bench.controller) == f"pattern mode, pattern 1 of image 1, 8 bits: {lit}"
+        assert describe_state(bench.controller) == f"pattern mode, pattern 1 of image 1, 8 bits: {lit}"
         projector.play(0.02)
-        assert described(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
+        assert describe_state(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
         projector.blank()
         projector._board.sleep()
-        assert described(bench.controller) == "standby"
+        assert describe_state(bench.controller) == "standby"
         projector._board.wake()

@@ -1,4 +1,4 @@
-"""The reference rig with the LightCrafter's driver on the guest's USB: the camera is told what is on show."""
+"""The reference rig with the LightCrafter's driver on the guest's USB: the camera is told what is shown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POLL_S = 0.005
 
 
 class UsbBench(ReferenceBench):
-    """Has no wire of its own: the driver finds the projector through hidapi. index: file for its flash's."""
+    """The driver finds the projector through hidapi. index: file for its flash's."""
 
     projector: Projector
 
@@ -27,7 +27,7 @@ class UsbBench(ReferenceBench):
 
 
 class ToldCamera(ReferenceCamera):
-    """Exposes on trigger output 1, or at once."""
+    """Exposes on trigger output 1, or immediately."""
 
     _bench: UsbBench
 

@@ -19,11 +19,11 @@ from tests.vm.projector import Projector, connected
 collect_ignore_glob = [] if os.environ.get("FPPLAB_VM") else ["test_*.py"]
 
 PATIENCE_S = 30.0
-"""For the kernel, on an emulated processor."""
+"""Time that the kernel is given, on an emulated processor."""
 
 
 def wait_until(true: Callable[[], bool]) -> None:
-    """Come back once it is so."""
+    """Return once a condition holds."""
     deadline = time.monotonic() + PATIENCE_S
     while not true():
         assert time.monotonic() < deadline, "the kernel never got there"
@@ -31,7 +31,7 @@ def wait_until(true: Callable[[], bool]) -> None:
 
 
 def is_on_usb() -> bool:
-    """Whether libusb and the kernel's own driver both know both its interfaces: before, it may not open."""
+    """Whether libusb and the kernel's own driver both know both its interfaces."""
     import hidraw  # which only Linux has
 
     return all(
@@ -41,13 +41,13 @@ def is_on_usb() -> bool:
 
 
 def is_gone() -> bool:
-    """Whether hidapi has noticed that it is not there."""
+    """Whether hidapi has noticed that it is absent."""
     return not hid.enumerate(VENDOR, PRODUCT)
 
 
 @pytest.fixture
 def emulated() -> Iterator[Projector]:
-    """The projector on USB, as nobody has touched it."""
+    """The projector on USB, in its initial state."""
     projector = connected()
     projector.plug()
     projector.fail({})
@@ -58,7 +58,7 @@ def emulated() -> Iterator[Projector]:
 
 @pytest.fixture(scope="session")
 def patterns() -> list[Pattern]:
-    """Twelve that the projector has in flash."""
+    """Twelve patterns that the projector has in flash."""
     return planned()
 
 

@@ -33,7 +33,7 @@ PASSED, FAILED = 33, 35
 
 
 class NotHere(Exception):  # noqa: N818 - no fault of the program
-    """Why this computer cannot have the machine, in one sentence."""
+    """This computer cannot run the virtual machine; the message says why."""
 
 
 class Machine:
@@ -46,7 +46,7 @@ class Machine:
         self._installed = shutil.which("qemu-system-x86_64")
 
     def fetch(self) -> None:
-        """Make everything ready, unless it is. Raises `NotHere`."""
+        """Prepare everything that is not ready. Raises `NotHere`."""
         parts = (str(self._installed), QEMU, KERNEL, *IN_GUEST, *MODULES)
         recipe = "\n".join([*parts, (HERE / "init.sh").read_text("utf-8")])
         if self._ready.exists() and self._ready.read_text("utf-8") == recipe:
@@ -157,7 +157,7 @@ class Machine:
 
 
 def run(*command: str, folder: Path | None = None) -> str:
-    """What a command says; `NotHere`, with its last words, when it fails."""
+    """Return the output of a command; raise `NotHere` with its last line if it fails."""
     done = subprocess.run(
         command,
         cwd=folder,

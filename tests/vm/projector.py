@@ -1,4 +1,4 @@
-"""The emulated projector on the guest's USB, in a process of its own, and how tests reach its inside.
+"""The emulated projector on the guest's USB, in a process of its own, and how tests inspect it.
 
 A thread would not do: hidapi holds Python's lock while the device is asked who it is.
 """
@@ -11,7 +11,7 @@ from multiprocessing.managers import BaseManager
 
 from drivers.clock import RealClock
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, ProjectedLight, Pulse, UsbFault
-from drivers.emulators.dlpc350.usbip import PluggedIn
+from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.dlp4500 import flash, shown
@@ -21,7 +21,7 @@ MOST_PULSES = 10_000
 
 
 class Projector:
-    """The controller with the conformance patterns, on USB by a cable that can be pulled.
+    """The controller with the conformance patterns, on USB by a cable that can be unplugged.
 
     Its methods are called from other processes.
     """
@@ -31,10 +31,10 @@ class Projector:
         self._caught: deque[ProjectedLight | None] = deque(maxlen=MOST_PULSES)
         self._controller = Dlpc350(RealClock(), images, on_pulse=self._pulsed)
         self._hid = EmulatedHid(self._controller)
-        self._cable = PluggedIn(self._hid)
+        self._cable = UsbIpAttachment(self._hid)
 
     def start(self) -> None:
-        """Be on USB from now on."""
+        """Attach it to USB."""
         self._cable.__enter__()
 
     def index(self) -> str:
@@ -42,37 +42,37 @@ class Projector:
         return config.dump(self._index)
 
     def unplug(self) -> None:
-        """Pull the cable."""
+        """Unplug the cable."""
         with self._cable.lock:
             self._hid.unplug()
 
     def plug(self) -> None:
-        """Put it in again."""
+        """Plug the cable in again."""
         with self._cable.lock:
             self._hid.plug()
 
     def fail(self, faults: Mapping[int, UsbFault]) -> None:
-        """Have requests fail: those that many after the next one, and no others."""
+        """Let requests fail, by index from the next one on, and no others."""
         with self._cable.lock:
             self._hid.faults = {self._hid.requests + ahead: fault for ahead, fault in faults.items()}
 
     def requests(self) -> int:
-        """How many there were."""
+        """Number of requests so far."""
         with self._cable.lock:
             return self._hid.requests
 
     def lit(self) -> Pattern | None:
-        """What is on show at this moment."""
+        """The pattern that is shown at this moment."""
         with self._cable.lock:
             return shown(self._controller.light(), self._index)
 
     def forget(self) -> None:
-        """Let no pulse of before count."""
+        """Forget earlier pulses."""
         with self._cable.lock:
             self._caught.clear()
 
     def caught(self) -> tuple[Pattern | None] | None:
-        """What was on show at the next pulse on trigger output 1; None as long as there was none."""
+        """The pattern that was shown at the next pulse on trigger output 1; None if there was none."""
         with self._cable.lock:
             return (shown(self._caught.popleft(), self._index),) if self._caught else None
 
@@ -82,11 +82,11 @@ class Projector:
 
 
 class Wires(BaseManager):
-    """From process to process."""
+    """Connects the processes."""
 
 
 def connected() -> Projector:
-    """The projector that this guest has, from another process."""
+    """Control the projector of this guest from another process."""
     Wires.register("projector")
     wires = Wires(ADDRESS, authkey=b"guest")
     wires.connect()
@@ -95,7 +95,7 @@ def connected() -> Projector:
 
 
 def serve() -> None:
-    """Be the process of the projector, without end."""
+    """Run the projector's process until it is killed."""
     projector = Projector()
     projector.start()
     Wires.register("projector", callable=lambda: projector)

@@ -53,7 +53,7 @@ def test_an_unplugged_one_is_not_listed(emulated: Projector) -> None:
 
 
 def test_the_documented_rules_give_it_to_their_group(emulated: Projector) -> None:
-    """As the documentation says it for working from afar: GROUP and MODE behind each rule."""
+    """As the documentation says for remote work: GROUP and MODE behind each rule."""
     device = usb.core.find(idVendor=VENDOR, idProduct=PRODUCT)
     nodes = [Path(f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"), *Path("/dev").glob("hidraw*")]
     assert len(nodes) == 3

@@ -1,4 +1,4 @@
-"""`fpplab emulate dlp4500` as a person uses it: on USB, its flash to be written, and saying what it shows."""
+"""`fpplab emulate dlp4500` as an operator uses it: on USB, with a writable flash, reporting its state."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def base(tmp_path: Path) -> Firmware:
 
 @pytest.fixture
 def served(emulated: Projector, base: Firmware) -> Iterator[subprocess.Popen[bytes]]:
-    """The command, on a bus that it has for itself."""
+    """Run the command, as the only device on the bus."""
     emulated.unplug()
     wait_until(is_gone)
     command = [sys.executable, "-m", "fpplab", "emulate", "dlp4500", "--json", "--firmware", str(base.source)]

@@ -1,4 +1,4 @@
-"""Commands and sequences through hidapi and the kernel, and what becomes of them when the wire fails."""
+"""Commands and sequences through hidapi and the kernel, and their results when the connection fails."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ ROUND_TRIPS = 300
 MOST_COMMANDS = 60
 EXPOSURE_S = 0.02
 AT_MOST_S = 4 * TIMEOUT_S
-"""One command that is not answered, and more time than it takes to put the LEDs out."""
+"""One command that is not answered, and more time than switching the LEDs off takes."""
 
 
 def timed(action: Callable[[], object]) -> float:
-    """How long it takes, in s."""
+    """Measure how long it takes, in s."""
     begin = time.perf_counter()
     action()
     return time.perf_counter() - begin
 
 
 def raw_round_trip(wire: Wire) -> None:
-    """The reports of a command and of its answer, with no driver."""
+    """Exchange the reports of a command and of its answer, without the driver."""
     for report in request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
         wire.write(b"\0" + report)
     assert wire.read(64, round(1e3 * TIMEOUT_S))
@@ -80,7 +80,7 @@ def test_36_patterns_are_prepared_and_run(
 
 
 def works_again(driver: Dlp4500, emulated: Projector, patterns: list[Pattern]) -> None:
-    """Opened anew it shows what it is told."""
+    """Check that it shows patterns after it is opened again."""
     wait_until(is_on_usb)
     with driver:
         driver.load(patterns)

@@ -1,6 +1,8 @@
-"""The DLPC350 of a LightCrafter 4500 in software: its commands, its sequencer, and its end of the USB wire.
+"""Software emulator of the DLPC350, the controller of a LightCrafter 4500.
 
-Documented behaviour, apart from what `Dlpc350Policy` names; it proves drivers, it is no evidence about a board.
+It covers the controller's commands, its pattern sequencer and its USB interface. Behaviour is that of the
+public documentation, apart from what `Dlpc350Policy` names. It serves to test drivers and is no evidence of
+how a real board behaves.
 """
 
 from drivers.emulators.dlpc350.firmware import Dlpc350

@@ -1,10 +1,12 @@
-"""How the controller introduces itself on USB, and its answers to what every USB device is asked.
+"""USB descriptors of the emulated controller, and its answers to standard control requests.
 
 Documented are vendor and product, that several HID interfaces may show of which number 0 takes commands, and
 its endpoints 0x01 and 0x81 of 64 bytes. All else is assumed, until `lsusb -v` of a board replaces it: a
 second interface with endpoints of its own, full speed, names, version numbers and report descriptors.
 
-Source: USB 2.0, chapter 9; HID 1.11, sections 6.2 and 7.
+References
+----------
+USB 2.0, chapter 9; HID 1.11, sections 6.2 and 7.
 """
 
 from __future__ import annotations
@@ -17,8 +19,9 @@ from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 FULL_SPEED = 2
 """The kernel's number for 12 Mbit/s."""
 INWARDS = 0x80
-"""Of an endpoint's address and a request's type: towards the computer."""
+"""Bit of an endpoint's address and of a request's type: data goes to the computer."""
 INTERFACES = (INTERFACE, INTERFACE + 1)
+"""Numbers of the HID interfaces."""
 _STANDARD, _CLASS = 0x00, 0x20
 _KIND = 0x60
 _DEVICE, _CONFIGURATION, _STRING, _HID, _REPORT = 1, 2, 3, 0x21, 0x22
@@ -33,15 +36,38 @@ REPORTS = bytes.fromhex(
     "1500 26ff00 7508 9540 0903 9102"  # 64 bytes out
     "c0"
 )
+"""HID report descriptor of every interface: vendor page, 64 bytes in each direction."""
 
 
 def endpoint_out(interface: int) -> int:
-    """Where an interface takes reports."""
+    """Return the address of the endpoint to which an interface's reports are sent.
+
+    Parameters
+    ----------
+    interface : int
+        Number of the interface.
+
+    Returns
+    -------
+    int
+        Endpoint address.
+    """
     return 1 + interface
 
 
 def endpoint_in(interface: int) -> int:
-    """Where it gives them."""
+    """Return the address of the endpoint from which an interface's reports are read.
+
+    Parameters
+    ----------
+    interface : int
+        Number of the interface.
+
+    Returns
+    -------
+    int
+        Endpoint address, with the bit for the direction.
+    """
     return INWARDS | endpoint_out(interface)
 
 
@@ -64,8 +90,14 @@ def _configuration() -> bytes:
     return struct.pack("<BBHBBBBB", *head) + body
 
 
-class Introduction:
-    """Answers control requests as a device of that serial number."""
+class ControlEndpoint:
+    """Answers the control requests to endpoint 0.
+
+    Parameters
+    ----------
+    serial : str
+        Serial number of the device.
+    """
 
     def __init__(self, serial: str) -> None:
         device = struct.pack(
@@ -80,12 +112,23 @@ class Introduction:
         } | {_STRING << 8 | i: bytes([2 + len(name), _STRING]) + name for i, name in enumerate(names)}
 
     def answer(self, setup: bytes) -> bytes | None:
-        """What a control request (its 8 bytes) is told, empty for an order obeyed; None refuses it."""
+        """Answer a control request.
+
+        Parameters
+        ----------
+        setup : bytes
+            The 8 bytes of the setup packet.
+
+        Returns
+        -------
+        bytes or None
+            Data of a read request, empty for a write request that was carried out; None if it is refused.
+        """
         kind, request, value, _, length = struct.unpack("<BBHHH", setup)
         if kind & INWARDS:
             if kind & _KIND != _STANDARD:
                 return None
-            told = {_GET_STATUS: b"\1\0", _GET_DESCRIPTOR: self._descriptors.get(value)}.get(request)
-            return None if told is None else told[:length]
+            data = {_GET_STATUS: b"\1\0", _GET_DESCRIPTOR: self._descriptors.get(value)}.get(request)
+            return None if data is None else data[:length]
         orders = {_STANDARD: (_CLEAR_FEATURE, _SET_CONFIGURATION, _SET_INTERFACE), _CLASS: (_SET_IDLE,)}
         return b"" if request in orders.get(kind & _KIND, ()) else None

@@ -1,6 +1,6 @@
-"""A DLPC350 as it looks from its USB end: messages in, answers out, light and trigger pulses beside them.
+"""The controller itself: USB messages in and replies out, projected light and trigger pulses as results.
 
-It does what the maker's client, GUI and SDK show of the firmware; where they are silent it follows a named
+It does what the maker's client, GUI and SDK show of the firmware; where they are silent it follows
 `Dlpc350Policy`.
 """
 
@@ -34,28 +34,53 @@ from drivers.dlp4500.sequence import SIZE, SOLID
 from drivers.emulators.dlpc350.light import FlashImage, ProjectedLight
 from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.registers import ANSWERED_ASLEEP, FIRMWARE, SEQUENCE_COMMANDS, TAG, power_on
-from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, Tables, delay_s
+from drivers.emulators.dlpc350.sequencer import Pulse, Sequencer, SequenceTables, delay_s
 from drivers.emulators.dlpc350.tables import PatternTables
-from drivers.emulators.dlpc350.validation import examine
-from drivers.emulators.dlpc350.video import Video, planes_of
+from drivers.emulators.dlpc350.validation import validate_sequence
+from drivers.emulators.dlpc350.video import Video, apply_channel_swap
 
 _VSYNC_MODES = (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE)
 _VARIABLE_MODES = (TriggerMode.INTERNAL_VARIABLE, TriggerMode.VSYNC_VARIABLE)
 
 
 class CommandRejected(Exception):  # noqa: N818 - a message of the wire, no fault of the program
-    """What is answered with the error bit."""
+    """A command that the controller does not carry out and answers with the error bit."""
 
 
-def _dark() -> FlashImage:
+def _black_image() -> FlashImage:
     return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
 
 
 class Dlpc350:
-    """The controller. images: what its flash holds. on_pulse: told of every trigger pulse.
+    """The emulated controller.
 
-    video: what is plugged into its video port.
-    on_restart: told how long the USB device stays away. executed: the numbers of the commands that it did.
+    Parameters
+    ----------
+    clock : Clock
+        Its time.
+    images : Sequence of FlashImage
+        What its flash holds.
+    policy : Dlpc350Policy, optional
+        Assumptions about undocumented behaviour.
+    on_pulse : callable
+        Called with every trigger pulse when its pattern begins.
+
+    Attributes
+    ----------
+    clock, images, policy, on_pulse
+        As given.
+    load_s : list of float
+        Load time of each flash image in s.
+    video : Video or None
+        The signal at its video port.
+    on_restart : callable
+        Called with the time in s for which the USB device is absent.
+    executed : list of int
+        Numbers of the commands that were carried out.
+    sequencer : Sequencer
+        Its pattern sequencer.
+    asleep : bool
+        Whether it is in standby.
     """
 
     def __init__(
@@ -76,22 +101,22 @@ class Dlpc350:
         self.restart()
 
     def restart(self) -> None:
-        """As after switching it on."""
-        self.sequencer = Sequencer(self._tell, self._take_frame)
+        """Reset to the power-on state."""
+        self.sequencer = Sequencer(self._report_pulse, self._latch_frame)
         self._frame: VideoFrame | None = None
         self._was_locked = False
         self._registers = power_on()
         self.asleep, self._awake_at_s = False, 0.0
         self._mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
-        self._aborted, self._dirty = False, True
+        self._aborted, self._unvalidated = False, True
         self._busy_polls = 0
-        self._verdict = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
+        self._validation_result = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
         self._timing = 0
         self._tables = PatternTables()
 
-    # --- what the world sees
+    # --- light and triggers
 
-    def _tell(self, pulse: Pulse) -> None:
+    def _report_pulse(self, pulse: Pulse) -> None:
         self.on_pulse(pulse)
 
     def advance(self) -> None:
@@ -104,31 +129,51 @@ class Dlpc350:
 
     @property
     def mode(self) -> DisplayMode:
-        """What it displays by."""
+        """The present display mode."""
         return self._mode
 
     def light(self) -> ProjectedLight | None:
-        """What leaves the lens at this moment; None when it is dark.
+        """Return the light that leaves the lens at this moment.
 
         In video mode the content of the port is not followed: it counts as white.
+
+        Returns
+        -------
+        ProjectedLight or None
+            None when it is dark.
         """
         self.advance()
         return self.light_at(self.clock.now())
 
     def light_at(self, time_s: float) -> ProjectedLight | None:
-        """What leaves the lens at a time from the last event on: for whom a pulse has just reached."""
+        """Return the light that leaves the lens at a given time.
+
+        It is meant for the receiver of a pulse, whose edges may lie a little ahead of the present time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time in s, not before the last event.
+
+        Returns
+        -------
+        ProjectedLight or None
+            None when it is dark.
+        """
         if self.asleep:
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]
         if self._mode is DisplayMode.VIDEO:
-            return self._lit(ProjectedLight(_dark(), 1, SOLID, True, self._levels(enabled, COLOURS), None))
-        shown = self.sequencer.lit(time_s, self.policy.keeps_the_last_pattern)
+            return self._if_illuminated(
+                ProjectedLight(_black_image(), 1, SOLID, True, self._levels(enabled, COLOURS), None)
+            )
+        shown = self.sequencer.displayed_at(time_s, self.policy.keeps_last_pattern)
         if shown is None:
             return None
         inverted = bool(shown.entry["invert"]) != bool(self._registers[protocol.INVERT.number]["on"])
         levels = self._levels(enabled, tuple(colour for colour in COLOURS if shown.entry[colour]))
         content, entry = self._content(shown.image), shown.entry
-        return self._lit(
+        return self._if_illuminated(
             ProjectedLight(content, entry["depth"], entry["pattern"], inverted, levels, shown.image)
         )
 
@@ -138,34 +183,42 @@ class Dlpc350:
         return bool(self._registers[protocol.TRIGGER_OUT_1.number]["inverted"])
 
     def trigger_in(self, number: int, rising: bool) -> None:
-        """An edge on trigger input 1 or 2."""
+        """Take an edge on a trigger input, now.
+
+        Parameters
+        ----------
+        number : int
+            Trigger input 1 or 2.
+        rising : bool
+            Whether the edge is a rising one.
+        """
         self.sequencer.trigger_in(number, rising, self.clock.now())
 
     def _levels(self, enabled: Values, sequenced: tuple[str, ...]) -> dict[str, float]:
-        """Of the LEDs that are on, by their own switches or as the sequencer has it."""
+        """Return the levels of the LEDs that are on, by their own switches or as the sequencer sets them."""
         on = sequenced if enabled["sequenced"] else tuple(c for c in COLOURS if enabled[c])
         return {colour: self._led_level(colour) for colour in on}
 
     @staticmethod
-    def _lit(light: ProjectedLight) -> ProjectedLight | None:
+    def _if_illuminated(light: ProjectedLight) -> ProjectedLight | None:
         return light if any(light.levels.values()) else None
 
     def _led_level(self, colour: str) -> float:
-        """0 to 1: on this board 255 is off, unless the polarity is turned."""
+        """Return the level 0 … 1 of an LED: on this board current 255 is off unless polarity is inverted."""
         current = self._registers[protocol.LED_CURRENT.number][colour] / 255.0
         return current if self._registers[protocol.LED_POLARITY.number]["inverted"] else 1.0 - current
 
     def _content(self, image: int) -> FlashImage:
         if self._registers[protocol.PATTERN_SOURCE.number]["source"] == Source.FLASH:
-            return self.images[image] if image < len(self.images) else _dark()
+            return self.images[image] if image < len(self.images) else _black_image()
         if self._frame is None:
-            return _dark()
+            return _black_image()
         swap = self._registers[protocol.CHANNEL_SWAP.number]["swap"]
-        return planes_of(self._frame, swap, self.policy.swap_names_the_input)
+        return apply_channel_swap(self._frame, swap, self.policy.swap_letter_is_input)
 
-    def _take_frame(self, at_s: float) -> None:
-        """Keep what is on the video port, until the next one is taken."""
-        self._frame = self.video.at(at_s) if self.video else None
+    def _latch_frame(self, at_s: float) -> None:
+        """Keep the frame that is on the video port, until the next one is taken."""
+        self._frame = self.video.frame_at(at_s) if self.video else None
 
     def _is_locked(self) -> bool:
         return self.video is not None and self.video.locked
@@ -173,7 +226,18 @@ class Dlpc350:
     # --- messages
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Do what a message asks; the reply, if it is to have one."""
+        """Carry out a message.
+
+        Parameters
+        ----------
+        message : UsbMessage
+            Request from the computer.
+
+        Returns
+        -------
+        UsbMessage or None
+            The reply; None where the message asks for none or is ignored.
+        """
         self.advance()
         if message.flags & DESTINATION and not self.policy.answers_other_destinations:
             return None
@@ -191,13 +255,39 @@ class Dlpc350:
             return None
         return self.reply(message, flags, data)
 
-    def refusal(self, message: UsbMessage) -> UsbMessage | None:
-        """The answer to a message that is not obeyed."""
+    def nack(self, message: UsbMessage) -> UsbMessage | None:
+        """Refuse a message without carrying it out.
+
+        Parameters
+        ----------
+        message : UsbMessage
+            Request from the computer.
+
+        Returns
+        -------
+        UsbMessage or None
+            The reply with the error bit; None if the message asks for no reply.
+        """
         wanted = message.flags & REPLY_WANTED
         return self.reply(message, message.flags | ERROR, b"") if wanted else None
 
     def reply(self, message: UsbMessage, flags: int, data: bytes) -> UsbMessage:
-        """An answer to `message`."""
+        """Compose the reply to a message.
+
+        Parameters
+        ----------
+        message : UsbMessage
+            Request from the computer.
+        flags : int
+            Flags of the reply.
+        data : bytes
+            Its payload.
+
+        Returns
+        -------
+        UsbMessage
+            The reply, with the sequence number that the policy prescribes.
+        """
         return UsbMessage(flags, message.sequence if self.policy.echoes_sequence else 0, data)
 
     def _execute(self, message: UsbMessage, number: int) -> bytes:
@@ -212,7 +302,13 @@ class Dlpc350:
         return b""
 
     def is_asleep(self) -> bool:
-        """Whether it is in standby, or on its way out of it."""
+        """Return whether the controller is in standby or still waking up.
+
+        Returns
+        -------
+        bool
+            True until `Dlpc350Policy.wake_s` after the order to wake.
+        """
         return self.asleep or self.clock.now() < self._awake_at_s
 
     # --- reading
@@ -230,7 +326,7 @@ class Dlpc350:
         return command.returned.pack(self._values(command))
 
     def _make_readers(self) -> dict[int, Callable[[], Values]]:
-        """What is not simply a register, by command number."""
+        """List the reading functions of commands that return more than a register, by command number."""
         readers: dict[Command, Callable[[], Values]] = {
             protocol.HARDWARE_STATUS: self._hardware_status,
             protocol.SYSTEM_STATUS: lambda: {"memory_test_passed": 1},
@@ -291,8 +387,8 @@ class Dlpc350:
     def _validation(self) -> Values:
         if self._busy_polls:
             self._busy_polls -= 1
-            return dict.fromkeys(self._verdict, 0) | {"busy": 1}
-        return self._verdict
+            return dict.fromkeys(self._validation_result, 0) | {"busy": 1}
+        return self._validation_result
 
     def _table_bytes(self) -> bytes:
         entries, images = self._counts()
@@ -318,7 +414,7 @@ class Dlpc350:
         if command.number in SEQUENCE_COMMANDS:
             if running and self.policy.refuses_changes_while_running:
                 raise CommandRejected
-            self._dirty = True
+            self._unvalidated = True
         if isinstance(command.written, Raw):
             command.written.check(data)
             self._fill(data)
@@ -331,12 +427,12 @@ class Dlpc350:
             self._registers[command.number] = values
 
     def _make_writers(self) -> dict[int, Callable[[Values], None]]:
-        """What does more than fill a register, by command number."""
+        """List the writing functions of commands that do more than fill a register, by command number."""
         writers: dict[Command, Callable[[Values], None]] = {
             protocol.POWER: self._set_power,
             protocol.SOFTWARE_RESET: lambda values: self._reset(),
             protocol.DISPLAY_MODE: self._set_mode,
-            protocol.SEQUENCE: self._set_run,
+            protocol.SEQUENCE: self._order_run,
             protocol.IMAGE_LOAD_TIMING: self._time_images,
             protocol.VARIABLE_DATA: self._fill_variable,
             protocol.VALIDATE: lambda values: self._validate(),
@@ -360,10 +456,10 @@ class Dlpc350:
         if mode is not self._next_mode[0]:
             self._was_locked = self._is_locked()
             self.sequencer.stop()
-            self._dirty = True
+            self._unvalidated = True
             self._next_mode = (mode, self.clock.now() + self.policy.mode_change_s)
 
-    def _set_run(self, values: Values) -> None:
+    def _order_run(self, values: Values) -> None:
         order, now = Run(values["run"]), self.clock.now()
         if order is Run.STOP:
             self.sequencer.stop()
@@ -379,7 +475,7 @@ class Dlpc350:
         locked = self._is_locked() and (self._was_locked or not self.policy.needs_lock_before_pattern_mode)
         no_signal = tables.mode in _VSYNC_MODES and not locked
         unfit = not tables.entries or any(period <= 0 for _, period in tables.times)
-        self._aborted = (self._dirty and self.policy.needs_validation) or no_signal or unfit
+        self._aborted = (self._unvalidated and self.policy.needs_validation) or no_signal or unfit
         if not self._aborted:
             self.sequencer.start(tables, now)
 
@@ -396,7 +492,7 @@ class Dlpc350:
         return self._registers[protocol.TRIGGER_MODE.number]["mode"] in _VARIABLE_MODES
 
     def _fill(self, data: bytes) -> None:
-        """Mailbox data from the address on."""
+        """Write mailbox data to the open table, from its address on."""
         short, long = (
             self._registers[command.number]["address"]
             for command in (protocol.MAILBOX_ADDRESS, protocol.VARIABLE_ADDRESS)
@@ -418,7 +514,7 @@ class Dlpc350:
     # --- the sequence
 
     def _counts(self) -> tuple[int, int]:
-        """Declared entries and images."""
+        """Return the declared numbers of entries and images."""
         config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
         values = self._registers[config.number]
         return values["entries"], values["images"]
@@ -442,7 +538,7 @@ class Dlpc350:
         if self._open() is not Mailbox.CLOSED:
             raise CommandRejected
         flash = self._is_from_flash()
-        found = examine(
+        found = validate_sequence(
             self._entries(),
             self._times_us(),
             self._images(),
@@ -451,16 +547,16 @@ class Dlpc350:
             None if flash else 1e6 * (self.video.vsync_s if self.video else 0.0),
             self.policy.accepts_a_gap_of_230_us,
         )
-        self._verdict = found | {"busy": 0}
+        self._validation_result = found | {"busy": 0}
         self._busy_polls = self.policy.validation_polls
-        self._dirty = bool(found["exposure_invalid"] or found["pattern_invalid"])
+        self._unvalidated = bool(found["exposure_invalid"] or found["pattern_invalid"])
 
-    def _sequence(self) -> Tables:
+    def _sequence(self) -> SequenceTables:
         config = protocol.VARIABLE_CONFIG if self._is_variable() else protocol.PATTERN_CONFIG
         declared = self._registers[config.number]
         first = self._registers[protocol.TRIGGER_OUT_1.number]
         second = self._registers[protocol.TRIGGER_OUT_2.number]
-        return Tables(
+        return SequenceTables(
             mode=TriggerMode(self._registers[protocol.TRIGGER_MODE.number]["mode"]),
             entries=self._entries(),
             times=[(1e-6 * exposure, 1e-6 * period) for exposure, period in self._times_us()],

@@ -1,6 +1,10 @@
-"""The flash of the emulated projector, and its own reading of what is stored there.
+"""The flash memory of the emulated projector, and a reader of the images that are stored there.
 
-It shares no code with the builder of images, so that each proves the other. Layout as TI's client reads it.
+The reader shares no code with the builder of flash images in the driver, so that each verifies the other.
+
+References
+----------
+Layout as TI's client reads it.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIZE, SECTOR = 0x2000000, 0x20000
-SEEN_AT = 0xF9000000
+BASE_ADDRESS = 0xF9000000
 TABLE = 0x20000
 SPLASH_ADDRESS = TABLE + 176
 NONE = 0xFFFFFFFF
@@ -20,43 +24,103 @@ _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 
 class Flash:
-    """Bytes that writing can only clear bits of, until their sector is erased to ones."""
+    """Flash memory: writing can only clear bits, until their sector is erased to ones.
+
+    Parameters
+    ----------
+    content : bytes
+        Content from the first byte on; the rest is erased.
+
+    Attributes
+    ----------
+    content : bytearray
+        All `SIZE` bytes.
+    """
 
     def __init__(self, content: bytes) -> None:
         self.content = bytearray(content.ljust(SIZE, b"\xff"))
 
     def erase(self, sector: int) -> None:
-        """Set a sector to ones."""
+        """Set all bits of a sector to one.
+
+        Parameters
+        ----------
+        sector : int
+            Its index.
+        """
         self.content[sector * SECTOR : (sector + 1) * SECTOR] = b"\xff" * SECTOR
 
-    def half_erase(self, sector: int) -> None:
-        """What is left when power fails meanwhile: neither the old content nor ones."""
+    def erase_partially(self, sector: int) -> None:
+        """Leave a sector as after a power failure during erasing: neither the old content nor ones.
+
+        Parameters
+        ----------
+        sector : int
+            Its index.
+        """
         part = slice(sector * SECTOR, (sector + 1) * SECTOR)
         self.content[part] = np.random.default_rng(sector).bytes(SECTOR)
 
     def write(self, offset: int, data: bytes) -> None:
-        """Clear bits."""
+        """Clear the bits that are zero in `data`.
+
+        Parameters
+        ----------
+        offset : int
+            Of the first byte from the beginning of the flash.
+        data : bytes
+            What is written.
+        """
         part = slice(offset, offset + len(data))
         old = np.frombuffer(bytes(self.content[part]), np.uint8)
         self.content[part] = (old & np.frombuffer(data, np.uint8)).tobytes()
 
     def checksum(self, offset: int, size: int) -> int:
-        """The sum of bytes, 32 bits of it."""
+        """Sum up bytes.
+
+        Parameters
+        ----------
+        offset : int
+            Of the first byte from the beginning of the flash.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        int
+            Lower 32 bits of the sum.
+        """
         part = np.frombuffer(bytes(self.content[offset : offset + size]), np.uint8)
         return int(part.sum(dtype=np.uint64)) & 0xFFFFFFFF
 
-    def program(self) -> list[bytes] | None:
-        """Every block of program and configuration that the table lists, or None without a table."""
+    def program_blocks(self) -> list[bytes] | None:
+        """Read every block of program and configuration that the flash table lists.
+
+        Returns
+        -------
+        list of bytes or None
+            The blocks in the order of the table; None if there is no table.
+        """
         if self.content[TABLE : TABLE + 4] != bytes.fromhex("67452301"):
             return None
         listed = [struct.unpack_from("<II", self.content, TABLE + 16 + 8 * i) for i in range(56)]
         blocks = [entry for i, entry in enumerate(listed) if not 20 <= i < 24 and entry[0] != NONE]
-        return [bytes(self.content[at - SEEN_AT : at - SEEN_AT + size]) for at, size in blocks]
+        return [bytes(self.content[at - BASE_ADDRESS : at - BASE_ADDRESS + size]) for at, size in blocks]
 
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """compression: as in the header. stored: bytes without it. planes: uint8 (height, width, 3), G R B."""
+    """An image in flash.
+
+    Attributes
+    ----------
+    compression : int
+        Method of compression as in the image's header.
+    stored : int
+        Size of the compressed pixels in bytes, without header.
+    planes : numpy.ndarray
+        uint8 (height, width, 3), green, red, blue.
+    """
 
     compression: int
     stored: int
@@ -64,19 +128,35 @@ class StoredImage:
 
 
 def stored_images(flash: bytes | bytearray) -> list[StoredImage]:
-    """The images that the flash table points to. Raises `ValueError` where they break the format."""
+    """Read the images to which the flash table points.
+
+    Parameters
+    ----------
+    flash : bytes or bytearray
+        Content of the flash from its first byte on.
+
+    Returns
+    -------
+    list of StoredImage
+        The images in the order of their table.
+
+    Raises
+    ------
+    ValueError
+        There are no images, or they violate the format.
+    """
     (splash,) = struct.unpack_from("<I", flash, SPLASH_ADDRESS)
-    start = splash - SEEN_AT
+    start = splash - BASE_ADDRESS
     if flash[start : start + 8] != bytes.fromhex("7856341221436587"):
-        raise ValueError(f"no images at {start:#x}")
+        raise ValueError(f"there are no images at {start:#x}")
     (count,) = struct.unpack_from("<I", flash, start + 8)
     table = [struct.unpack_from("<II", flash, start + 12 + 8 * i) for i in range(256)]
     if any(entry != (NONE, NONE) for entry in table[count:]):
-        raise ValueError(f"the table of {count} images goes on")
+        raise ValueError(f"the table of {count} images has entries beyond its end")
     found, end = [], start + 2060
     for address, size in table[:count]:
-        if address - SEEN_AT != end:
-            raise ValueError(f"an image at {address:#x}, and the one before ends at {end:#x}")
+        if address - BASE_ADDRESS != end:
+            raise ValueError(f"an image begins at {address:#x}, but the one before it ends at {end:#x}")
         end += size
         found.append(_image(bytes(flash[end - size : end])))
     return found
@@ -87,15 +167,37 @@ def _image(blob: bytes) -> StoredImage:
         blob
     )
     if (magic, *constant, pixel_format, order, chroma) != (b"Splc", NONE, NONE, 0, 1, 1, 0):
-        raise ValueError(f"a header of an image that says {blob[: _HEADER.size].hex()}")
+        raise ValueError(f"an image has the unknown header {blob[: _HEADER.size].hex()}")
     if len(blob) != _HEADER.size + stored:
-        raise ValueError(f"an image of {len(blob)} bytes, and {stored} by its header")
-    pixels = pixels_of(compression, blob[_HEADER.size :], width, height)
+        raise ValueError(f"an image has {len(blob)} bytes, but its header says {stored} without the header")
+    pixels = decompress_pixels(compression, blob[_HEADER.size :], width, height)
     return StoredImage(compression, stored, pixels[..., ::-1])
 
 
-def pixels_of(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
-    """Pixels as they are stored, uint8 (height, width, 3): blue, red, green. Raises `ValueError`."""
+def decompress_pixels(compression: int, data: bytes, width: int, height: int) -> NDArray[np.uint8]:
+    """Decompress the pixels of an image.
+
+    Parameters
+    ----------
+    compression : int
+        0 for none, 1 for run lengths, 4 for four rows that are repeated.
+    data : bytes
+        Compressed pixels.
+    width : int
+        Of the image in px.
+    height : int
+        Of the image in px.
+
+    Returns
+    -------
+    numpy.ndarray
+        uint8 (height, width, 3) in the order of storage: blue, red, green.
+
+    Raises
+    ------
+    ValueError
+        The compression is unknown or the data violates its format.
+    """
     if compression == 1:
         flat = _from_runs(data, width, height)
     elif compression == 4:
@@ -103,7 +205,7 @@ def pixels_of(compression: int, data: bytes, width: int, height: int) -> NDArray
     elif compression == 0:
         flat = data
     else:
-        raise ValueError(f"compression {compression}")
+        raise ValueError(f"unknown compression {compression}")
     return np.frombuffer(flat, np.uint8).reshape(height, width, 3)
 
 
@@ -124,15 +226,15 @@ def _from_runs(data: bytes, width: int, height: int) -> bytes:
             if len(row) != 3 * width:
                 raise ValueError(f"row {len(rows)} has {len(row)} bytes for {width} pixels")
             rows.append(row)
-            row, at = b"", _behind_zeros(data, at, 4)
+            row, at = b"", _skip_padding(data, at, 4)
         else:
-            if row or len(rows) != height or _behind_zeros(data, at, 16) != len(data):
+            if row or len(rows) != height or _skip_padding(data, at, 16) != len(data):
                 raise ValueError(f"the image ends after {len(rows)} of {height} rows, at {at} of {len(data)}")
             return b"".join(rows)
 
 
-def _behind_zeros(data: bytes, at: int, multiple: int) -> int:
+def _skip_padding(data: bytes, at: int, multiple: int) -> int:
     end = at + -at % multiple
     if any(data[at:end]):
-        raise ValueError(f"no zeros at {at}")
+        raise ValueError(f"the padding at byte {at} is not zero")
     return end

@@ -1,4 +1,4 @@
-"""From bit planes to the light that leaves the lens."""
+"""From the bit planes of an image to the light that leaves the lens."""
 
 from __future__ import annotations
 
@@ -13,15 +13,27 @@ from drivers.dlp4500.sequence import planes
 from fpplab.core.conventions import Floats
 
 FlashImage = NDArray[np.uint8]
-"""(height, width, 3): the planes of green, red and blue."""
+"""(height, width, 3), uint8: the eight bit planes each of green, red and blue."""
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectedLight:
-    """A pattern on the mirrors and the LEDs behind it.
+    """A pattern on the mirrors and the LEDs that illuminate them.
 
-    content: the image whose planes are shown, by depth, number and inversion. levels: 0 to 1 by colour of the
-    LEDs that are on. image: the flash image or video frame that it is, None in video mode.
+    Attributes
+    ----------
+    content : FlashImage
+        The image of whose bit planes the pattern consists.
+    depth : int
+        Bits of the pattern.
+    number : int
+        Index of the pattern among those of its depth in the image.
+    inverted : bool
+        Whether grey levels are inverted.
+    levels : Mapping of str to float
+        Levels 0 … 1 of the LEDs that are on, by colour.
+    image : int or None
+        Index of the flash image or video frame; None in video mode.
     """
 
     content: FlashImage
@@ -33,18 +45,43 @@ class ProjectedLight:
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """uint8 (height, width), 255 for a mirror that is always on."""
-        return grey(self.content, self.depth, self.number, self.inverted)
+        """Grey levels, uint8 (height, width), 255 for a mirror that is always on."""
+        return grey_levels(self.content, self.depth, self.number, self.inverted)
 
     def brightness(self) -> Floats:
-        """(height, width), 1 where all three LEDs are fully on."""
+        """Return the relative brightness.
+
+        Returns
+        -------
+        Floats
+            (height, width), 1 where the mirror is always on and all three LEDs are at full level.
+        """
         return self.grey * (sum(self.levels.values()) / (3 * 255.0))
 
 
-def grey(image: FlashImage, depth: int, number: int, inverted: bool) -> NDArray[np.uint8]:
-    """A pattern of an image as grey levels 0 … 255, uint8 (height, width).
+def grey_levels(image: FlashImage, depth: int, number: int, inverted: bool) -> NDArray[np.uint8]:
+    """Compute the grey levels 0 … 255 of a pattern.
 
-    Raises `ValueError` for a depth or number that there is not.
+    Parameters
+    ----------
+    image : FlashImage
+        Bit planes, uint8 (height, width, 3).
+    depth : int
+        Bits of the pattern.
+    number : int
+        Index of the pattern among those of its depth.
+    inverted : bool
+        Whether grey levels are inverted.
+
+    Returns
+    -------
+    numpy.ndarray
+        uint8 (height, width).
+
+    Raises
+    ------
+    ValueError
+        There is no such depth or number.
     """
     full = (1 << depth) - 1
     values = _values(image, planes(depth, number), full)
@@ -53,7 +90,7 @@ def grey(image: FlashImage, depth: int, number: int, inverted: bool) -> NDArray[
 
 
 def _values(image: FlashImage, wanted: range, full: int) -> NDArray[np.uint8]:
-    """The numbers that neighbouring planes are, in one colour or over two."""
+    """Read the values of neighbouring bit planes, which lie in one colour or in two."""
     if not wanted:
         return np.zeros(image.shape[:2], np.uint8)
     first, shift = divmod(wanted.start, 8)

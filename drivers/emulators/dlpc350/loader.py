@@ -1,6 +1,7 @@
-"""The boot loader of the emulated projector, and the projector that starts with it.
+"""The boot loader of the emulated projector, and a projector that starts from its flash.
 
-Its commands are written down a second time here, and not taken from the driver: each proves the other.
+The loader's commands are written down a second time here, and not taken from the driver, so that each
+verifies the other.
 """
 
 from __future__ import annotations
@@ -17,73 +18,100 @@ from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
 ENTER = 0x3001
-_TELL, _LEAVE = 0x0015, 0x0030
+"""Number of the command by which the application enters the boot loader."""
+_READ_STATUS, _EXIT = 0x0015, 0x0030
 _MANUFACTURER, _PART = 0x0020, 0x227E
 _BUSY = 0x08
 
 
 class BootLoader:
-    """What the projector runs while its flash is written. left: it was told to start the projector again."""
+    """The program by which the flash is written.
+
+    Parameters
+    ----------
+    flash : Flash
+        The memory that it erases and writes.
+    clock : Clock
+        Its time.
+    policy : Dlpc350Policy
+        Assumptions about undocumented behaviour.
+
+    Attributes
+    ----------
+    exit_requested : bool
+        Whether it was ordered to start the application again.
+    """
 
     def __init__(self, flash: Flash, clock: Clock, policy: Dlpc350Policy) -> None:
         self._flash, self._clock, self._policy = flash, clock, policy
-        self._address = self._size = self._taken = self._sum = 0
+        self._address = self._size = self._written = self._checksum = 0
         self._busy_until_s = 0.0
         self._erasing: int | None = None
-        self.left = False
+        self.exit_requested = False
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Do what a message asks; the reply, if it is to have one."""
+        """Carry out a message.
+
+        Parameters
+        ----------
+        message : UsbMessage
+            Request from the computer.
+
+        Returns
+        -------
+        UsbMessage or None
+            The reply; None if the message asks for none.
+        """
         number, data = int.from_bytes(message.payload[:2], "little"), message.payload[2:]
-        flags, told = message.flags, b""
+        flags, data_out = message.flags, b""
         try:
             if message.flags & READ:
-                told = self._tell(number, data)
+                data_out = self._read_status(number, data)
             else:
-                self._do(number, data)
+                self._execute(number, data)
         except CommandRejected:
             flags |= ERROR
         if not message.flags & REPLY_WANTED:
             return None
-        return UsbMessage(flags, message.sequence if self._policy.echoes_sequence else 0, told)
+        return UsbMessage(flags, message.sequence if self._policy.echoes_sequence else 0, data_out)
 
     def lose_power(self) -> None:
-        """Stop at once, with whatever is half done."""
+        """Break off at once; a sector that is being erased is left half erased."""
         if self._erasing is not None and self._is_busy():
-            self._flash.half_erase(self._erasing)
+            self._flash.erase_partially(self._erasing)
 
     def _is_busy(self) -> bool:
         return self._clock.now() < self._busy_until_s
 
-    def _tell(self, number: int, data: bytes) -> bytes:
-        values = {0x00: self._sum, 0x0C: _MANUFACTURER, 0x0D: _PART}
-        if number != _TELL or len(data) != 1 or data[0] not in values:
+    def _read_status(self, number: int, data: bytes) -> bytes:
+        values = {0x00: self._checksum, 0x0C: _MANUFACTURER, 0x0D: _PART}
+        if number != _READ_STATUS or len(data) != 1 or data[0] not in values:
             raise CommandRejected
         status = _BUSY if self._is_busy() else 0
         return bytes([status, 0, 0, 0, 0, 0]) + values[data[0]].to_bytes(4, "little") + bytes(6)
 
-    def _do(self, number: int, data: bytes) -> None:
+    def _execute(self, number: int, data: bytes) -> None:
         if self._is_busy():
             raise CommandRejected
-        doers: dict[int, Callable[[bytes], None]] = {
+        handlers: dict[int, Callable[[bytes], None]] = {
             0x0029: self._set_address,
             0x0028: self._erase,
             0x002C: self._set_size,
-            0x0025: self._take,
-            0x0026: self._add_up,
+            0x0025: self._write_data,
+            0x0026: self._compute_checksum,
             0x002F: self._set_type,
-            _LEAVE: self._leave,
+            _EXIT: self._exit,
         }
-        doers.get(number, self._refuse)(data)
+        handlers.get(number, self._refuse)(data)
 
     def _refuse(self, data: bytes) -> NoReturn:
         raise CommandRejected
 
     def _set_address(self, data: bytes) -> None:
-        self._address, self._taken = _number(data), 0
+        self._address, self._written = _number(data), 0
 
     def _set_size(self, data: bytes) -> None:
-        self._size, self._taken = _number(data), 0
+        self._size, self._written = _number(data), 0
 
     def _set_type(self, data: bytes) -> None:
         if data != b"\0":
@@ -92,31 +120,31 @@ class BootLoader:
     def _erase(self, data: bytes) -> None:
         if data or self._address % SECTOR:
             raise CommandRejected
-        self._guard()
+        self._check_protection()
         self._erasing = self._address // SECTOR
         self._flash.erase(self._erasing)
         self._busy_until_s = self._clock.now() + self._policy.sector_erase_s
 
-    def _take(self, data: bytes) -> None:
-        if self._taken + len(data) > self._size or len(data) > self._policy.most_loader_data:
+    def _write_data(self, data: bytes) -> None:
+        if self._written + len(data) > self._size or len(data) > self._policy.max_loader_data:
             raise CommandRejected
-        self._guard()
-        self._flash.write(self._address + self._taken, data)
-        self._taken += len(data)
+        self._check_protection()
+        self._flash.write(self._address + self._written, data)
+        self._written += len(data)
 
-    def _guard(self) -> None:
+    def _check_protection(self) -> None:
         if self._address < SECTOR and self._policy.protects_boot_sector:
             raise CommandRejected
 
-    def _add_up(self, data: bytes) -> None:
-        self._sum = self._flash.checksum(self._address, self._size)
+    def _compute_checksum(self, data: bytes) -> None:
+        self._checksum = self._flash.checksum(self._address, self._size)
         self._erasing = None
         self._busy_until_s = self._clock.now() + self._policy.checksum_s
 
-    def _leave(self, data: bytes) -> None:
+    def _exit(self, data: bytes) -> None:
         if data != b"\2":
             raise CommandRejected
-        self.left = True
+        self.exit_requested = True
 
 
 def _number(data: bytes) -> int:
@@ -126,11 +154,30 @@ def _number(data: bytes) -> int:
 
 
 class FlashedDlpc350(Dlpc350):
-    """A projector with its flash: it shows the images that are stored there, and can be written anew.
+    """A projector with a flash that can be rewritten: it shows the images stored there.
 
-    content: of the flash, from its first byte on. on_restart: told how long the USB device stays away. It
-    starts its program as long as that is what it was made with and the table leads to it; otherwise only
-    the boot loader. loader: while that runs.
+    It starts its application only if program and configuration in flash are those that it was made with and
+    the flash table leads to them; otherwise only the boot loader.
+
+    Parameters
+    ----------
+    clock : Clock
+        Its time.
+    content : bytes
+        Content of the flash from its first byte on.
+    policy : Dlpc350Policy, optional
+        Assumptions about undocumented behaviour.
+    on_pulse : callable
+        Called with every trigger pulse when its pattern begins.
+
+    Attributes
+    ----------
+    flash : Flash
+        The memory.
+    loader : BootLoader or None
+        The boot loader while it runs.
+    on_restart : callable
+        Called with the time in s for which the USB device is absent.
     """
 
     def __init__(
@@ -142,29 +189,40 @@ class FlashedDlpc350(Dlpc350):
     ) -> None:
         super().__init__(clock, [], policy, on_pulse)
         self.flash = Flash(content)
-        self._program = self.flash.program()
+        self._program = self.flash.program_blocks()
         self.switch_on()
 
     def switch_on(self) -> None:
-        """Start the program, or the boot loader where there is none."""
-        runs = self._program is not None and self.flash.program() == self._program
+        """Start the application, or the boot loader if there is no valid application."""
+        runs = self._program is not None and self.flash.program_blocks() == self._program
         self.loader = None if runs else BootLoader(self.flash, self.clock, self.policy)
         if runs:
             try:
                 self.images = [image.planes for image in stored_images(self.flash.content)]
-            except (ValueError, IndexError, struct.error):  # no images, or broken ones
+            except (ValueError, IndexError, struct.error):  # no images, or invalid ones
                 self.images = []
             self.load_s = [self.policy.image_load_s] * len(self.images)
             self.restart()
 
     def lose_power(self) -> None:
-        """Be cut off from power, with whatever is half done, and be switched on again."""
+        """Cut the power during whatever is under way, and switch on again."""
         if self.loader is not None:
             self.loader.lose_power()
         self.switch_on()
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
-        """Do what a message asks, as the program or as the boot loader; the reply, if it is to have one."""
+        """Carry out a message, as the application or as the boot loader.
+
+        Parameters
+        ----------
+        message : UsbMessage
+            Request from the computer.
+
+        Returns
+        -------
+        UsbMessage or None
+            The reply; None where the message asks for none or is ignored.
+        """
         if self.loader is None:
             if int.from_bytes(message.payload[:2], "little") != ENTER:
                 return super().answer(message)
@@ -172,7 +230,7 @@ class FlashedDlpc350(Dlpc350):
             self.on_restart(self.policy.reset_s)
             return None
         reply = self.loader.answer(message)
-        if self.loader.left:
+        if self.loader.exit_requested:
             self.switch_on()
             self.on_restart(self.policy.reset_s)
         return reply

@@ -1,8 +1,8 @@
-"""What nobody knows of the board's firmware, as switches.
+"""Assumptions about undocumented behaviour of the board's firmware, as switches.
 
 The emulator does what the maker's client, GUI and SDK show. Where they are silent, or only one user has
-reported something, it follows a policy that can be changed here, so that a test never claims that a board
-behaves so.
+reported something, it follows a policy that can be changed here. Drivers are tested against each setting,
+and no test claims that a board behaves so.
 """
 
 from __future__ import annotations
@@ -14,27 +14,48 @@ from dataclasses import dataclass
 class Dlpc350Policy:
     """Assumptions about the firmware.
 
-    echoes_sequence: a reply bears the number of its request, as the DLPC900's does; otherwise 0.
-    answers_other_destinations: what is not for the projector's control is refused; otherwise ignored.
-    refuses_changes_while_running: settings and tables of a running or paused sequence; otherwise taken.
-    needs_validation: a start after unvalidated changes leaves it stopped and sets the abort flag.
-    validation_polls: how often a validation reads busy before it gives its answer.
-    accepts_a_gap_of_230_us: of a period over its exposure, exactly.
-    needs_lock_before_pattern_mode: patterns from the video port run only if its signal was locked when
-    pattern mode was ordered.
-    swap_names_the_input: of a channel swap's letters the k-th is the input that goes to channel k; otherwise
-    the channel that input k goes to. The board's own setting is the same either way.
-    mode_change_s: how long the display mode takes to change.
-    wake_s: how long the controller takes to leave standby.
-    loses_wake_acknowledgement: that of the order to wake is not sent.
-    sleeps_in_pattern_mode: standby is accepted there; otherwise only in video mode.
-    reset_s: how long the USB device stays away after a software reset.
-    keeps_the_last_pattern: a sequence that is stopped, or at its end, leaves its pattern on the mirrors.
-    image_load_s: how long a flash image takes to load.
-    sector_erase_s: how long the boot loader is busy with a sector. checksum_s: and with a checksum.
-    protects_boot_sector: the loader refuses to erase or write itself.
-    most_loader_data: bytes of a data message that the loader takes; the maker's client never sends more for a
-    fault of the loader that it does not describe.
+    Attributes
+    ----------
+    echoes_sequence : bool
+        A reply carries the sequence number of its request, as that of a DLPC900 does; otherwise 0.
+    answers_other_destinations : bool
+        A message for another destination than the projector's control is refused; otherwise it is ignored.
+    refuses_changes_while_running : bool
+        Settings and tables cannot be changed while a sequence runs or is paused; otherwise they can.
+    needs_validation : bool
+        A start after changes that were not validated leaves the sequencer stopped and sets the abort flag.
+    validation_polls : int
+        How often the status of a validation reads busy before it gives the result.
+    accepts_a_gap_of_230_us : bool
+        Whether a period of exactly 230 µs more than its exposure is valid.
+    needs_lock_before_pattern_mode : bool
+        Patterns from the video port run only if its signal was locked when pattern mode was ordered.
+    swap_letter_is_input : bool
+        In a channel swap such as "CAB", letter k names the input that goes to channel k; otherwise the
+        channel that input k goes to. The board's own setting is the same either way.
+    mode_change_s : float
+        Time in s that a change of the display mode takes.
+    wake_s : float
+        Time in s that the controller takes to leave standby.
+    loses_wake_acknowledgement : bool
+        The order to wake is not acknowledged.
+    sleeps_in_pattern_mode : bool
+        Standby is accepted in pattern mode; otherwise only in video mode.
+    reset_s : float
+        Time in s that the USB device is absent after a software reset.
+    keeps_last_pattern : bool
+        A sequence that is stopped, or has ended, leaves its last pattern on the mirrors.
+    image_load_s : float
+        Time in s that loading an image from flash takes.
+    sector_erase_s : float
+        Time in s that the boot loader is busy erasing a sector.
+    checksum_s : float
+        Time in s that the boot loader is busy computing a checksum.
+    protects_boot_sector : bool
+        The boot loader refuses to erase or write its own sector.
+    max_loader_data : int
+        Bytes that the boot loader accepts in one data message. The maker's client never sends more because of
+        a fault of the loader that it does not describe.
     """
 
     echoes_sequence: bool = True
@@ -44,15 +65,15 @@ class Dlpc350Policy:
     validation_polls: int = 3
     accepts_a_gap_of_230_us: bool = False
     needs_lock_before_pattern_mode: bool = True
-    swap_names_the_input: bool = True
+    swap_letter_is_input: bool = True
     mode_change_s: float = 0.2
     wake_s: float = 2.0
     loses_wake_acknowledgement: bool = False
     sleeps_in_pattern_mode: bool = False
     reset_s: float = 2.0
-    keeps_the_last_pattern: bool = True
+    keeps_last_pattern: bool = True
     image_load_s: float = 0.02
     sector_erase_s: float = 0.8
     checksum_s: float = 0.001
     protects_boot_sector: bool = True
-    most_loader_data: int = 504
+    max_loader_data: int = 504

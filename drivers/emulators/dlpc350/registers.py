@@ -1,4 +1,4 @@
-"""What can be written and read back, what it is after switching on, and when it may be changed."""
+"""Registers of the emulated controller: their power-on values, and when they may be read and changed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SEQUENCE_COMMANDS = {
         protocol.VARIABLE_DATA,
     )
 }
-"""Not to be changed while a sequence runs; any of them makes a validation worth nothing."""
+"""Not to be changed while a sequence runs; changing any of them invalidates an earlier validation."""
 ANSWERED_ASLEEP = {
     command.number
     for command in (
@@ -38,9 +38,11 @@ ANSWERED_ASLEEP = {
         protocol.SOFTWARE_RESET,
     )
 }
-"""What a controller in standby still knows."""
+"""Commands that a controller in standby still executes."""
 FIRMWARE = {"major": 4, "minor": 4, "patch": 0}
+"""Version of application, API and sequencer software that the emulator reports."""
 TAG = b"LCr4500 emulator"
+"""Answer to the command for the firmware's tag."""
 POWER_ON: dict[Command, Values] = {
     protocol.INPUT_SOURCE: {"source": 0, "width": 1},
     protocol.CHANNEL_SWAP: {"swap": 4, "port": 0},
@@ -53,11 +55,17 @@ POWER_ON: dict[Command, Values] = {
     protocol.TRIGGER_MODE: {"mode": TriggerMode.INTERNAL},
     protocol.PATTERN_CONFIG: {"entries": 3, "repeat": 1, "patterns": 3, "images": 1},
 }
-"""The board's ini; whatever is not named is zero, or the least it may be."""
+"""Start values of the board's configuration; a register not named here has the lowest value of each field."""
 
 
 def power_on() -> dict[int, Values]:
-    """The registers by command number."""
+    """Return the registers as they are after power-on.
+
+    Returns
+    -------
+    dict of int to Values
+        Field values by command number, of every command that is written and read in the same layout.
+    """
     registers = {}
     for command in COMMANDS.values():
         if isinstance(command.written, RegisterLayout) and command.written == command.returned:

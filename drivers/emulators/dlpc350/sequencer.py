@@ -1,7 +1,7 @@
-"""The sequencer: which pattern is on the mirrors at what time, and which pulses leave with it.
+"""The pattern sequencer: which pattern is on the mirrors at what time, and which trigger pulses go with it.
 
-Time is whatever the caller says; nothing happens but in `advance`, which does in order what was due. The
-pulses of a pattern are told when it begins, with the times of their edges.
+The caller gives the time. Nothing happens outside of `advance`, which does in order what was due. The pulses
+of a pattern are reported when it begins, with the times of their edges.
 """
 
 from __future__ import annotations
@@ -11,13 +11,25 @@ from dataclasses import dataclass
 
 from drivers.dlp4500.protocol import DELAY_STEP_US, ZERO_DELAY, PatternTrigger, Run, TriggerMode, Values
 
-LEAD_S = 1e-9
-"""A frame or an image that is awaited this much too early, by rounding alone, is there."""
+ROUNDING_S = 1e-9
+"""Tolerance in s for rounding, where a time is compared with that of a video frame or of a loaded image."""
 
 
 @dataclass(frozen=True)
 class Pulse:
-    """A pulse on trigger output 1 or 2, with the pattern (index since the start) that caused it."""
+    """A pulse on a trigger output.
+
+    Attributes
+    ----------
+    output : int
+        Trigger output 1 or 2.
+    rise_s : float
+        Time of the first edge in s.
+    fall_s : float
+        Time of the second edge in s.
+    pattern : int
+        Index since the start of the pattern that caused it.
+    """
 
     output: int
     rise_s: float
@@ -26,13 +38,31 @@ class Pulse:
 
 
 @dataclass(frozen=True)
-class Tables:
-    """What a sequence runs by.
+class SequenceTables:
+    """What a sequence consists of.
 
-    entries: fields of the pattern table. times: exposure and period of each in s. images: in the order in
-    which they are swapped in. load_s: by flash index. patterns: length of a run that is not repeated, and the
-    distance of pulses on output 2. edges_s: delays of output 1's two edges and of output 2's one. vsync_s:
-    period of the video frames. input_delay_s: between an edge on trigger input 1 and its pattern.
+    Attributes
+    ----------
+    mode : TriggerMode
+        What starts each pattern.
+    entries : Sequence of Values
+        Fields of the pattern table.
+    times : Sequence of (float, float)
+        Exposure and period of each entry in s.
+    images : Sequence of int
+        Flash image indices in the order in which they are swapped in; empty for patterns from the video port.
+    load_s : Sequence of float
+        Load times in s by flash image index.
+    patterns : int
+        Length of a run that is not repeated, and the spacing of pulses on output 2.
+    repeat : bool
+        Whether the sequence is repeated.
+    edges_s : (float, float, float)
+        Delays in s of the two edges of output 1 and of the edge of output 2.
+    vsync_s : float
+        Period of the video frames in s.
+    input_delay_s : float
+        Time in s from an edge on trigger input 1 to its pattern.
     """
 
     mode: TriggerMode
@@ -48,22 +78,60 @@ class Tables:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A pattern on the mirrors: its table entry, the image it is taken from, and until when it is lit."""
+class DisplayedPattern:
+    """A pattern on the mirrors.
+
+    Attributes
+    ----------
+    entry : Values
+        Its entry in the pattern table.
+    image : int
+        Index of the image it is taken from.
+    begin_s : float
+        Time in s when it began.
+    illuminated_until_s : float
+        Time in s when its exposure ends.
+    """
 
     entry: Values
     image: int
     begin_s: float
-    lit_until_s: float
+    illuminated_until_s: float
 
 
 def delay_s(code: int) -> float:
-    """What a trigger delay on the wire means."""
+    """Convert a trigger delay from its code on the wire.
+
+    Parameters
+    ----------
+    code : int
+        Delay as the command carries it.
+
+    Returns
+    -------
+    float
+        Delay in s, negative for an advance.
+    """
     return (code - ZERO_DELAY) * DELAY_STEP_US * 1e-6
 
 
-def divided(entries: Sequence[Values], times: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Exposure and time to the next pattern of each entry: those that share a pulse share its exposure."""
+def per_pattern_times(
+    entries: Sequence[Values], times: Sequence[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    """Divide the exposure of each trigger pulse among the patterns that share it.
+
+    Parameters
+    ----------
+    entries : Sequence of Values
+        Fields of the pattern table.
+    times : Sequence of (float, float)
+        Exposure and period of each entry in s; of patterns that share a pulse the first one's count.
+
+    Returns
+    -------
+    list of (float, float)
+        Exposure of each entry and the time to the next pattern, in s.
+    """
     starts = [i for i, entry in enumerate(entries) if not (entry["share_trigger"] and i)]
     found: list[tuple[float, float]] = []
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
@@ -74,10 +142,25 @@ def divided(entries: Sequence[Values], times: Sequence[tuple[float, float]]) -> 
 
 
 class Sequencer:
-    """Runs one set of tables. on_pulse: told of every pulse. on_frame: told when a video frame is taken.
+    """Runs one sequence at a time.
 
-    state: what was ordered last. running: whether patterns really follow each other. forced_swap: an image
-    was not loaded when its turn came, and the old one was shown.
+    Parameters
+    ----------
+    on_pulse : callable
+        Called with every trigger pulse.
+    on_frame : callable
+        Called with the time in s when a video frame is taken.
+
+    Attributes
+    ----------
+    state : Run
+        What was ordered last.
+    running : bool
+        Whether patterns really follow each other.
+    forced_swap : bool
+        Whether an image was not loaded in time, so that the old one was shown instead.
+    shown : DisplayedPattern or None
+        The last pattern that began; None before the first.
     """
 
     def __init__(
@@ -85,49 +168,73 @@ class Sequencer:
     ) -> None:
         self._on_pulse, self._on_frame = on_pulse, on_frame
         self.state, self.running, self.forced_swap = Run.STOP, False, False
-        self.shown: Shown | None = None
-        self._tables: Tables | None = None
+        self.shown: DisplayedPattern | None = None
+        self._tables: SequenceTables | None = None
         self._next_s: float | None = None
         self._count = self._swaps = self._image = 0
         self._rewind()
 
-    def start(self, tables: Tables, now: float) -> None:
-        """Begin, or go on with the pattern at which it was paused."""
+    def start(self, tables: SequenceTables, now: float) -> None:
+        """Start the sequence, or resume it at the pattern at which it was paused.
+
+        Parameters
+        ----------
+        tables : SequenceTables
+            The sequence.
+        now : float
+            Present time in s.
+        """
         if self.state is not Run.PAUSE:
             self._rewind()
         self._tables = tables
-        self._times = divided(tables.entries, tables.times)
+        self._times = per_pattern_times(tables.entries, tables.times)
         self.state, self.running = Run.START, True
-        self._await(now)
+        self._schedule_next(now)
 
     def pause(self) -> None:
-        """Keep the present pattern; a start shows it again from its beginning."""
+        """Keep the present pattern; a start then shows it again from its beginning."""
         if self.running and self._count:
             self._count -= 1
-            self._swaps -= self._is_swap(self._count)
+            self._swaps -= self._swaps_image(self._count)
         self.state, self.running, self._next_s = Run.PAUSE, False, None
 
     def stop(self) -> None:
-        """Back to the first pattern."""
+        """Stop; a start then begins with the first pattern."""
         self.state, self.running, self._next_s = Run.STOP, False, None
 
     def advance(self, now: float) -> None:
-        """Do what was due until now."""
+        """Do what was due until now.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+        """
         while self.running and self._next_s is not None and self._next_s <= now:
             self._step(self._next_s)
 
     @property
-    def tables(self) -> Tables | None:
-        """What it runs by, or ran by last; None before the first start."""
+    def tables(self) -> SequenceTables | None:
+        """The sequence that runs, or that ran last; None before the first start."""
         return self._tables
 
     @property
     def next_s(self) -> float | None:
-        """When something will happen by itself; None when it waits for a trigger, or does not run."""
+        """Time in s when the next pattern begins without a trigger; None if it waits for one or stops."""
         return self._next_s if self.running else None
 
     def trigger_in(self, number: int, rising: bool, now: float) -> None:
-        """An edge on trigger input 1 or 2; one that comes before the present period is over is lost."""
+        """Take an edge on a trigger input; one before the end of the present period is lost.
+
+        Parameters
+        ----------
+        number : int
+            Trigger input 1 or 2.
+        rising : bool
+            Whether the edge is a rising one.
+        now : float
+            Present time in s.
+        """
         self.advance(now)
         if not self.running or self._tables is None:
             return
@@ -137,15 +244,28 @@ class Sequencer:
             self._count = 2 * pair + 1 - other if number == 1 else 2 * (pair + 1)
             self._count %= len(self._tables.entries)
             self._step(now)
-        elif number == 1 and self._next_s is None and now >= self._ready_s and self._awaits(edge):
+        elif number == 1 and self._next_s is None and now >= self._ready_s and self._next_trigger_is(edge):
             self._next_s = now + self._tables.input_delay_s
 
-    def lit(self, now: float, keeps: bool) -> Shown | None:
-        """What is on the mirrors; `keeps` says whether the last pattern stays when nothing runs."""
+    def displayed_at(self, now: float, keep_last: bool) -> DisplayedPattern | None:
+        """Return the pattern that is on the mirrors.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+        keep_last : bool
+            Whether the last pattern stays when no sequence runs.
+
+        Returns
+        -------
+        DisplayedPattern or None
+            None while the mirrors are dark.
+        """
         shown = self.shown
-        if shown is None or (not self.running and self.state is not Run.PAUSE and not keeps):
+        if shown is None or (not self.running and self.state is not Run.PAUSE and not keep_last):
             return None
-        return shown if not self.running or now < shown.lit_until_s or self._seamless else None
+        return shown if not self.running or now < shown.illuminated_until_s or self._seamless else None
 
     @property
     def _seamless(self) -> bool:
@@ -162,22 +282,26 @@ class Sequencer:
         assert self._tables is not None
         return self._tables.entries[count % len(self._tables.entries)]
 
-    def _is_swap(self, count: int) -> bool:
+    def _swaps_image(self, count: int) -> bool:
         return bool(self._entry(count)["swap"]) or count == 0
 
-    def _awaits(self, trigger: PatternTrigger) -> bool:
+    def _next_trigger_is(self, trigger: PatternTrigger) -> bool:
         return self._entry(self._count)["trigger"] == trigger
 
-    def _await(self, earliest_s: float) -> None:
-        """Set when the next pattern begins."""
+    def _schedule_next(self, earliest_s: float) -> None:
+        """Set when the next pattern begins, at the earliest at `earliest_s`."""
         tables = self._tables
         assert tables is not None
         self._ready_s = earliest_s
         ended = not tables.repeat and self._count >= tables.patterns
-        if ended or self._awaits(PatternTrigger.INTERNAL) or self._awaits(PatternTrigger.NONE):
+        if (
+            ended
+            or self._next_trigger_is(PatternTrigger.INTERNAL)
+            or self._next_trigger_is(PatternTrigger.NONE)
+        ):
             self._next_s = earliest_s
         elif tables.mode in (TriggerMode.VSYNC, TriggerMode.VSYNC_VARIABLE):
-            frames = -(-(earliest_s - LEAD_S) // tables.vsync_s)
+            frames = -(-(earliest_s - ROUNDING_S) // tables.vsync_s)
             self._next_s = frames * tables.vsync_s
         elif tables.mode is TriggerMode.ALTERNATING and self._count == 0:
             self._next_s = earliest_s
@@ -191,34 +315,34 @@ class Sequencer:
             self.stop()
             return
         entry = self._entry(self._count)
-        if self._is_swap(self._count):
-            self._swap(tables, at_s)
+        if self._swaps_image(self._count):
+            self._swap_image(tables, at_s)
         exposure, period = self._times[self._count % len(self._times)]
         image = self._image
-        self.shown = Shown(entry, image, at_s, at_s + exposure)
+        self.shown = DisplayedPattern(entry, image, at_s, at_s + exposure)
         self._pulse(tables, at_s)
         self._count += 1
         if tables.mode is TriggerMode.ALTERNATING:
             self._next_s = None
         else:
-            self._await(at_s + period)
+            self._schedule_next(at_s + period)
 
-    def _swap(self, tables: Tables, at_s: float) -> None:
-        """Take the next image, unless it is not loaded: then the old one stays and a flag is set."""
+    def _swap_image(self, tables: SequenceTables, at_s: float) -> None:
+        """Take the next image; if it is not loaded yet, keep the old one and set a flag."""
         if not tables.images:  # video frames come by themselves
             self._image = self._swaps
             self._on_frame(at_s)
         else:
             image = tables.images[self._swaps % len(tables.images)]
             preloaded = len(tables.images) <= 2 or self._swaps == 0
-            if preloaded or at_s - self._last_swap_s >= tables.load_s[image] - LEAD_S:
+            if preloaded or at_s - self._last_swap_s >= tables.load_s[image] - ROUNDING_S:
                 self._image = image
             else:
                 self.forced_swap = True
         self._swaps += 1
         self._last_swap_s = at_s
 
-    def _pulse(self, tables: Tables, at_s: float) -> None:
+    def _pulse(self, tables: SequenceTables, at_s: float) -> None:
         index, entry = self._count, self._entry(self._count)
         rise, fall, second = tables.edges_s
         if not entry["share_trigger"]:

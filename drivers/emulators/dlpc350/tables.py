@@ -1,4 +1,4 @@
-"""The tables behind the mailboxes: patterns, patterns with times of their own, images."""
+"""The tables behind the controller's mailboxes: patterns, patterns with variable exposure, and images."""
 
 from __future__ import annotations
 
@@ -8,13 +8,28 @@ from drivers.dlp4500.protocol import ENTRY, MOST_ENTRIES, Values
 
 Content = TypeVar("Content")
 RegisterContents = dict[int, Content]
+"""Table entries by their address."""
 
 POWER_ON_PATTERNS = bytes.fromhex("001806 042802 084802")
+"""Pattern table after power-on: three entries of 3 bytes."""
 POWER_ON_IMAGES = bytes([1])
+"""Image table after power-on: flash image 1."""
 
 
 class PatternTables:
-    """What was written, by place. Each writing raises `ValueError` for what does not fit."""
+    """The tables as they were written.
+
+    Writing entries from an address on discards all older entries from that address on.
+
+    Attributes
+    ----------
+    patterns : dict of int to Values
+        Pattern table by address.
+    variable : dict of int to Values
+        Pattern table of the modes with variable exposure, by address.
+    images : dict of int to int
+        Flash image indices by address.
+    """
 
     def __init__(self) -> None:
         self.patterns: RegisterContents[Values] = {}
@@ -24,44 +39,126 @@ class PatternTables:
         self.fill_images(0, POWER_ON_IMAGES, len(POWER_ON_IMAGES))
 
     def fill_patterns(self, address: int, data: bytes) -> None:
-        """Entries of 3 bytes from an address on."""
+        """Write entries of the pattern table.
+
+        Parameters
+        ----------
+        address : int
+            Of the first entry.
+        data : bytes
+            Entries of 3 bytes each.
+
+        Raises
+        ------
+        ValueError
+            The data is not a multiple of 3 bytes, goes beyond the table or has a field out of range.
+        """
         if len(data) % 3 or address + len(data) // 3 > MOST_ENTRIES:
-            raise ValueError("entries that do not fit")
+            raise ValueError("the entries do not fit in the pattern table")
         entries = [ENTRY.unpack(data[i : i + 3]) for i in range(0, len(data), 3)]
-        _continue(self.patterns, address, entries)
+        _write_entries(self.patterns, address, entries)
 
     def fill_images(self, address: int, data: bytes, most: int) -> None:
-        """Images from an address on, in a table of `most`."""
+        """Write entries of the image table.
+
+        Parameters
+        ----------
+        address : int
+            Of the first entry.
+        data : bytes
+            One flash image index per byte.
+        most : int
+            Entries that the table holds.
+
+        Raises
+        ------
+        ValueError
+            The data goes beyond the end of the table.
+        """
         if address + len(data) > most:
-            raise ValueError("images that do not fit")
-        _continue(self.images, address, list(data))
+            raise ValueError("the images do not fit in the image table")
+        _write_entries(self.images, address, list(data))
 
     def fill_variable(self, address: int, values: Values) -> None:
-        """One entry with its times."""
-        _continue(self.variable, address, [values])
+        """Write one entry of the pattern table with variable exposure.
+
+        Parameters
+        ----------
+        address : int
+            Of the entry.
+        values : Values
+            Its fields, exposure and period included.
+        """
+        _write_entries(self.variable, address, [values])
 
     def entries(self, variable: bool, count: int) -> list[Values]:
-        """The first `count` that were written."""
+        """Return the entries of a pattern table, without addresses that were not written.
+
+        Parameters
+        ----------
+        variable : bool
+            Whether the table with variable exposure is wanted.
+        count : int
+            Addresses 0 … count - 1 are read.
+
+        Returns
+        -------
+        list of Values
+            Entries in the order of their addresses.
+        """
         table = self.variable if variable else self.patterns
         return [table[i] for i in range(count) if i in table]
 
     def images_shown(self, count: int) -> list[int]:
-        """In the order in which they are swapped in: a table of two is read from its end."""
+        """Return the image indices in the order in which the sequencer swaps them in.
+
+        Parameters
+        ----------
+        count : int
+            Addresses 0 … count - 1 are read.
+
+        Returns
+        -------
+        list of int
+            Flash image indices; a table of two images is read from its end.
+        """
         images = [self.images[i] for i in range(count) if i in self.images]
         return images[::-1] if len(images) == 2 else images
 
     def pattern_bytes(self, count: int) -> bytes:
-        """What is read back of the pattern table; zero where nothing was written."""
+        """Return the pattern table as it is read back.
+
+        Parameters
+        ----------
+        count : int
+            Number of entries; no more are returned than the table holds.
+
+        Returns
+        -------
+        bytes
+            3 bytes per entry, zeros where nothing was written.
+        """
         zero = ENTRY.unpack(bytes(3))
         return b"".join(ENTRY.pack(self.patterns.get(i, zero)) for i in range(min(count, MOST_ENTRIES)))
 
     def image_bytes(self, count: int) -> bytes:
-        """What is read back of the image table."""
+        """Return the image table as it is read back.
+
+        Parameters
+        ----------
+        count : int
+            Number of entries.
+
+        Returns
+        -------
+        bytes
+            One byte per entry, zero where nothing was written.
+        """
         return bytes(self.images.get(i, 0) for i in range(count))
 
 
-def _continue(table: RegisterContents[Content], address: int, content: list[Content]) -> None:
-    """Write from an address on; the table ends there until more is written."""
+def _write_entries(table: RegisterContents[Content], address: int, content: list[Content]) -> None:
+    """Write entries from an address on; the table ends behind them until more is written."""
     for beyond in [i for i in table if i >= address]:
         del table[beyond]
     table |= {address + i: entry for i, entry in enumerate(content)}

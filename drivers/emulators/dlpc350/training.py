@@ -1,6 +1,6 @@
-"""An emulated LightCrafter on this computer's USB for people: to learn its commands, to try a rig file.
+"""An emulated LightCrafter on this computer's USB, to learn its commands or to try a rig file.
 
-It says on stderr what the projector does.
+It reports on stderr what the projector does.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drivers.emulators.dlpc350.light import ProjectedLight
 from drivers.emulators.dlpc350.loader import FlashedDlpc350
 from drivers.emulators.dlpc350.sequencer import Sequencer
 from drivers.emulators.dlpc350.usb import EmulatedHid
-from drivers.emulators.dlpc350.usbip import PluggedIn
+from drivers.emulators.dlpc350.usbip import UsbIpAttachment
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
@@ -30,34 +30,50 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 
 DEFAULT_PLAN = "plan_paper.yaml"
-LOOK_S = 0.1
-"""How often somebody would look at the projector."""
+"""Plan whose patterns are in flash when no firmware file is given."""
+STATE_POLL_S = 0.1
+"""Interval in s at which the projector's state is looked at."""
 
 
 @contextmanager
 def serve_projector(firmware: Path | None = None) -> Iterator[dict[str, str]]:
-    """A projector on USB in real time; gives what to do with it.
+    """Run an emulated projector on this computer's USB in real time; a context manager.
 
-    firmware: its flash, which can be written; without it the patterns of `DEFAULT_PLAN` are there for good.
-    Raises `DeviceError` as `PluggedIn`, and errors as `Firmware.load`.
+    Parameters
+    ----------
+    firmware : Path, optional
+        Firmware file with the content of the flash, which can then be rewritten. Without it the flash holds
+        the patterns of `DEFAULT_PLAN` and cannot be written.
+
+    Yields
+    ------
+    dict of str to str
+        How to use it: serial number, the projector section of a rig file, and commands to try.
+
+    Raises
+    ------
+    DeviceError
+        The kernel has no USB/IP hub, or this user may not use it.
+    FppError
+        The firmware file or the plan cannot be read.
     """
     with TemporaryDirectory(prefix="fpplab-") as folder:
-        controller, index = _flashed(firmware) if firmware else _filled(Path(folder))
+        controller, index = _from_firmware(firmware) if firmware else _from_default_plan(Path(folder))
         flash = f", flash: {index}" if index.exists() else ""
-        with PluggedIn(EmulatedHid(controller)) as plugged, _narrated(plugged):
+        with UsbIpAttachment(EmulatedHid(controller)) as attachment, _state_messages(attachment):
             yield {
-                "serial": plugged.hid.serial,
+                "serial": attachment.hid.serial,
                 "projector": f'{{backend: "drivers.dlp4500:Dlp4500"{flash}}}',
                 "try": "fpplab devices; fpplab dlp4500 status",
             }
 
 
-def _flashed(firmware: Path) -> tuple[Dlpc350, Path]:
+def _from_firmware(firmware: Path) -> tuple[Dlpc350, Path]:
     content = Firmware.load(firmware).content
     return FlashedDlpc350(RealClock(), content), firmware.absolute().with_suffix(".yaml")
 
 
-def _filled(folder: Path) -> tuple[Dlpc350, Path]:
+def _from_default_plan(folder: Path) -> tuple[Dlpc350, Path]:
     patterns = make_patterns(Plan.load(DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
     slots = arranged(patterns)
     index = folder / "patterns.yaml"
@@ -66,30 +82,43 @@ def _filled(folder: Path) -> tuple[Dlpc350, Path]:
 
 
 @contextmanager
-def _narrated(plugged: PluggedIn) -> Iterator[None]:
-    """Say what the projector does whenever it does something else."""
+def _state_messages(attachment: UsbIpAttachment) -> Iterator[None]:
+    """Report what the projector does whenever it changes."""
     ended = threading.Event()
 
-    def narrate() -> None:
+    def report() -> None:
         said = ""
-        while not ended.wait(LOOK_S):
-            with plugged.lock:
-                now = described(plugged.hid.controller) if plugged.hid.is_plugged else "off the bus"
+        while not ended.wait(STATE_POLL_S):
+            with attachment.lock:
+                now = (
+                    describe_state(attachment.hid.controller) if attachment.hid.is_plugged else "off the bus"
+                )
             if now != said:
                 console.say(now)
                 said = now
 
-    narrator = threading.Thread(target=narrate, daemon=True)
-    narrator.start()
+    reporter = threading.Thread(target=report, daemon=True)
+    reporter.start()
     try:
         yield
     finally:
         ended.set()
-        narrator.join()
+        reporter.join()
 
 
-def described(controller: Dlpc350) -> str:
-    """What it does at this moment, as who looks at it would say it."""
+def describe_state(controller: Dlpc350) -> str:
+    """Describe what the projector does at this moment.
+
+    Parameters
+    ----------
+    controller : Dlpc350
+        The emulated projector.
+
+    Returns
+    -------
+    str
+        Mode, sequence or pattern, and LED levels, for the operator.
+    """
     if isinstance(controller, FlashedDlpc350) and controller.loader is not None:
         return "boot loader: its flash can be written, it shows nothing"
     if controller.is_asleep():

@@ -1,4 +1,4 @@
-"""The emulated controller on an emulated wire that looks like hidapi, and what can go wrong on it."""
+"""The emulated controller behind an interface like that of hidapi, with faults of the USB connection."""
 
 from __future__ import annotations
 
@@ -13,35 +13,52 @@ from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.firmware import Dlpc350
 
 LATE_S = 3.0
+"""Delay in s of a reply with the fault `UsbFault.LATE`."""
 
 
 class UsbFault(Enum):
-    """What becomes of one request or of its reply."""
+    """What happens to one request or to its reply."""
 
     DROP = auto()
-    """Done, but the reply is lost."""
+    """Carried out, but the reply is lost."""
     LATE = auto()
-    """Done, and the reply comes after `LATE_S`."""
+    """Carried out, and the reply comes after `LATE_S`."""
     DUPLICATE = auto()
-    """Done, and the reply comes twice."""
+    """Carried out, and the reply comes twice."""
     NACK = auto()
-    """Not done, and said so."""
+    """Not carried out, and the reply has the error bit."""
     SHORT = auto()
-    """Done, and the reply's report is cut."""
+    """Carried out, and the reports of the reply are truncated."""
     UNPLUG_BEFORE = auto()
-    """Gone before it is done."""
+    """Not carried out: the cable is unplugged before."""
     UNPLUG_AFTER = auto()
-    """Done, and gone."""
+    """Carried out, and the cable is unplugged before the reply."""
 
 
 class UnpluggedError(OSError):
-    """What hidapi raises on reading from a device that is gone."""
+    """Raised, as by hidapi, on reading from a device that was unplugged."""
 
 
 class EmulatedHid:
     """Stands in for the module `hid`, with one projector plugged in.
 
-    faults: by number of the request since the beginning. requests: how many there were.
+    Parameters
+    ----------
+    controller : Dlpc350
+        The emulated projector.
+    serial : str
+        Its serial number.
+    faults : Mapping of int to UsbFault, optional
+        Faults by index of the request since the beginning, from 0.
+
+    Attributes
+    ----------
+    controller, serial, faults
+        As given.
+    requests : int
+        Number of requests so far.
+    plugs : int
+        Grows whenever the device leaves the bus: a device opened before is then lost.
     """
 
     def __init__(
@@ -52,29 +69,48 @@ class EmulatedHid:
         self.requests = 0
         self.plugs = 1
         self._plugged_from_s: float | None = 0.0
-        controller.on_restart = self.vanish
+        controller.on_restart = self.leave_bus
 
     @property
     def is_plugged(self) -> bool:
-        """Whether it can be found."""
+        """Whether the device is on the bus."""
         return self._plugged_from_s is not None and self.controller.clock.now() >= self._plugged_from_s
 
     def unplug(self) -> None:
-        """Take the USB cable out: the projector itself goes on."""
+        """Unplug the USB cable; the projector itself goes on."""
         self._plugged_from_s = None
         self.plugs += 1
 
     def plug(self) -> None:
-        """Put it in again."""
+        """Plug the USB cable in again."""
         self._plugged_from_s = self.controller.clock.now()
 
-    def vanish(self, seconds: float) -> None:
-        """Leave the bus for a while, as in a reset."""
+    def leave_bus(self, seconds: float) -> None:
+        """Be absent from the bus for a while, as in a reset.
+
+        Parameters
+        ----------
+        seconds : float
+            For how long.
+        """
         self.unplug()
         self._plugged_from_s = self.controller.clock.now() + seconds
 
     def enumerate(self, vendor_id: int = 0, product_id: int = 0) -> list[dict[str, Any]]:
-        """Both interfaces, the one without commands first."""
+        """List the device's interfaces as `hid.enumerate` does.
+
+        Parameters
+        ----------
+        vendor_id : int
+            USB vendor.
+        product_id : int
+            USB product.
+
+        Returns
+        -------
+        list of dict
+            Both interfaces, the one without commands first; empty for another product or while unplugged.
+        """
         if not self.is_plugged or (vendor_id, product_id) != (VENDOR, PRODUCT):
             return []
         return [
@@ -88,12 +124,24 @@ class EmulatedHid:
         ]
 
     def device(self) -> EmulatedDevice:
-        """As `hid.device()`."""
+        """Create a device handle as `hid.device()` does.
+
+        Returns
+        -------
+        EmulatedDevice
+            Not yet open.
+        """
         return EmulatedDevice(self)
 
 
 class EmulatedDevice:
-    """Stands in for hidapi's `hid.device`: reports in, reports out."""
+    """Stands in for hidapi's `hid.device`: reports in, reports out.
+
+    Parameters
+    ----------
+    hid : EmulatedHid
+        Where the projector is plugged in.
+    """
 
     def __init__(self, hid: EmulatedHid) -> None:
         self._hid, self._clock = hid, hid.controller.clock
@@ -103,17 +151,39 @@ class EmulatedDevice:
         self._order = count()
 
     def open_path(self, path: bytes) -> None:
-        """Open; `OSError` for what is not there."""
+        """Open the interface that takes commands.
+
+        Parameters
+        ----------
+        path : bytes
+            Path as `EmulatedHid.enumerate` gives it.
+
+        Raises
+        ------
+        OSError
+            There is no such interface, or the device is unplugged.
+        """
         if not self._hid.is_plugged or path != f"emulated:{INTERFACE}".encode():
             raise OSError("open failed")
         self._plug = self._hid.plugs
 
     def close(self) -> None:
-        """Let go."""
+        """Close the device."""
         self._plug = None
 
     def write(self, buff: bytes) -> int:
-        """Take a report number, 0, and a report; -1 when the device is gone."""
+        """Send a report.
+
+        Parameters
+        ----------
+        buff : bytes
+            Report number 0, then the report of `REPORT_BYTES` bytes.
+
+        Returns
+        -------
+        int
+            Number of bytes written; -1 if the device is gone or the size or report number is wrong.
+        """
         if not self._is_alive():
             return -1
         if len(buff) != REPORT_BYTES + 1 or buff[0]:
@@ -122,9 +192,29 @@ class EmulatedDevice:
         return len(buff)
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """The next report that comes in time, or nothing."""
+        """Read the next report.
+
+        Parameters
+        ----------
+        max_length : int
+            Bytes that are returned at most.
+        timeout_ms : int
+            How long to wait for it in ms.
+
+        Returns
+        -------
+        list of int
+            The report; empty if none comes in time.
+
+        Raises
+        ------
+        ValueError
+            The timeout is not above 0: hidapi would wait without limit.
+        UnpluggedError
+            The device is gone.
+        """
         if timeout_ms <= 0:
-            raise ValueError("hidapi would wait for ever")
+            raise ValueError("hidapi would wait without limit")
         if not self._is_alive():
             raise UnpluggedError("read error")
         now = self._clock.now()
@@ -138,19 +228,25 @@ class EmulatedDevice:
         return list(heapq.heappop(self._outgoing)[2][:max_length])
 
     def has_report(self) -> bool:
-        """Whether one can be read without waiting."""
+        """Return whether a report can be read without waiting.
+
+        Returns
+        -------
+        bool
+            False also when the device is gone.
+        """
         return self._is_alive() and bool(self._outgoing) and self._outgoing[0][0] <= self._clock.now()
 
     def _is_alive(self) -> bool:
         return self._plug == self._hid.plugs and self._hid.is_plugged
 
     def _take(self, report: bytes) -> None:
-        """Collect reports until a message is whole."""
+        """Collect reports until a message is complete."""
         self._incoming.append(report)
         try:
             length = header(self._incoming[0]).length
         except ValueError:
-            self._incoming = []  # longer than the buffer: nothing that could be answered
+            self._incoming = []  # longer than the buffer: it cannot be answered
             return
         if len(self._incoming) == 1 + further_reports(length):
             message, self._incoming = joined(self._incoming), []
@@ -163,7 +259,7 @@ class EmulatedDevice:
         if fault is UsbFault.UNPLUG_BEFORE:
             hid.unplug()
             return
-        reply = controller.refusal(message) if fault is UsbFault.NACK else controller.answer(message)
+        reply = controller.nack(message) if fault is UsbFault.NACK else controller.answer(message)
         if fault is UsbFault.UNPLUG_AFTER:
             hid.unplug()
         elif reply is not None and fault is not UsbFault.DROP:

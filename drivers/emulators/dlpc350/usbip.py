@@ -1,10 +1,12 @@
 """The emulated controller as a USB device of this computer, through the kernel's own USB/IP hub.
 
-The kernel's module vhci-hcd takes one end of a socket pair for a cable, and says on it what its drivers want
-of the device. To every program the projector is then on USB, as real as any; only its descriptors are
-assumptions (see `descriptors`).
+The kernel's module vhci-hcd takes one end of a socket pair in place of a cable, and sends over it the
+requests of its drivers. To every program the projector is then an ordinary USB device; only its descriptors
+are assumptions (see `descriptors`).
 
-Source: Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_sysfs.c.
+References
+----------
+Linux, Documentation/usb/usbip_protocol.rst and drivers/usb/usbip/vhci_sysfs.c.
 """
 
 from __future__ import annotations
@@ -22,38 +24,60 @@ from types import TracebackType
 from typing import Self
 
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
-from drivers.emulators.dlpc350.descriptors import FULL_SPEED, INWARDS, Introduction, endpoint_in, endpoint_out
+from drivers.emulators.dlpc350.descriptors import (
+    FULL_SPEED,
+    INWARDS,
+    ControlEndpoint,
+    endpoint_in,
+    endpoint_out,
+)
 from drivers.emulators.dlpc350.usb import EmulatedHid
 from fpplab.core.errors import DeviceError
 
 HUB = Path("/sys/devices/platform/vhci_hcd.0")
+"""Directory of the virtual hub in sysfs."""
 NAME = "emulator"
+"""Name of the device in error messages."""
 POLL_S = 0.002
+"""Longest time in s between two looks at the emulated device."""
 _SUBMIT, _UNLINK, _SUBMITTED, _UNLINKED = 1, 2, 3, 4
 _HEADER_BYTES = 48
 _DEVICE_ID = 1 << 16 | 2
-"""Bus and number at the far end, where there are none."""
+"""Bus and device number at the remote end, which have no meaning here."""
 _FREE = "004"
-"""State of a port of the hub."""
+"""State of a free port of the hub."""
 
 
-class Conversation:
-    """What the kernel and one plugged-in device say to each other over a socket.
+class UsbIpConnection:
+    """The USB/IP protocol between the kernel and one plugged-in device.
 
     Requests for reports wait here until there is one.
+
+    Parameters
+    ----------
+    hid : EmulatedHid
+        The device; it must be plugged in.
+    device_end : socket.socket
+        The device's end of the socket pair.
     """
 
-    def __init__(self, hid: EmulatedHid, near: socket.socket) -> None:
-        self._socket = near
+    def __init__(self, hid: EmulatedHid, device_end: socket.socket) -> None:
+        self._socket = device_end
         found = hid.enumerate(VENDOR, PRODUCT)
         (path,) = (one["path"] for one in found if one["interface_number"] == INTERFACE)
         self._device = hid.device()
         self._device.open_path(path)
-        self._introduction = Introduction(hid.serial)
-        self._waiting: dict[int, deque[tuple[int, int]]] = defaultdict(deque)
+        self._control_endpoint = ControlEndpoint(hid.serial)
+        self._pending: dict[int, deque[tuple[int, int]]] = defaultdict(deque)
 
-    def take(self) -> bool:
-        """Do the next thing that the kernel asks for; False when it has let go of the device."""
+    def handle_request(self) -> bool:
+        """Handle the kernel's next request.
+
+        Returns
+        -------
+        bool
+            False when the kernel has closed the connection.
+        """
         head = self._received(_HEADER_BYTES)
         if not head:
             return False
@@ -68,20 +92,20 @@ class Conversation:
         if endpoint & ~INWARDS == 0:
             self._control(number, head[40:48], bool(inwards), length)
         elif inwards:
-            self._waiting[endpoint].append((number, length))
+            self._pending[endpoint].append((number, length))
         else:
             if endpoint == endpoint_out(INTERFACE):
                 self._device.write(b"\0" + data)
-            self._done(number, length)
+            self._complete(number, length)
         return True
 
-    def give(self) -> None:
-        """Hand over the reports that are there and are waited for."""
-        waiting = self._waiting[endpoint_in(INTERFACE)]
-        while waiting and self._device.has_report():
-            number, length = waiting.popleft()
+    def deliver_reports(self) -> None:
+        """Complete the waiting requests for which there are reports."""
+        pending = self._pending[endpoint_in(INTERFACE)]
+        while pending and self._device.has_report():
+            number, length = pending.popleft()
             report = bytes(self._device.read(length, 1))
-            self._done(number, len(report), report)
+            self._complete(number, len(report), report)
 
     def _received(self, count: int) -> bytes:
         try:
@@ -91,35 +115,46 @@ class Conversation:
         return data if len(data) == count else b""
 
     def _control(self, number: int, setup: bytes, inwards: bool, length: int) -> None:
-        told = self._introduction.answer(setup)
-        if told is None:
-            self._done(number, 0, status=-errno.EPIPE)
+        data = self._control_endpoint.answer(setup)
+        if data is None:
+            self._complete(number, 0, status=-errno.EPIPE)
         else:
-            self._done(number, len(told) if inwards else length, told)
+            self._complete(number, len(data) if inwards else length, data)
 
     def _unlink(self, number: int, unwanted: int) -> None:
         found = False
-        for waiting in self._waiting.values():
-            for request in [r for r in waiting if r[0] == unwanted]:
-                waiting.remove(request)
+        for pending in self._pending.values():
+            for request in [r for r in pending if r[0] == unwanted]:
+                pending.remove(request)
                 found = True
         status = -errno.ECONNRESET if found else 0
-        self._say(struct.pack(">IIIIIi24x", _UNLINKED, number, 0, 0, 0, status))
+        self._send(struct.pack(">IIIIIi24x", _UNLINKED, number, 0, 0, 0, status))
 
-    def _done(self, number: int, actual: int, data: bytes = b"", status: int = 0) -> None:
-        self._say(struct.pack(">IIIIIii20x", _SUBMITTED, number, 0, 0, 0, status, actual) + data)
+    def _complete(self, number: int, actual: int, data: bytes = b"", status: int = 0) -> None:
+        self._send(struct.pack(">IIIIIii20x", _SUBMITTED, number, 0, 0, 0, status, actual) + data)
 
-    def _say(self, data: bytes) -> None:
-        with suppress(ConnectionError):  # the kernel has let go meanwhile: `take` finds out
+    def _send(self, data: bytes) -> None:
+        with suppress(ConnectionError):  # the kernel has closed the connection: `handle_request` will notice
             self._socket.sendall(data)
 
 
-class PluggedIn:
-    """The controller on this computer's USB between `with PluggedIn(hid)` and its end, in real time.
+class UsbIpAttachment:
+    """The controller on this computer's USB while its context is entered, in real time.
 
-    It leaves the bus and comes back as `hid` does: unplugged, or in a reset. lock: keeps the controller still
-    while somebody looks at it. Raises `DeviceError` on entry where the kernel has no such hub or does not let
-    this user plug in.
+    It leaves the bus and comes back as `hid` does: unplugged, or in a reset. Entering raises `DeviceError` if
+    the kernel has no such hub or does not let this user attach a device.
+
+    Parameters
+    ----------
+    hid : EmulatedHid
+        The device.
+
+    Attributes
+    ----------
+    hid : EmulatedHid
+        As given.
+    lock : threading.RLock
+        Held while the controller is served; take it to inspect the controller.
     """
 
     def __init__(self, hid: EmulatedHid) -> None:
@@ -139,37 +174,48 @@ class PluggedIn:
         self._thread.join()
 
     def _plug_in(self) -> None:
-        near, far = socket.socketpair()
-        with far, ExitStack() as failing:
-            failing.enter_context(near)
-            attach(far)
+        device_end, kernel_end = socket.socketpair()
+        with kernel_end, ExitStack() as failing:
+            failing.enter_context(device_end)
+            attach(kernel_end)
             failing.pop_all()
-        self._socket, self._plug = near, self.hid.plugs
-        self._conversation = Conversation(self.hid, near)
+        self._socket, self._plug = device_end, self.hid.plugs
+        self._connection = UsbIpConnection(self.hid, device_end)
 
     def _serve(self) -> None:
         while not self._ended.is_set():
             with self._socket:
-                self._follow()
+                self._serve_connection()
             while not self._ended.wait(POLL_S):
                 with self.lock:
                     if self.hid.is_plugged:
                         self._plug_in()
                         break
 
-    def _follow(self) -> None:
-        """Serve the kernel until the cable is out, at either end."""
+    def _serve_connection(self) -> None:
+        """Serve the kernel until the cable is unplugged at either end."""
         while not self._ended.is_set() and self.hid.plugs == self._plug:
             asked, _, _ = select.select([self._socket], [], [], POLL_S)
             with self.lock:
                 self.hid.controller.advance()
-                if asked and not self._conversation.take():
+                if asked and not self._connection.handle_request():
                     self.hid.unplug()
-                self._conversation.give()
+                self._connection.deliver_reports()
 
 
 def attach(cable: socket.socket) -> None:
-    """Plug a cable into the kernel's hub. Raises `DeviceError` when there is none, or no right to it."""
+    """Attach one end of a socket pair to the kernel's hub.
+
+    Parameters
+    ----------
+    cable : socket.socket
+        The kernel's end.
+
+    Raises
+    ------
+    DeviceError
+        There is no hub, this user may not use it, all its ports are taken, or it refuses.
+    """
     if not HUB.is_dir():
         raise DeviceError(
             NAME,
@@ -190,9 +236,22 @@ def attach(cable: socket.socket) -> None:
 
 
 def free_port() -> int:
-    """A port of the hub for a device of full speed. Raises `DeviceError` when all are taken."""
+    """Find a free port of the hub for a device of full speed.
+
+    Returns
+    -------
+    int
+        Its number.
+
+    Raises
+    ------
+    DeviceError
+        All ports are taken.
+    """
     for line in (HUB / "status").read_text("ascii").splitlines()[1:]:
         hub, port, state, *_ = line.split()
         if hub == "hs" and state == _FREE:
             return int(port)
-    raise DeviceError(NAME, "plug in", "every port of the kernel's USB/IP hub is taken", "end what uses it")
+    raise DeviceError(
+        NAME, "plug in", "every port of the kernel's USB/IP hub is taken", "detach a device from it"
+    )

@@ -1,4 +1,4 @@
-"""What the controller objects to in a sequence. Which cause sets which bit is in part an assumption."""
+"""Validation of a pattern sequence by the controller. Which cause sets which bit is in part an assumption."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from drivers.dlp4500.protocol import PatternTrigger, Values
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, planes
 
 LEAST_GAP_US = 230
+"""Shortest dark time in µs between an exposure and the next pattern, unless it is none at all."""
 
 
-def examine(
+def validate_sequence(
     entries: Sequence[Values],
     times_us: Sequence[tuple[int, int]],
     images: Sequence[int],
@@ -20,11 +21,29 @@ def examine(
     vsync_us: float | None,
     accepts_gap: bool,
 ) -> Values:
-    """The fields of `protocol.VALIDATION`, apart from busy.
+    """Return what the controller objects to in a sequence.
 
-    entries, times_us, images: what the tables hold. counts: entries and images that were declared.
-    flash_images: how many there are, None for the video port. vsync_us: period of the video frames, None for
-    flash.
+    Parameters
+    ----------
+    entries : Sequence of Values
+        Entries that the pattern table holds.
+    times_us : Sequence of (int, int)
+        Exposure and period of each entry in µs.
+    images : Sequence of int
+        Flash image indices that the image table holds.
+    counts : (int, int)
+        Declared numbers of entries and of images.
+    flash_images : int or None
+        Number of images in flash; None for patterns from the video port.
+    vsync_us : float or None
+        Period of the video frames in µs; None for patterns from flash.
+    accepts_gap : bool
+        Whether a gap of exactly 230 µs is valid.
+
+    Returns
+    -------
+    Values
+        The fields of `protocol.VALIDATION` apart from "busy", each 0 or 1.
     """
     return {
         "exposure_invalid": int(
@@ -69,7 +88,7 @@ def _images_fit(entries: Sequence[Values], images: Sequence[int], declared: int,
 
 
 def _groups(entries: Sequence[Values], field: str) -> list[range]:
-    """Runs of entries of which all but the first have `field` set."""
+    """Group entries in runs in which all but the first have `field` set."""
     starts = [i for i, entry in enumerate(entries) if not (entry[field] and i)]
     return [range(a, b) for a, b in zip(starts, [*starts[1:], len(entries)], strict=True)]
 

@@ -3,30 +3,41 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
+from drivers.clock import Clock
 from drivers.dlp4500.display import VideoFrame
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.light import FlashImage
 
-if TYPE_CHECKING:
-    from drivers.emulators.dlpc350.firmware import Dlpc350
-
-SWAPS = ("ABC", "CAB", "BCA", "ACB", "BAC", "CBA")
-"""Settings of the channel swap: inside, A is green, B red and C blue."""
-PORT = "ABC"
-"""The port's own channels, on which this board brings red, green and blue."""
-EARLY_S = 1e-9
-"""A VSYNC that comes this much too early by rounding alone still is that one."""
+CHANNEL_ORDERS = ("ABC", "CAB", "BCA", "ACB", "BAC", "CBA")
+"""Settings of the channel swap by number: inside the controller, A is green, B red and C blue."""
+PORT_CHANNELS = "ABC"
+"""The port's own channels, on which this board feeds red, green and blue."""
+ROUNDING_S = 1e-9
+"""A VSYNC that comes this much too early in s, by rounding alone, counts as that VSYNC."""
 DESKTOP_GREY = 128
+"""Grey level of the desktop that is on the port while the display is not open."""
 
 
 class Video:
-    """What comes in at the port: a frame until another begins, with a VSYNC every `vsync_s` from time 0 on.
+    """The signal at the video port: a frame until the next one, with a VSYNC every `vsync_s` from time 0 on.
 
-    locked: whether the controller follows it.
+    Parameters
+    ----------
+    frame : VideoFrame
+        First frame, uint8 (height, width, 3), red, green, blue.
+    vsync_s : float
+        Period of the frames in s.
+
+    Attributes
+    ----------
+    vsync_s : float
+        Period of the frames in s.
+    locked : bool
+        Whether the controller is locked to the signal.
     """
 
     def __init__(self, frame: VideoFrame, vsync_s: float = 1 / 60) -> None:
@@ -34,30 +45,94 @@ class Video:
         self._frame = self._next = frame.copy()
         self._next_from_s = 0.0
 
-    def put(self, frame: VideoFrame, now_s: float) -> float:
-        """Have another frame from the next VSYNC on; returns when that is."""
-        self._frame, self._next = self.at(now_s), frame.copy()
-        self._next_from_s = (math.floor((now_s + EARLY_S) / self.vsync_s) + 1) * self.vsync_s
+    def set_frame(self, frame: VideoFrame, now_s: float) -> float:
+        """Change to another frame at the next VSYNC.
+
+        Parameters
+        ----------
+        frame : VideoFrame
+            uint8 (height, width, 3), red, green, blue.
+        now_s : float
+            Present time in s.
+
+        Returns
+        -------
+        float
+            Time in s of the VSYNC from which on it is shown.
+        """
+        self._frame, self._next = self.frame_at(now_s), frame.copy()
+        self._next_from_s = (math.floor((now_s + ROUNDING_S) / self.vsync_s) + 1) * self.vsync_s
         return self._next_from_s
 
-    def at(self, time_s: float) -> VideoFrame:
-        """The frame at a time since the last but one was put up."""
-        return self._next if time_s + EARLY_S >= self._next_from_s else self._frame
+    def frame_at(self, time_s: float) -> VideoFrame:
+        """Return the frame on the port at a time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time in s, not before the last but one change of the frame.
+
+        Returns
+        -------
+        VideoFrame
+            uint8 (height, width, 3), red, green, blue.
+        """
+        return self._next if time_s + ROUNDING_S >= self._next_from_s else self._frame
 
 
-def planes_of(frame: VideoFrame, swap: int, names_the_input: bool) -> FlashImage:
-    """The planes that a frame fills under a channel swap; for `names_the_input` see `Policy`."""
-    channels = [PORT.index(letter) for letter in SWAPS[swap]]
-    return frame[..., channels if names_the_input else np.argsort(channels)]
+def apply_channel_swap(frame: VideoFrame, swap: int, letter_is_input: bool) -> FlashImage:
+    """Return the bit planes that a frame fills under a channel swap.
+
+    Parameters
+    ----------
+    frame : VideoFrame
+        uint8 (height, width, 3), red, green, blue.
+    swap : int
+        Setting of the channel swap, an index of `CHANNEL_ORDERS`.
+    letter_is_input : bool
+        How its letters are read, see `Dlpc350Policy.swap_letter_is_input`.
+
+    Returns
+    -------
+    FlashImage
+        uint8 (height, width, 3), green, red, blue.
+    """
+    channels = [PORT_CHANNELS.index(letter) for letter in CHANNEL_ORDERS[swap]]
+    return frame[..., channels if letter_is_input else np.argsort(channels)]
+
+
+class VideoReceiver(Protocol):
+    """A controller with a video port, as a display that is connected to it needs it.
+
+    Attributes
+    ----------
+    clock : Clock
+        The time that the controller and the display share.
+    video : Video or None
+        The signal at the port; the display sets it.
+    """
+
+    clock: Clock
+    video: Video | None
+
+    def advance(self) -> None:
+        """Do everything that was due until now; called before the display changes the frame."""
 
 
 class EmulatedDisplay:
     """Stands in for `drivers.dlp4500.display.SdlDisplay`: what it shows is on the controller's video port.
 
-    Whenever it is not open the desktop is there.
+    While it is not open the desktop is shown, a uniform grey-level image.
+
+    Parameters
+    ----------
+    controller : VideoReceiver
+        The controller whose video port the display is connected to.
+    vsync_s : float
+        Period of the frames in s.
     """
 
-    def __init__(self, controller: Dlpc350, vsync_s: float = 1 / 60) -> None:
+    def __init__(self, controller: VideoReceiver, vsync_s: float = 1 / 60) -> None:
         self.vsync_s = vsync_s
         width, height = SIZE
         self._desktop = np.full((height, width, 3), DESKTOP_GREY, np.uint8)
@@ -69,10 +144,16 @@ class EmulatedDisplay:
         self.show(np.zeros_like(self._desktop))
 
     def show(self, frame: VideoFrame) -> None:
-        """Put up a frame; returns once it is on the wire."""
+        """Show a frame and return once it is on the port, at the next VSYNC.
+
+        Parameters
+        ----------
+        frame : VideoFrame
+            uint8 (height, width, 3), red, green, blue.
+        """
         clock = self._controller.clock
         self._controller.advance()  # what was due had the frame before
-        clock.sleep(self._video.put(frame, clock.now()) - clock.now())
+        clock.sleep(self._video.set_frame(frame, clock.now()) - clock.now())
 
     def close(self) -> None:
         """Show the desktop again."""

@@ -1,11 +1,15 @@
-"""A GRBL 1.1 controller with one motorised rail behind it, to stand in for a stage.
+"""Software emulator of a GRBL 1.1 controller with one motorised rail, in place of a stage.
 
-It follows GRBL's interface documentation and source (github.com/gnea/grbl): one answer to each line,
-real-time commands, reports, settings, homing, limits, alarms and resets. Motion takes its time, by a clock
-that may be anyone's. Each move ends at rest, where GRBL would blend moves that follow each other. Left out:
-arcs, probing, spindle and coolant, overrides, check mode, sleep and the safety door.
+It follows GRBL's interface documentation and source: one answer to each line, real-time commands, reports,
+settings, homing, limits, alarms and resets. Motion takes time, by a clock of the caller's choice. Each move
+ends at rest, where GRBL would blend moves that follow each other. Left out: arcs, probing, spindle and
+coolant, overrides, check mode, sleep and the safety door.
 
-What a stage really does is not proven by it.
+It serves to test drivers and is no evidence of how a real stage behaves.
+
+References
+----------
+GRBL 1.1, github.com/gnea/grbl
 """
 
 from __future__ import annotations
@@ -15,14 +19,25 @@ from contextlib import contextmanager
 
 from drivers.emulators.grbl.controller import GrblController, GrblPolicy, GrblState
 from drivers.emulators.grbl.drive import Rail
-from drivers.emulators.terminal import Terminal
+from drivers.emulators.terminal import PseudoTerminal
 
 __all__ = ["GrblController", "GrblPolicy", "GrblState", "Rail", "serve_stage"]
 
 
 @contextmanager
 def serve_stage() -> Iterator[dict[str, str]]:
-    """A controller on a pseudo-terminal in real time; gives its port, and the stage of a rig file for it."""
-    with Terminal(GrblController()) as terminal:
+    """Run an emulated stage controller on a pseudo-terminal in real time; a context manager.
+
+    Yields
+    ------
+    dict of str to str
+        Its serial port, and the stage section of a rig file for it.
+
+    Raises
+    ------
+    DeviceError
+        The system has no pseudo-terminals.
+    """
+    with PseudoTerminal(GrblController()) as terminal:
         backend = f'{{backend: "drivers.stage_grbl:GrblStage", port: {terminal.port}}}'
         yield {"port": terminal.port, "stage": backend}

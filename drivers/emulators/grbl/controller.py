@@ -1,4 +1,4 @@
-"""The controller itself: lines, real-time commands, states and reports."""
+"""The GRBL controller: lines, real-time commands, states and reports."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from drivers.emulators.grbl.gcode import (
     Interpreter,
     Move,
 )
-from drivers.emulators.grbl.settings import DEFAULTS, Settings
+from drivers.emulators.grbl.settings import DEFAULTS, GrblSettings
 
 VERSION, BUILD = "1.1f", "1.1f.20170801"
 RX_BYTES, LINE_CHARACTERS, PLANNED_MOVES = 128, 80, 15
+"""Size of the receive buffer in bytes, longest line in characters, size of the planner's queue in moves."""
 WCO_EVERY, OVERRIDES_EVERY = (10, 30), (10, 20)
-"""Reports from one with this field to the next, at rest and in motion."""
+"""Number of reports from one with this field to the next, at rest and in motion."""
 
 _COMMENT = re.compile(r"\([^)]*\)?|;.*|\s")
 
 
 class GrblState(StrEnum):
-    """The first word of a report."""
+    """The state that a report begins with."""
 
     IDLE = "Idle"
     RUN = "Run"
@@ -43,10 +44,16 @@ class GrblState(StrEnum):
 
 @dataclass(frozen=True)
 class GrblPolicy:
-    """What depends on how GRBL was compiled, or is seen in its source and logs but not in its documentation.
+    """What depends on how GRBL was compiled, or is found in its source and logs but not in its documentation.
 
-    locks_at_power_up: HOMING_INIT_LOCK. forces_origin: HOMING_FORCE_SET_ORIGIN, zero where homing ends.
-    ok_after_abort: a line that a reset breaks off is still answered `ok`, after the alarm.
+    Attributes
+    ----------
+    locks_at_power_up : bool
+        HOMING_INIT_LOCK: with homing enabled it starts in the alarm state.
+    forces_origin : bool
+        HOMING_FORCE_SET_ORIGIN: the machine position is zero where homing ends.
+    ok_after_abort : bool
+        A line that a reset breaks off is still answered `ok`, after the alarm.
     """
 
     locks_at_power_up: bool = True
@@ -55,10 +62,27 @@ class GrblPolicy:
 
 
 class GrblController:
-    """The controller: `receive` bytes, `poll` for the bytes it says.
+    """The controller at the end of a serial line, see `SerialEmulator`.
 
-    clock: seconds, ever growing. settings: what differs from `DEFAULTS`. For faults see `drive`,
-    `power_cycle`, and `spoil`, which is given every line before it is said.
+    Parameters
+    ----------
+    clock : callable
+        Returns the time in s; it never runs backwards.
+    settings : dict of int to float, optional
+        Settings that differ from `DEFAULTS`, by number.
+    rail : Rail, optional
+        The mechanics.
+    policy : GrblPolicy, optional
+        Assumptions about undocumented behaviour.
+
+    Attributes
+    ----------
+    settings : GrblSettings
+        The settings, by number.
+    drive : Drive
+        Motors and rail, with faults to provoke.
+    alter_line : callable
+        Called with every line before it is sent, line end included; returns what is sent instead.
     """
 
     def __init__(
@@ -69,14 +93,20 @@ class GrblController:
         policy: GrblPolicy | None = None,
     ) -> None:
         self._clock, self._policy = clock, policy or GrblPolicy()
-        self.settings = Settings(DEFAULTS | (settings or {}))
+        self.settings = GrblSettings(DEFAULTS | (settings or {}))
         self.drive = Drive(self.settings, rail or Rail())
-        self.spoil: Callable[[str], str] = lambda line: line
-        self._said = bytearray()
+        self.alter_line: Callable[[str], str] = lambda line: line
+        self._output = bytearray()
         self.power_cycle()
 
     def receive(self, data: bytes) -> None:
-        """Take what came over the wire; real-time commands are obeyed at once."""
+        """Take bytes from the line; real-time commands are obeyed at once.
+
+        Parameters
+        ----------
+        data : bytes
+            As the program sent them; what does not fit in the receive buffer is lost.
+        """
         for byte in data:
             self._advance()
             match byte:
@@ -95,21 +125,27 @@ class GrblController:
             self._read_lines()
 
     def poll(self) -> bytes:
-        """Let time pass, and return what there is to say."""
+        """Advance to the present time and return what there is to send.
+
+        Returns
+        -------
+        bytes
+            Whole lines; may be empty.
+        """
         self._advance()
         self._read_lines()
-        said = bytes(self._said)
-        self._said.clear()
-        return said
+        output = bytes(self._output)
+        self._output.clear()
+        return output
 
     @property
     def mode(self) -> GrblState:
-        """The state that a report would tell."""
+        """The state that a report would give."""
         return self._mode
 
     def power_cycle(self) -> None:
-        """Off and on: the carriage stays where it is, but the position is forgotten."""
-        self.drive.forget()
+        """Switch off and on: the carriage stays where it is, but the position is forgotten."""
+        self.drive.forget_position()
         self._program = Interpreter()
         locked = self._policy.locks_at_power_up and self.settings.flag(22)
         self._mode = GrblState.ALARM if locked else GrblState.IDLE
@@ -123,15 +159,15 @@ class GrblController:
         self._dwell: Dwell | None = None
         self._rested_s = 0.0
         self._homed_s: float | None = None
-        self._holding = self._critical = False
+        self._holding = self._needs_reset = False
         self._wco_in = self._overrides_in = 0
         self._program.reset()
-        self._say(f"\r\nGrbl {VERSION} ['$' for help]")
+        self._send(f"\r\nGrbl {VERSION} ['$' for help]")
         if self._mode is GrblState.ALARM:
-            self._say("[MSG:'$H'|'$X' to unlock]")
+            self._send("[MSG:'$H'|'$X' to unlock]")
 
     def _reset(self) -> None:
-        broken_off = self._dwell is not None or self._mode is GrblState.HOME or self._critical
+        broken_off = self._dwell is not None or self._mode is GrblState.HOME or self._needs_reset
         if self._mode is GrblState.HOME:
             self._alarm(6)
         elif self.drive.motion is not None:
@@ -140,7 +176,7 @@ class GrblController:
 
     def _restart(self, broken_off: bool) -> None:
         if broken_off and self._policy.ok_after_abort:
-            self._say("ok")
+            self._send("ok")
         if self._mode is not GrblState.ALARM:
             self._mode = GrblState.IDLE
         self._start()
@@ -149,13 +185,13 @@ class GrblController:
         self.drive.motion = None
         self._queue.clear()
         self._mode = GrblState.ALARM
-        self._say(f"ALARM:{code}")
+        self._send(f"ALARM:{code}")
 
     def _lock(self, code: int) -> None:
-        """An alarm after which only a reset is heard."""
+        """Raise an alarm after which only a reset is obeyed."""
         self._alarm(code)
-        self._critical = True
-        self._say("[MSG:Reset to continue]")
+        self._needs_reset = True
+        self._send("[MSG:Reset to continue]")
 
     # --- motion in time
 
@@ -164,16 +200,16 @@ class GrblController:
         if self._homed_s is not None and now >= self._homed_s:
             self._end_homing()
         while motion := self.drive.motion:
-            if self.drive.follow(now) and self.settings.flag(21):
+            if self.drive.update(now) and self.settings.flag(21):
                 self._lock(1)
             if self.drive.motion is not motion or now < motion.ends_s:
                 break
             self.drive.motion = None
-            self._go_on(motion.ends_s)
+            self._start_next_move(motion.ends_s)
         self._end_dwell(now)
 
-    def _go_on(self, at_s: float) -> None:
-        """What follows when a motion has ended."""
+    def _start_next_move(self, at_s: float) -> None:
+        """Start the next planned move when a motion has ended; without one come to rest."""
         if self._mode is GrblState.HOLD:
             self._holding = True
             return
@@ -185,13 +221,13 @@ class GrblController:
     def _end_dwell(self, now: float) -> None:
         if self._dwell and self._mode is GrblState.IDLE and now >= self._rested_s + self._dwell.seconds:
             self._dwell = None
-            self._say("ok")
+            self._send("ok")
 
     def _plan(self, move: Move, mode: GrblState) -> None:
         self._queue.append(move)
         if self._mode is GrblState.IDLE:
             self._mode = mode
-            self._go_on(self._clock())
+            self._start_next_move(self._clock())
 
     @property
     def _planned_end(self) -> AxisPositions:
@@ -219,7 +255,7 @@ class GrblController:
             if rest:
                 self._queue.appendleft(rest)
             if self.drive.motion is None:
-                self._go_on(self._clock())
+                self._start_next_move(self._clock())
         else:
             self._cancel_jog()
 
@@ -228,15 +264,15 @@ class GrblController:
             self._queue.clear()
             self.drive.brake(self._clock())
             if self.drive.motion is None:
-                self._go_on(self._clock())
+                self._start_next_move(self._clock())
 
     def _resume(self) -> None:
         if self._holding:
             self._holding, self._mode = False, GrblState.RUN
-            self._go_on(self._clock())
+            self._start_next_move(self._clock())
 
     def _report(self) -> None:
-        if self._critical or self._mode is GrblState.HOME:
+        if self._needs_reset or self._mode is GrblState.HOME:
             return
         inches, offset = self.settings.flag(13), self._program.offset
         in_motion = self._mode in (GrblState.RUN, GrblState.JOG, GrblState.HOLD)
@@ -250,7 +286,7 @@ class GrblController:
             fields.append(f"Bf:{PLANNED_MOVES - len(self._queue)},{RX_BYTES - len(self._waiting)}")
         speed = self.drive.speed_mm_s(self._clock()) * 60 / (MM_PER_INCH if inches else 1.0)
         fields.append(f"FS:{speed:.0f},0")
-        if self.drive.pressed:
+        if self.drive.switch_pressed:
             fields.append(f"Pn:{AXES[self.drive.axis]}")
         if self._wco_in == 0:
             self._wco_in = WCO_EVERY[in_motion]
@@ -261,26 +297,26 @@ class GrblController:
             fields.append("Ov:100,100,100")
         self._wco_in -= 1
         self._overrides_in -= 1
-        self._say(f"<{'|'.join(fields)}>")
+        self._send(f"<{'|'.join(fields)}>")
 
     # --- lines
 
     def _read_lines(self) -> None:
-        while not self._is_deaf and (end := re.search(rb"[\r\n]", self._waiting)):
+        while not self._defers_lines and (end := re.search(rb"[\r\n]", self._waiting)):
             line = _COMMENT.sub("", self._waiting[: end.start()].decode("ascii")).upper()
             del self._waiting[: end.end()]
             try:
                 self._execute(line)
             except GcodeError as error:
-                self._say(f"error:{error.code}")
+                self._send(f"error:{error.code}")
 
     @property
-    def _is_deaf(self) -> bool:
-        """Whether lines wait: real-time commands are obeyed all the same."""
+    def _defers_lines(self) -> bool:
+        """Whether lines wait in the buffer; real-time commands are obeyed all the same."""
         full = len(self._queue) >= PLANNED_MOVES
         return (
             full
-            or self._critical
+            or self._needs_reset
             or self._dwell is not None
             or self._mode in (GrblState.HOME, GrblState.HOLD)
         )
@@ -294,7 +330,7 @@ class GrblController:
             self._home()
         elif line.startswith("$"):
             self._system(line)
-            self._say("ok")
+            self._send("ok")
         elif line and self._mode in (GrblState.ALARM, GrblState.JOG):
             raise GcodeError(9)
         else:
@@ -314,7 +350,7 @@ class GrblController:
                 self._lock(2)
                 return
             self._plan(asked, GrblState.RUN)
-        self._say("ok")
+        self._send("ok")
 
     def _jog(self, line: str) -> None:
         if self._mode not in (GrblState.IDLE, GrblState.JOG):
@@ -323,41 +359,41 @@ class GrblController:
         if self._leaves_travel(asked.target):
             raise GcodeError(15)
         self._plan(asked, GrblState.JOG)
-        self._say("ok")
+        self._send("ok")
 
     def _system(self, line: str) -> None:
         if line == "$$":
             if self._mode is GrblState.RUN:
                 raise GcodeError(8)
-            self._say("\r\n".join(self.settings.told()))
+            self._send("\r\n".join(self.settings.report_lines()))
         elif line == "$G":
-            self._say(self._program.modes())
+            self._send(self._program.modes())
         elif line == "$":
-            self._say("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
+            self._send("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]")
         elif line == "$X":
             if self._mode is GrblState.ALARM:
                 self._mode = GrblState.IDLE
-                self._say("[MSG:Caution: Unlocked]")
+                self._send("[MSG:Caution: Unlocked]")
         elif self._mode not in (GrblState.IDLE, GrblState.ALARM):
             raise GcodeError(8)
         elif line == "$#":
-            self._tell_offsets()
+            self._send_offsets()
         elif line == "$I":
-            self._say(f"[VER:{BUILD}:]")
-            self._say(f"[OPT:V{'Z' if self._policy.forces_origin else ''},{PLANNED_MOVES},{RX_BYTES}]")
+            self._send(f"[VER:{BUILD}:]")
+            self._send(f"[OPT:V{'Z' if self._policy.forces_origin else ''},{PLANNED_MOVES},{RX_BYTES}]")
         elif line == "$N":
-            self._say("$N0=\r\n$N1=")
+            self._send("$N0=\r\n$N1=")
         else:
-            self.settings.take(line)
+            self.settings.assign(line)
             self._wco_in = 0
 
-    def _tell_offsets(self) -> None:
+    def _send_offsets(self) -> None:
         inches = self.settings.flag(13)
         named = [(f"G{54 + i}", system) for i, system in enumerate(self._program.systems)]
         for name, vector in [*named, ("G28", ORIGIN), ("G30", ORIGIN), ("G92", self._program.shift)]:
-            self._say(f"[{name}:{_axes(vector, inches)}]")
-        self._say(f"[TLO:{_axes(ORIGIN, inches).split(',')[0]}]")
-        self._say(f"[PRB:{_axes(ORIGIN, inches)}:0]")
+            self._send(f"[{name}:{_axes(vector, inches)}]")
+        self._send(f"[TLO:{_axes(ORIGIN, inches).split(',')[0]}]")
+        self._send(f"[PRB:{_axes(ORIGIN, inches)}:0]")
 
     # --- homing
 
@@ -367,10 +403,10 @@ class GrblController:
         if not self.settings.flag(22):
             raise GcodeError(5)
         self._mode = GrblState.HOME
-        self._homed_s = self._clock() + self.drive.homing()[0]
+        self._homed_s = self._clock() + self.drive.homing_cycle()[0]
 
     def _end_homing(self) -> None:
-        _, carriage_mm, alarm = self.drive.homing()
+        _, carriage_mm, alarm = self.drive.homing_cycle()
         if alarm is not None:
             self.drive.carriage_mm = carriage_mm
             self._alarm(alarm)
@@ -378,10 +414,10 @@ class GrblController:
             return
         self._homed_s, self._mode = None, GrblState.IDLE
         self.drive.set_home(carriage_mm, self._policy.forces_origin)
-        self._say("ok")
+        self._send("ok")
 
-    def _say(self, line: str) -> None:
-        self._said += self.spoil(line + "\r\n").encode("ascii")
+    def _send(self, line: str) -> None:
+        self._output += self.alter_line(line + "\r\n").encode("ascii")
 
 
 def _axes(vector: AxisPositions, inches: bool) -> str:

@@ -1,4 +1,4 @@
-"""Motors and a rail: where the controller believes the carriage to be, and where it really is."""
+"""Motors and rail: the position that the controller counts, and where the carriage really is."""
 
 from __future__ import annotations
 
@@ -8,29 +8,60 @@ from dataclasses import dataclass
 
 from drivers.emulators.grbl.gcode import AxisPositions, Move
 from drivers.emulators.grbl.ramps import Brake, Ramp
-from drivers.emulators.grbl.settings import Settings
+from drivers.emulators.grbl.settings import GrblSettings
 
 
 @dataclass(frozen=True)
 class Rail:
-    """The mechanics that the controller knows nothing of.
+    """The mechanics, which the controller does not know.
 
-    The home switch is at 0, and lengths count away from it, in mm. length_mm: where the far end stop is; the
-    near one lies 1 mm behind the switch. start_mm: where the carriage stands at first.
+    Lengths count from the home switch, away from it.
+
+    Attributes
+    ----------
+    axis : int
+        The rail's axis of the machine: 0, 1 or 2.
+    length_mm : float
+        Position of the far end stop in mm; the near one is 1 mm behind the switch.
+    start_mm : float
+        Position of the carriage at first in mm.
     """
 
     axis: int = 0
     length_mm: float = 205.0
     start_mm: float = 42.0
 
-    def held(self, mm: float) -> float:
-        """Where the carriage is that is pushed to `mm`: end stops do not give way."""
+    def clamp(self, mm: float) -> float:
+        """Limit a position of the carriage to the range between the end stops.
+
+        Parameters
+        ----------
+        mm : float
+            Position to which it is pushed, in mm.
+
+        Returns
+        -------
+        float
+            Position that it reaches, in mm.
+        """
         return min(max(mm, -1.0), self.length_mm)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One move under way."""
+    """One move under way.
+
+    Attributes
+    ----------
+    origin : AxisPositions
+        Machine position in mm where it began.
+    target : AxisPositions
+        Machine position in mm where it ends.
+    ramp : Ramp or Brake
+        Its speed over time.
+    began_s : float
+        Time in s when it began.
+    """
 
     origin: AxisPositions
     target: AxisPositions
@@ -39,27 +70,69 @@ class Motion:
 
     @property
     def ends_s(self) -> float:
-        """When it is at rest."""
+        """Time in s when it comes to rest."""
         return self.began_s + self.ramp.duration_s
 
-    def after(self, travelled_mm: float) -> AxisPositions:
-        """Where it is when it has gone so far, mm of the machine."""
+    def position_after(self, travelled_mm: float) -> AxisPositions:
+        """Return the position at a distance from the origin.
+
+        Parameters
+        ----------
+        travelled_mm : float
+            Distance along the line in mm.
+
+        Returns
+        -------
+        AxisPositions
+            Machine position in mm.
+        """
         share = travelled_mm / self.ramp.distance_mm
         x, y, z = (a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True))
         return x, y, z
 
-    def at(self, now: float) -> AxisPositions:
-        """Where it is, mm of the machine."""
-        return self.target if now >= self.ends_s else self.after(self.ramp.travelled_mm(now - self.began_s))
+    def position_at(self, now: float) -> AxisPositions:
+        """Return the position at a time.
+
+        Parameters
+        ----------
+        now : float
+            Time in s, not before it began.
+
+        Returns
+        -------
+        AxisPositions
+            Machine position in mm.
+        """
+        return (
+            self.target
+            if now >= self.ends_s
+            else self.position_after(self.ramp.travelled_mm(now - self.began_s))
+        )
 
 
 class Drive:
-    """Counts steps as a controller does; the carriage follows as far as it can.
+    """Counts steps as a controller does; the carriage follows as far as the rail lets it.
 
-    carriage_mm: where it really is, away from the switch. switch_works, switch_sticks: faults of the switch.
+    Parameters
+    ----------
+    settings : GrblSettings
+        Of the controller.
+    rail : Rail
+        The mechanics.
+
+    Attributes
+    ----------
+    carriage_mm : float
+        True position of the carriage in mm, from the switch.
+    switch_works : bool
+        Set to False for a switch that never closes.
+    switch_sticks : bool
+        Set to True for a switch that never opens.
+    motion : Motion or None
+        The move under way.
     """
 
-    def __init__(self, settings: Settings, rail: Rail) -> None:
+    def __init__(self, settings: GrblSettings, rail: Rail) -> None:
         self._settings, self._rail = settings, rail
         self._steps = [0, 0, 0]
         self._crossings: list[tuple[float, Callable[[], None]]] = []
@@ -69,34 +142,56 @@ class Drive:
 
     @property
     def axis(self) -> int:
-        """The rail's: 0, 1 or 2."""
+        """The rail's axis: 0, 1 or 2."""
         return self._rail.axis
 
     @property
     def position(self) -> AxisPositions:
-        """Steps counted, in mm of the machine."""
+        """Machine position in mm by the steps counted."""
         x, y, z = (steps / self._settings.steps_per_mm(i) for i, steps in enumerate(self._steps))
         return x, y, z
 
     @property
-    def pressed(self) -> bool:
-        """Whether the switch is."""
+    def switch_pressed(self) -> bool:
+        """Whether the home switch is closed."""
         return self.switch_sticks or (self.switch_works and self.carriage_mm <= 0.0)
 
-    def forget(self) -> None:
-        """Stop dead, and count from here."""
+    def forget_position(self) -> None:
+        """Stop at once, and count steps from zero."""
         self.motion, self._steps = None, [0, 0, 0]
 
-    def slip(self, mm: float) -> None:
-        """Lose steps: shift the carriage against the motor, away from the switch."""
-        self.carriage_mm = self._rail.held(self.carriage_mm + mm)
+    def lose_steps(self, mm: float) -> None:
+        """Shift the carriage against the motor, as lost steps do.
 
-    def when_at(self, mm: float, action: Callable[[], None]) -> None:
-        """Do something once, when a motion passes `mm` of the machine on the rail's axis."""
+        Parameters
+        ----------
+        mm : float
+            Shift in mm, away from the switch.
+        """
+        self.carriage_mm = self._rail.clamp(self.carriage_mm + mm)
+
+    def call_at(self, mm: float, action: Callable[[], None]) -> None:
+        """Call a function once, when a motion passes a position.
+
+        Parameters
+        ----------
+        mm : float
+            Machine position in mm on the rail's axis.
+        action : callable
+            Takes no arguments.
+        """
         self._crossings.append((mm, action))
 
     def begin(self, move: Move, at_s: float) -> None:
-        """Set out for a target; nothing happens when it is there."""
+        """Start a move; a move of no length is left out.
+
+        Parameters
+        ----------
+        move : Move
+            Target and rate.
+        at_s : float
+            Time in s when it begins.
+        """
         ways = [abs(b - a) for a, b in zip(self.position, move.target, strict=True)]
         length = math.dist(self.position, move.target)
         if length == 0.0:
@@ -108,7 +203,18 @@ class Drive:
         self.motion = Motion(self.position, move.target, ramp, at_s)
 
     def brake(self, now: float) -> Move | None:
-        """Slow down to rest, and return what is left to do."""
+        """Slow the present move down to rest.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        Move or None
+            The rest of the move; None if there is none.
+        """
         motion = self.motion
         if motion is None or not isinstance(motion.ramp, Ramp):
             return None
@@ -116,44 +222,85 @@ class Drive:
         brake = Brake(ramp.speed_mm_s(elapsed), ramp.acceleration_mm_s2)
         gone = min(ramp.travelled_mm(elapsed) + brake.distance_mm, ramp.distance_mm)
         slows = brake.distance_mm > 0.0
-        self.motion = Motion(motion.at(now), motion.after(gone), brake, now) if slows else None
+        self.motion = (
+            Motion(motion.position_at(now), motion.position_after(gone), brake, now) if slows else None
+        )
         return Move(motion.target, ramp.rate_mm_s) if gone < ramp.distance_mm else None
 
-    def follow(self, now: float) -> bool:
-        """Be where the motion is now; True when that has just pressed the switch."""
+    def update(self, now: float) -> bool:
+        """Move steps and carriage to where the present motion is.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        bool
+            True if that has just closed the home switch.
+        """
         assert self.motion is not None
-        before, free = self.position[self.axis], not self.pressed
-        target = self.motion.at(now)
+        before, free = self.position[self.axis], not self.switch_pressed
+        target = self.motion.position_at(now)
         self._steps = [round(mm * self._settings.steps_per_mm(i)) for i, mm in enumerate(target)]
         after = self.position[self.axis]
-        self.carriage_mm = self._rail.held(self.carriage_mm + self._away * (after - before))
-        self._cross(before, after)
-        return free and self.pressed
+        self.carriage_mm = self._rail.clamp(self.carriage_mm + self._away * (after - before))
+        self._run_crossing_actions(before, after)
+        return free and self.switch_pressed
 
     def speed_mm_s(self, now: float) -> float:
-        """How fast it is."""
+        """Return the present speed.
+
+        Parameters
+        ----------
+        now : float
+            Present time in s.
+
+        Returns
+        -------
+        float
+            Speed in mm/s, 0 at rest.
+        """
         return self.motion.ramp.speed_mm_s(now - self.motion.began_s) if self.motion else 0.0
 
-    def homing(self) -> tuple[float, float, int | None]:
-        """How long a homing cycle takes from here, where it leaves the carriage, and the alarm that ends it.
+    def homing_cycle(self) -> tuple[float, float, int | None]:
+        """Predict a homing cycle from the present position.
 
-        Search, pull-off, slow approach and pull-off again, with a pause after each ($24 to $27).
+        It consists of search, pull-off, slow approach and a pull-off, with a pause after each ($24 to $27).
+
+        Returns
+        -------
+        duration_s : float
+            How long it takes in s.
+        carriage_mm : float
+            Where it leaves the carriage, in mm from the switch.
+        alarm : int or None
+            Number of the alarm by which it fails; None if it succeeds.
         """
         pull_off, seek, slow = self._settings[27], self._settings[25] / 60, self._settings[24] / 60
         search, way = 1.5 * self._settings.travel_mm(self.axis), max(0.0, self.carriage_mm)
         if self.switch_sticks:
             return (
                 self._legs([(0.0, seek), (pull_off, seek)]),
-                self._rail.held(self.carriage_mm + pull_off),
+                self._rail.clamp(self.carriage_mm + pull_off),
                 8,
             )
         if not self.switch_works or way > search:
-            return self._legs([(search, seek)]), self._rail.held(self.carriage_mm - search), 9
+            return self._legs([(search, seek)]), self._rail.clamp(self.carriage_mm - search), 9
         legs = [(way, seek), (pull_off, seek), (pull_off, slow), (pull_off, seek)]
         return self._legs(legs), pull_off, None
 
     def set_home(self, carriage_mm: float, at_zero: bool) -> None:
-        """The end of homing: the position becomes known. at_zero: call it 0, whichever end it is."""
+        """End a homing cycle: the position becomes known.
+
+        Parameters
+        ----------
+        carriage_mm : float
+            Where the cycle leaves the carriage, in mm from the switch.
+        at_zero : bool
+            Whether the machine position becomes 0, at whichever end the switch is.
+        """
         down = self._settings.homes_down(self.axis)
         switch = -self._settings.travel_mm(self.axis) if down else 0.0
         home = 0.0 if at_zero else switch + self._away * self._settings[27]
@@ -166,10 +313,11 @@ class Drive:
         return 1 if self._settings.homes_down(self.axis) else -1
 
     def _legs(self, legs: list[tuple[float, float]]) -> float:
+        """Return the time in s of (length, rate) legs from rest to rest, with a pause after each."""
         acceleration, pause = self._settings.acceleration_mm_s2(self.axis), self._settings[26] / 1000
         return sum(Ramp(mm, rate, acceleration).duration_s + pause for mm, rate in legs)
 
-    def _cross(self, before: float, after: float) -> None:
+    def _run_crossing_actions(self, before: float, after: float) -> None:
         if before == after:
             return
         passed = [c for c in self._crossings if min(before, after) <= c[0] <= max(before, after)]

@@ -12,8 +12,10 @@ from dataclasses import dataclass, field
 MM_PER_INCH = 25.4
 AXES = "XYZ"
 SYSTEMS = (54.0, 55.0, 56.0, 57.0, 58.0, 59.0)
+"""G codes of the work coordinate systems."""
 
 AxisPositions = tuple[float, float, float]
+"""X, Y and Z in mm."""
 ORIGIN: AxisPositions = (0.0, 0.0, 0.0)
 
 _GROUP = {
@@ -30,7 +32,18 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
 
 
 class GcodeError(Exception):
-    """A line that is not executed, with GRBL's number for the reason."""
+    """A line that is not executed.
+
+    Parameters
+    ----------
+    code : int
+        GRBL's number for the reason.
+
+    Attributes
+    ----------
+    code : int
+        As given.
+    """
 
     def __init__(self, code: int) -> None:
         super().__init__(f"error:{code}")
@@ -39,7 +52,15 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True)
 class Move:
-    """To a target in mm of the machine; rate in mm/s, or None for as fast as it can."""
+    """A straight move.
+
+    Attributes
+    ----------
+    target : AxisPositions
+        Machine position in mm.
+    rate_mm_s : float or None
+        Speed in mm/s; None for the greatest possible.
+    """
 
     target: AxisPositions
     rate_mm_s: float | None
@@ -47,26 +68,56 @@ class Move:
 
 @dataclass(frozen=True)
 class Dwell:
-    """Wait until all motion has ended, and so long after it."""
+    """A pause after all motion has ended.
+
+    Attributes
+    ----------
+    seconds : float
+        Its length in s.
+    """
 
     seconds: float
 
 
 @dataclass
 class GcodeBlock:
-    """The words of one line."""
+    """The words of one line.
+
+    Attributes
+    ----------
+    commands : dict of str to float
+        G codes by modal group.
+    values : dict of str to float
+        Values of the other words by letter.
+    """
 
     commands: dict[str, float] = field(default_factory=dict)
     values: dict[str, float] = field(default_factory=dict)
 
     @property
     def has_axes(self) -> bool:
-        """Whether X, Y or Z is named."""
+        """Whether X, Y or Z is given."""
         return any(axis in self.values for axis in AXES)
 
 
 def read_block(line: str) -> GcodeBlock:
-    """Split a line, without blanks and in capitals, into words; raise `GcodeError`."""
+    """Split a line into words.
+
+    Parameters
+    ----------
+    line : str
+        Without blanks, in capitals.
+
+    Returns
+    -------
+    GcodeBlock
+        Its words.
+
+    Raises
+    ------
+    GcodeError
+        A word is malformed, unsupported, repeated or negative where it must not be.
+    """
     block, at = GcodeBlock(), 0
     while at < len(line):
         found = _WORD.match(line, at)
@@ -97,9 +148,24 @@ def _add(block: GcodeBlock, letter: str, value: float) -> None:
 
 
 class Interpreter:
-    """The modes that one line leaves to the next, and the work coordinate systems.
+    """The modal state from one line to the next, and the work coordinate systems.
 
-    A reset puts the modes back, but keeps the systems; G92 is forgotten with the modes.
+    Attributes
+    ----------
+    systems : list of AxisPositions
+        Machine position in mm of the zero of each work coordinate system; a reset keeps them.
+    motion : float
+        G code of the motion mode, 0 or 1.
+    inches : bool
+        Whether lengths are in inches.
+    relative : bool
+        Whether positions are relative to the present one.
+    system : int
+        Index of the work coordinate system in use.
+    feed_mm_s : float or None
+        Feed rate in mm/s; None before the first.
+    shift : AxisPositions
+        Offset by G92 in mm; a reset clears it.
     """
 
     def __init__(self) -> None:
@@ -107,19 +173,25 @@ class Interpreter:
         self.reset()
 
     def reset(self) -> None:
-        """Modes as after switching on."""
+        """Restore the power-on modes; the work coordinate systems are kept."""
         self.motion, self.inches, self.relative, self.system = 0.0, False, False, 0
         self.feed_mm_s: float | None = None
         self.shift = ORIGIN
 
     @property
     def offset(self) -> AxisPositions:
-        """Machine position where the work position is zero, mm."""
+        """Machine position in mm of the work zero."""
         x, y, z = (a + b for a, b in zip(self.systems[self.system], self.shift, strict=True))
         return x, y, z
 
     def modes(self) -> str:
-        """The answer to `$G`."""
+        """Compose the answer to `$G`.
+
+        Returns
+        -------
+        str
+            The line without its end.
+        """
         words = [
             self.motion,
             SYSTEMS[self.system],
@@ -132,9 +204,24 @@ class Interpreter:
         return f"[GC:{' '.join(f'G{word:g}' for word in words)} M5 M9 T0 F{feed:.0f} S0]"
 
     def execute(self, line: str, here: AxisPositions) -> Move | Dwell | None:
-        """What a line of G-code asks for; here: where the motion before it ends, mm of the machine.
+        """Interpret a line of G-code.
 
-        Raises `GcodeError`, and has then changed nothing.
+        Parameters
+        ----------
+        line : str
+            Without blanks, in capitals.
+        here : AxisPositions
+            Machine position in mm where the motion before it ends.
+
+        Returns
+        -------
+        Move, Dwell or None
+            What it orders; None if it only changes modes or offsets.
+
+        Raises
+        ------
+        GcodeError
+            The line is refused, and has changed nothing.
         """
         block = read_block(line)
         once = block.commands.get("once")
@@ -162,7 +249,25 @@ class Interpreter:
         return Move(self._target(block, here, self.relative), feed if motion == 1.0 else None)
 
     def jog(self, line: str, here: AxisPositions) -> Move:
-        """What `$J=` asks for; its modes hold for this line alone."""
+        """Interpret a jog command; its modes hold for this line alone.
+
+        Parameters
+        ----------
+        line : str
+            What follows `$J=`, without blanks, in capitals.
+        here : AxisPositions
+            Machine position in mm where the motion before it ends.
+
+        Returns
+        -------
+        Move
+            What it orders.
+
+        Raises
+        ------
+        GcodeError
+            The line is refused.
+        """
         block = read_block(line)
         absolute = block.commands.pop("once", None)
         if absolute not in (None, 53.0) or not block.commands.keys() <= _IN_A_JOG:

@@ -1,4 +1,4 @@
-"""Motion in time, as a controller with limited acceleration makes it."""
+"""Motion over time with limited acceleration."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ramp:
-    """From rest to rest along a line: speeds up, goes on at the rate or its nearest, slows down.
+    """A motion along a line from rest to rest: it accelerates, keeps its speed, and decelerates.
 
-    distance_mm: how far, 0 or more. rate_mm_s, acceleration_mm_s2: greatest speed and acceleration, above 0.
+    Attributes
+    ----------
+    distance_mm : float
+        Length in mm, 0 or more.
+    rate_mm_s : float
+        Greatest speed in mm/s, above 0.
+    acceleration_mm_s2 : float
+        Acceleration and deceleration in mm/s², above 0.
     """
 
     distance_mm: float
@@ -19,18 +26,29 @@ class Ramp:
 
     @property
     def peak_mm_s(self) -> float:
-        """The speed in the middle: a short way never reaches the rate."""
+        """Greatest speed reached in mm/s; on a short distance less than the rate."""
         return min(self.rate_mm_s, math.sqrt(self.acceleration_mm_s2 * self.distance_mm))
 
     @property
     def duration_s(self) -> float:
-        """Time from rest to rest."""
+        """Time in s from rest to rest."""
         if self.distance_mm == 0.0:
             return 0.0
         return self.distance_mm / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2
 
     def travelled_mm(self, t_s: float) -> float:
-        """How far it is after a time."""
+        """Return the distance after a time.
+
+        Parameters
+        ----------
+        t_s : float
+            Time since the start in s.
+
+        Returns
+        -------
+        float
+            Distance in mm.
+        """
         if t_s >= self.duration_s:
             return self.distance_mm
         a, up_s = self.acceleration_mm_s2, self.peak_mm_s / self.acceleration_mm_s2
@@ -41,12 +59,34 @@ class Ramp:
         return self.distance_mm - a * (self.duration_s - t_s) ** 2 / 2
 
     def speed_mm_s(self, t_s: float) -> float:
-        """How fast it is after a time."""
+        """Return the speed after a time.
+
+        Parameters
+        ----------
+        t_s : float
+            Time since the start in s.
+
+        Returns
+        -------
+        float
+            Speed in mm/s.
+        """
         a = self.acceleration_mm_s2
         return max(0.0, min(self.peak_mm_s, a * t_s, a * (self.duration_s - t_s)))
 
-    def reached_s(self, mm: float) -> float:
-        """When it has gone `mm`, 0 … distance_mm: the inverse of `travelled_mm`."""
+    def time_to_reach_s(self, mm: float) -> float:
+        """Return when a distance is reached: the inverse of `travelled_mm`.
+
+        Parameters
+        ----------
+        mm : float
+            Distance in mm, 0 … distance_mm.
+
+        Returns
+        -------
+        float
+            Time since the start in s.
+        """
         a, up_mm = self.acceleration_mm_s2, self.peak_mm_s**2 / (2 * self.acceleration_mm_s2)
         if mm <= up_mm:
             return math.sqrt(2 * mm / a)
@@ -57,26 +97,56 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Brake:
-    """From a speed to rest."""
+    """A deceleration to rest.
+
+    Attributes
+    ----------
+    from_mm_s : float
+        Speed at its beginning in mm/s.
+    acceleration_mm_s2 : float
+        Deceleration in mm/s².
+    """
 
     from_mm_s: float
     acceleration_mm_s2: float
 
     @property
     def distance_mm(self) -> float:
-        """How far it still goes."""
+        """Distance in mm until rest."""
         return self.from_mm_s**2 / (2 * self.acceleration_mm_s2)
 
     @property
     def duration_s(self) -> float:
-        """How long it still goes."""
+        """Time in s until rest."""
         return self.from_mm_s / self.acceleration_mm_s2
 
     def travelled_mm(self, t_s: float) -> float:
-        """How far it is after a time."""
+        """Return the distance after a time.
+
+        Parameters
+        ----------
+        t_s : float
+            Time since the beginning in s.
+
+        Returns
+        -------
+        float
+            Distance in mm.
+        """
         t_s = min(t_s, self.duration_s)
         return self.from_mm_s * t_s - self.acceleration_mm_s2 * t_s**2 / 2
 
     def speed_mm_s(self, t_s: float) -> float:
-        """How fast it is after a time."""
+        """Return the speed after a time.
+
+        Parameters
+        ----------
+        t_s : float
+            Time since the beginning in s.
+
+        Returns
+        -------
+        float
+            Speed in mm/s.
+        """
         return max(0.0, self.from_mm_s - self.acceleration_mm_s2 * t_s)

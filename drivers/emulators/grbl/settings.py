@@ -1,4 +1,4 @@
-"""The settings of a GRBL 1.1 controller: what `$$` tells and `$x=value` takes."""
+"""The settings of a GRBL 1.1 controller, as `$$` lists and `$x=value` changes them."""
 
 from __future__ import annotations
 
@@ -12,22 +12,39 @@ DEFAULTS: dict[int, float] = {
     100: 400.0, 101: 400.0, 102: 400.0, 110: 1200.0, 111: 1200.0, 112: 1200.0,
     120: 100.0, 121: 100.0, 122: 100.0, 130: 200.0, 131: 200.0, 132: 200.0,
 }  # fmt: skip
-"""A rail of 200 mm with a screw of 4 mm and 1600 microsteps a turn."""
+"""Settings by number, for a rail of 200 mm with a screw of 4 mm pitch and 1600 microsteps per revolution."""
 
 _WITH_DECIMALS = {11, 12, 24, 25, 27, *range(100, 133)}
 
 
-class Settings(dict[int, float]):
-    """Values by number, and what they mean for one axis, 0 … 2."""
+class GrblSettings(dict[int, float]):
+    """Settings by number, and what they mean for one axis, 0 … 2."""
 
-    def told(self) -> list[str]:
-        """The lines of `$$`."""
+    def report_lines(self) -> list[str]:
+        """Compose the answer to `$$`.
+
+        Returns
+        -------
+        list of str
+            One line per setting, without line ends.
+        """
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self.items()
         ]
 
-    def take(self, line: str) -> None:
-        """Obey `$x=value`; raise `GcodeError`."""
+    def assign(self, line: str) -> None:
+        """Execute `$x=value`.
+
+        Parameters
+        ----------
+        line : str
+            Without blanks, in capitals.
+
+        Raises
+        ------
+        GcodeError
+            There is no such setting, or it cannot have that value.
+        """
         name, equals, text = line[1:].partition("=")
         if not name.isdecimal() or not equals:
             raise GcodeError(3)
@@ -50,25 +67,91 @@ class Settings(dict[int, float]):
         self[number] = value if number in _WITH_DECIMALS or number in (30, 31) else math.trunc(value)
 
     def flag(self, number: int) -> bool:
-        """Whether a setting is on."""
+        """Return whether a setting is on.
+
+        Parameters
+        ----------
+        number : int
+            Of the setting.
+
+        Returns
+        -------
+        bool
+            True for any value but 0.
+        """
         return bool(self[number])
 
     def homes_down(self, axis: int) -> bool:
-        """Whether the switch is at the negative end."""
+        """Return whether the home switch is at the negative end of an axis ($23).
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+
+        Returns
+        -------
+        bool
+            False for the positive end.
+        """
         return bool(int(self[23]) >> axis & 1)
 
     def steps_per_mm(self, axis: int) -> float:
-        """`$100` and its neighbours."""
+        """Return the resolution of an axis ($100 … $102).
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+
+        Returns
+        -------
+        float
+            Steps per mm.
+        """
         return self[100 + axis]
 
     def rate_mm_s(self, axis: int) -> float:
-        """Greatest speed, from mm/min."""
+        """Return the greatest speed of an axis ($110 … $112, which are in mm/min).
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+
+        Returns
+        -------
+        float
+            Speed in mm/s.
+        """
         return self[110 + axis] / 60
 
     def acceleration_mm_s2(self, axis: int) -> float:
-        """Greatest acceleration."""
+        """Return the greatest acceleration of an axis ($120 … $122).
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+
+        Returns
+        -------
+        float
+            Acceleration in mm/s².
+        """
         return self[120 + axis]
 
     def travel_mm(self, axis: int) -> float:
-        """Greatest travel."""
+        """Return the greatest travel of an axis ($130 … $132).
+
+        Parameters
+        ----------
+        axis : int
+            0, 1 or 2.
+
+        Returns
+        -------
+        float
+            Travel in mm.
+        """
         return self[130 + axis]
