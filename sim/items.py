@@ -23,7 +23,6 @@ from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
-from sim.world.materials import paint
 
 PRINT_PX_PER_MM = (4.0, 32.0)
 
@@ -80,7 +79,7 @@ def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
         picture = _share_of_ground(target, _print_resolution(world, pose))
         printed = Paint(target.background, ink=target.foreground)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
-    return Surface(vertices, faces, pose.matrix, paint(world.material_of(name)))
+    return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
 
 
 @lru_cache(maxsize=64)

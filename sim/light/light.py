@@ -232,7 +232,7 @@ class Light:
         """Under mirrors at these light levels, as the table has its pixels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         part = table.part(texture.shape)
-        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp, part[:2])
+        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp_side, part[:2])
 
     def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
@@ -242,7 +242,7 @@ class Light:
         _, scene, _ = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
         table = LightTable.of(first, scene).divided_by(
-            self._textures(setup, basis.channels[:1]), scene.lamp.sharp
+            self._textures(setup, basis.channels[:1]), scene.lamp.sharp_side
         )
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)

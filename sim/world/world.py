@@ -17,7 +17,8 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, with_file_beside
-from sim.world.materials import Diffuse, Material, Translucent
+from sim.world.materials import Material, MaterialSection
+from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
@@ -61,8 +62,8 @@ class World(Document):
     stage: StageWorld = StageWorld()
     items: dict[str, Item]
     mounted: str = "nothing"
-    material: Material = Diffuse()
-    materials: Annotated[dict[str, Material], Field(default_factory=dict)]
+    material: MaterialSection = Diffuse()
+    materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
     vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
     render: Render = Render()
@@ -131,7 +132,7 @@ class World(Document):
 
     def is_translucent(self, name: str) -> bool:
         """Whether light enters an item and leaves it elsewhere."""
-        return isinstance(self.material_of(name), Translucent)
+        return self.material_of(name).subsurface
 
     @property
     def path(self) -> LightPath:

@@ -32,7 +32,7 @@ KNOWN = digest(SCENE, SHIFTED)
 
 
 def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The place of every number, or array of them."""
+    """The place of every number or name, or array of numbers."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             yield from numbers(getattr(value, field.name), (*path, field.name))
@@ -57,6 +57,8 @@ def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
         return changed
     if isinstance(value, bool):
         return not value
+    if isinstance(value, str):
+        return f"{value}x"
     return value ^ 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
 
 

@@ -140,14 +140,14 @@ def test_blender_ends_with_the_process_that_started_it() -> None:
     script = """
 import sys
 from sim.build import Setup, build_scene
-from sim.scene import Effort, View
+from sim.scene import Effort, SubpixelView
 from sim.worker import Blender
 from tests.sim.conftest import world
 blender, of = Blender("bench"), world(render={"subpixels": 8})
 scene, _ = build_scene(of, Setup("pillars"))
 blender.start()
 print(blender.pid, flush=True)
-blender.render(scene, None, [View((0.0, 0.0))], Effort(4096, 8), 600)
+blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(4096, 8), 600)
 """
     before = shared_memory()
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)
