@@ -1,4 +1,4 @@
-"""The simulated world as plain data, one module for each of a world file's sections.
+"""The simulated world as plain data, one module for each section of a world file.
 
 The world frame is the camera's (OpenCV, mm). Irradiance is relative: 1 is a perfectly white surface that
 faces the white projector at `projector.distance_mm`.
