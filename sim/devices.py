@@ -179,7 +179,7 @@ class VirtualBench:
             return with_vibration(self.light, setup, self._displaced(setup), shake, show, weights)
         if step:  # no render to save
             x, y, z = (step * shake).tolist()
-            setup = replace(setup, shake_mm=(x, y, z))
+            setup = replace(setup, vibration_mm=(x, y, z))
         return self.light.irradiance(setup, show, weights)
 
     def _displaced(self, setup: Setup) -> tuple[Setup, ...]:

@@ -336,4 +336,4 @@ projector; the surface's reflectance; and the point that was seen, in mm, zeros 
 
 
 POSITION, REFLECTANCE = "position", "reflectance"
-"""Names of the render passes with which every material outputs the point that is seen and its reflectance."""
+"""Names of the render passes in which materials output the point that is seen and its reflectance."""

@@ -152,7 +152,7 @@ class Light:
         """The direct light on all that is in view, from memory, from disk, or rendered."""
         _, scene, _ = self._built(setup)
         key = digest(scene, self._views(setup))
-        if any(setup.shake_mm):  # the next frame has another
+        if any(setup.vibration_mm):  # the next frame has another
             if self._shaken is None or self._shaken[0] != key:
                 self._shaken = (key, self._found(setup, key))
             return self._shaken[1]
@@ -186,7 +186,7 @@ class Light:
         path = self._world.path
         if path == "transport":
             return self._looked_up(setup, levels, index, None)
-        if path == "reference" or any(setup.shake_mm):  # for one picture a basis does not pay
+        if path == "reference" or any(setup.vibration_mm):  # for one picture a basis does not pay
             return self._pictures.get(
                 (setup, levels, index),
                 lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
@@ -208,7 +208,7 @@ class Light:
         """
         width, height = self._world.camera.size
         together = max(1, min(TOGETHER, TOGETHER_BYTES // (4 * width * height)))
-        if any(setup.shake_mm):
+        if any(setup.vibration_mm):
             together = 1  # nobody will ask for the next one here
         first = index - index % together
         states = range(first, min(first + together, levels.count))
@@ -297,7 +297,7 @@ class Light:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
             return computed(scene, self._views(setup), spots=True)
-        keep = self._cache if not any(setup.shake_mm) else None
+        keep = self._cache if not any(setup.vibration_mm) else None
         table = keep.load(key) if keep else None
         if table is None:
             table = LightTable.of(

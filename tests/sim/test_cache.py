@@ -193,7 +193,7 @@ def test_another_place_of_the_stage_is_rendered_again(kept: TableCache) -> None:
 def test_what_shakes_is_neither_looked_for_nor_kept(blender: Blender, tmp_path: Path) -> None:
     """It never comes back: it would push out what does."""
     store = TableCache(tmp_path / "light")
-    assert picture(world(), blender, store, Setup("pillars", shake_mm=(0.1, 0.0, 0.0))).max() > 0.5
+    assert picture(world(), blender, store, Setup("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
     assert not (tmp_path / "light").exists()
 
 
