@@ -99,7 +99,7 @@ def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
                 out = folder / SCANS / item
                 take(rig, scan_plan, out, (item, 0), complete_too=True, progress=report)
         with console.progress(f"Recording {MOVED} poses with the focus moved"):
-            virtual_bench(rig).become(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
+            virtual_bench(rig).replace_world(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
             for pose in range(trial.few - MOVED, trial.few):
                 out = folder / REFOCUSED / f"pose_{pose:02d}"
                 take(rig, plan, out, (BOARD, pose), complete_too=True)

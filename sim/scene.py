@@ -314,8 +314,8 @@ class SubpixelView:
     shift : tuple of float
         (u, v) from the pixel's centre in px.
     lens : tuple of float
-        Point of the aperture, on a disc of radius 1; turned about the axis by an angle that differs from pixel
-        to pixel, so that few points do not make ghost images.
+        Point of the aperture, on a disc of radius 1; turned about the axis by a different angle in every
+        pixel, so that few points do not make ghost images.
     """
 
     shift: tuple[float, float]
@@ -336,4 +336,4 @@ projector; the surface's reflectance; and the point that was seen, in mm, zeros 
 
 
 POSITION, REFLECTANCE = "position", "reflectance"
-"""Names of the render passes in which materials output the point that is seen and its reflectance."""
+"""Render passes in which every material outputs the point that is seen, and its reflectance."""

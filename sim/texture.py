@@ -227,7 +227,7 @@ _SMALL_DISC = 2.0
 
 @lru_cache(maxsize=64)
 def _disc_of(circle: float) -> Floats:
-    """Draw a disc with a circle of confusion's variance; with its diameter it would have more on whole texels."""
+    """Draw a disc whose variance on whole texels is that of a circle of confusion."""
 
     def excess(diameter: float) -> float:
         disc = _disc(diameter)

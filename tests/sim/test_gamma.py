@@ -53,7 +53,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 def become(rig: Rig, response: dict[str, float], quiet: bool = False) -> None:
     world = config.validate(data(response, quiet), World, "test world")
-    rig.projector._bench.become(world)  # type: ignore[attr-defined]
+    rig.projector._bench.replace_world(world)  # type: ignore[attr-defined]
     rig.need_fixture("the test").mount("card")
 
 

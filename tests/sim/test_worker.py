@@ -78,7 +78,7 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_i
         with pytest.raises(StateError):
             camera.snap()
         camera.close()
-        bench.become(world())  # a lighter load, for time's sake
+        bench.replace_world(world())  # a lighter load, for time's sake
         with camera:
             camera.configure(CameraSettings(0.02))
             assert camera.snap().image.max() > 100
