@@ -68,7 +68,7 @@ def _diffuse(nodes: Nodes, parameters: Parameters) -> Any:
 
 
 def _translucent(nodes: Nodes, parameters: Parameters) -> Any:
-    """A random walk of isotropic scattering between entry and exit.
+    """Random walk of isotropic scattering between entry and exit.
 
     The mean free path is the same at any reflectance; the single-scattering albedo follows from the
     reflectance.
@@ -82,7 +82,7 @@ def _translucent(nodes: Nodes, parameters: Parameters) -> Any:
 
 
 def _translucent_colour(reflectance: Any) -> Any:
-    """The colour c whose random walk reflects c (0.8 + 0.2 c) (measured).
+    """Find the colour c whose random walk reflects c (0.8 + 0.2 c) (measured).
 
     Half of Cycles' walk enters refracted and is lost deeper than the colour was fitted for.
     """
@@ -140,7 +140,7 @@ def _output_pass(nodes: Nodes, name: str, value: Any) -> None:
 
 
 def _reflectance(nodes: Nodes, paint: Paint, colour: Any) -> Any:
-    """The reflectance of all layers together, as a grey: the inverse of `_colour`, and what gloss adds."""
+    """Grey reflectance of all layers together: the inverse of `_colour`, and what gloss adds."""
     grey = _shader(paint).reflectance(nodes, _red(nodes, colour))
     whole = nodes.total(nodes.times(grey, 1.0 - paint.gloss), paint.gloss)
     return nodes.combine("ShaderNodeCombineColor", (whole, whole, whole))
@@ -190,7 +190,7 @@ def _tilt(nodes: Nodes, normal: Any, shader: Any) -> None:
 
 
 def _normal(nodes: Nodes, paint: Paint) -> Any:
-    """The normal of the surface with the heights of ridges and grain on it, or None without any.
+    """Compute the normal of the surface with ridges and grain on it, None without any.
 
     A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the component
     of the gradient of h tangential to the surface. An item moves rigidly, so gradients turn as directions do.
@@ -211,7 +211,7 @@ def _normal(nodes: Nodes, paint: Paint) -> Any:
 
 
 def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
-    """The gradient of `h = depth/2 sin(2π a·X / period)`."""
+    """Gradient of `h = depth/2 sin(2π a·X / period)`."""
     if not any(relief.axis) or relief.depth_mm == 0:
         return []
     axis = tuple(map(float, relief.axis))
@@ -221,7 +221,7 @@ def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
 
 
 def _facets(nodes: Nodes, grain: Grain) -> list[Any]:
-    """A random gradient for every cell of a Voronoi division of space.
+    """Random gradient for every cell of a Voronoi division of space.
 
     Its components are independent and uniform, of variance slope²/2. Two of them lie in the surface, however
     that is turned, so the root mean square of the gradient's length there is the slope: Sdq of ISO 25178-2.
@@ -237,12 +237,12 @@ def _facets(nodes: Nodes, grain: Grain) -> list[Any]:
 
 
 def _place(nodes: Nodes) -> Any:
-    """The point that is seen, in the item's frame."""
+    """Point that is seen, in the item's frame."""
     return nodes.add("ShaderNodeTexCoord").outputs["Object"]
 
 
 def _picture(nodes: Nodes, mesh: Any, reflectance: NDArray[np.float32], uv: Floats) -> Any:
-    """The reflectance [v, u] painted on the mesh."""
+    """Reflectance [v, u] painted on the mesh."""
     layer = mesh.uv_layers.new(name="picture")
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)
