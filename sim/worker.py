@@ -217,7 +217,7 @@ class Blender:
         missing = missing_library(said)
         if missing:
             return DeviceError(self.name, doing, *missing)
-        last = said.splitlines()[-1] if said else "it said nothing"
+        last = said.splitlines()[-1] if said else "no output"
         return DisconnectedError(
             self.name, doing, f"the Blender process has died ({last})", "run the same command again"
         )

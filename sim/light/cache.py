@@ -144,13 +144,13 @@ class TableCache:
             To keep, unless it is greater than the limit.
         """
         if table.nbytes > self._limit:
-            _log.warning("%.1f GB of light are more than the cache holds; not kept", table.nbytes / 1e9)
+            _log.warning("%.1f GB of light exceed the cache's limit and are not stored", table.nbytes / 1e9)
             return
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._write_whole(self._path(key), table)
         except OSError as error:
-            _log.warning("light is not kept in %s: %s", self._directory, error)
+            _log.warning("a table of light cannot be stored in %s: %s", self._directory, error)
             return
         self._make_room()
 
@@ -217,9 +217,9 @@ def _read(stream: BinaryIO) -> LightTable:
 
 def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:
     if 4 * math.prod(shape) > os.fstat(stream.fileno()).st_size:  # before memory is asked for
-        raise ValueError("it is cut short")
+        raise ValueError("it is truncated")
     values = np.empty(shape, np.float32)
     if stream.readinto(values.data.cast("B")) != values.nbytes:  # type: ignore[attr-defined]
-        raise ValueError("it is cut short")
+        raise ValueError("it is truncated")
     hashed.update(values.data)
     return values

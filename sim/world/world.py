@@ -35,7 +35,7 @@ class StageWorld(Document):
     @model_validator(mode="after")
     def _is_a_stage(self) -> StageWorld:
         if not self.travel_mm[0] <= 0 <= self.travel_mm[1]:
-            raise ValueError(f"'travel_mm' is {list(self.travel_mm)}: must hold 0, where homing ends")
+            raise ValueError(f"'travel_mm' is {list(self.travel_mm)}: must contain 0, where homing ends")
         if not np.any(self.axis):
             raise ValueError("'axis' is zero: must be a direction")
         return self
@@ -111,7 +111,7 @@ class World(Document):
     def _path_can_serve(self) -> World:
         if self.render.path == "transport" and (effect := self.indirect):
             raise ValueError(
-                f"'render.path' is transport, which knows direct light alone, but there is {effect}: "
+                f"'render.path' is transport, which supports direct light only, but there is {effect}: "
                 "choose path auto, linear or reference"
             )
         return self
@@ -144,7 +144,7 @@ class World(Document):
     def indirect(self) -> str | None:
         """What makes light indirect, in words: bounces or a translucent item; None where all is direct."""
         if self.render.bounces:
-            return f"light that bounces ('render.bounces' is {self.render.bounces})"
+            return f"interreflection ('render.bounces' is {self.render.bounces})"
         for name in self.items:
             if self.is_translucent(name):
                 return f"a translucent material (of 'items.{name}')"

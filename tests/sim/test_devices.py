@@ -106,15 +106,15 @@ def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
     original, blender = bench.shared.world, bench.shared.blender
     samples = bench.shared.light.table(bench.shared.setup)
     bent = world(projector={**plain()["projector"], "response": {"a": 1.0, "b": 0.0, "g": 2.0}})
-    bench.shared.become(bent)
+    bench.shared.replace_world(bent)
     assert bench.shared.light.table(bench.shared.setup) is samples
     black = 0.01 * 4095
     ratio = (bench.camera.snap().image.mean() - black) / (before.mean() - black)
     assert abs(ratio - 128 / 255) < 0.002
     moved = world(projector={**plain()["projector"], "centre_px": [440.0, 1110.0]})
-    bench.shared.become(moved)
+    bench.shared.replace_world(moved)
     assert bench.shared.light.table(bench.shared.setup) is not samples
-    bench.shared.become(original)
+    bench.shared.replace_world(original)
     assert bench.shared.blender is blender
 
 

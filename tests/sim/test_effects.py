@@ -32,7 +32,7 @@ BRIGHT, QUIET = 1e4, {"full_well_e": 1e9, "read_noise_e": 0.0}
 def stand(bench: Bench, exposure_s: float = EXPOSURE_S, gain_db: float = 0.0, **changes: Any) -> World:
     """Let the bench be that world with its card up, and count frames from 0."""
     of = world(**changes)
-    bench.shared.become(of)
+    bench.shared.replace_world(of)
     bench.fixture.mount("card")
     bench.camera.close()
     bench.camera.open()
@@ -419,7 +419,7 @@ def test_a_groove_is_linear_by_itself_and_right(
         of = world(items={"groove": groove}, render={**effort, "path": path})
         patterns = make_patterns(Plan(fringes=(fringes,)), of.projector.size, of.projector.lattice)
         pictures.append(Light(of, blender).irradiance(Setup("groove"), Show(tuple(patterns), 1)))
-    assert "takes the light path 'linear', because there is light that bounces" in caplog.text
+    assert "takes the light path 'linear', because there is interreflection" in caplog.text
     direct = Light(world(items={"groove": groove}), blender).irradiance(
         Setup("groove"), Show(tuple(patterns), 1)
     )

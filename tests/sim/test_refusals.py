@@ -74,7 +74,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "transport with bounces": (
         {"render": {"path": "transport", "bounces": 2}},
-        "'render.path' is transport, which knows direct light alone, but there is light that bounces "
+        "'render.path' is transport, which supports direct light only, but there is interreflection "
         "('render.bounces' is 2): choose path auto, linear or reference",
     ),
     "transport through wax": (
