@@ -207,28 +207,28 @@ class Blender:
 
     def _dead(self, doing: str) -> DeviceError:
         """Make the error for a process that is gone, with its last line of output."""
-        said = ""
+        output = ""
         if self._process is not None and self._log is not None:
             self._process.kill()
             self._process.wait()
             self._log.seek(0)
-            said = self._log.read().decode(errors="replace").strip()
+            output = self._log.read().decode(errors="replace").strip()
         self.close()
-        missing = missing_library(said)
+        missing = missing_library(output)
         if missing:
             return DeviceError(self.name, doing, *missing)
-        last = said.splitlines()[-1] if said else "no output"
+        last = output.splitlines()[-1] if output else "no output"
         return DisconnectedError(
             self.name, doing, f"the Blender process has died ({last})", "run the same command again"
         )
 
 
-def missing_library(said: str) -> tuple[str, str] | None:
+def missing_library(output: str) -> tuple[str, str] | None:
     """Recognise a missing system library in Blender's output.
 
     Parameters
     ----------
-    said : str
+    output : str
         Output of the process.
 
     Returns
@@ -236,7 +236,7 @@ def missing_library(said: str) -> tuple[str, str] | None:
     tuple of (str, str) or None
         What was found and the remedy; None where no library is missing.
     """
-    match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", said)
+    match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", output)
     if match is None:
         return None
     library = match.group(1)

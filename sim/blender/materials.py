@@ -25,7 +25,7 @@ EDGE = 1.2
 """Edge of a cell of Blender's Voronoi texture for facets of edge 1: a plane through unit cells cuts them into
 1.46 facets a unit of area (measured), so the area of a cell has to be 1.46 = EDGE²."""
 
-Parameters = dict[str, float]
+LayerParameters = dict[str, float]
 """Parameters of a base layer by name, see `sim.scene.BaseLayer`."""
 
 
@@ -50,12 +50,12 @@ class BaseShader(NamedTuple):
         The inverse of `colour`, on sockets of the node tree.
     """
 
-    node: Callable[[Nodes, Parameters], Any]
+    node: Callable[[Nodes, LayerParameters], Any]
     colour: Callable[[Any], Any] = _unchanged
     reflectance: Callable[[Nodes, Any], Any] = _unchanged_socket
 
 
-def _diffuse(nodes: Nodes, parameters: Parameters) -> Any:
+def _diffuse(nodes: Nodes, parameters: LayerParameters) -> Any:
     """Blender 5's Diffuse BSDF, Lambertian or rough.
 
     Rough is Oren-Nayar as Fujii improved it, and the light that facets pass to each other added, as
@@ -67,7 +67,7 @@ def _diffuse(nodes: Nodes, parameters: Parameters) -> Any:
     return node
 
 
-def _translucent(nodes: Nodes, parameters: Parameters) -> Any:
+def _translucent(nodes: Nodes, parameters: LayerParameters) -> Any:
     """Random walk of isotropic scattering between entry and exit.
 
     The mean free path is the same at any reflectance; the single-scattering albedo follows from the

@@ -32,7 +32,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
     memory : int
         File descriptor of the shared memory.
     """
-    studio, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
+    renderer, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
     connection.send(("ready", bpy.app.version_string))
     while True:
         verb, content = connection.recv()
@@ -42,7 +42,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
                 continue
             if os.fstat(memory).st_size > pixels.nbytes:
                 pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
-            _render(studio, scene, pixels, **content)
+            _render(renderer, scene, pixels, **content)
             connection.send(("done", None))
         except RenderRefused as refused:
             connection.send(("refused", str(refused)))
@@ -51,7 +51,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
 
 
 def _render(
-    studio: BlenderScene,
+    renderer: BlenderScene,
     scene: RenderScene | None,
     pixels: NDArray[np.float32],
     textured: bool,
@@ -67,7 +67,7 @@ def _render(
     if textured:
         form = (len(scene.lamp.circles), *scene.lamp.texture_shape, 3)
         textures = pixels[count : count + int(np.prod(form))].reshape(form)
-    studio.render(scene, textures, views, effort, pixels[:count].reshape(shape))
+    renderer.render(scene, textures, views, effort, pixels[:count].reshape(shape))
 
 
 def _end_with(socket: int) -> None:

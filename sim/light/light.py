@@ -244,9 +244,9 @@ class Light:
         key = digest(scene, self._views(setup))
         if any(setup.vibration_mm):  # the next frame has another
             if self._displaced is None or self._displaced[0] != key:
-                self._displaced = (key, self._found(setup, key))
+                self._displaced = (key, self._load_or_make(setup, key))
             return self._displaced[1]
-        return self._tables.get(key, lambda: self._found(setup, key))
+        return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other: Light) -> None:
         """Take over the tables of another world; those with the same key are valid here too.
@@ -388,7 +388,7 @@ class Light:
             self._basis = (levels, basis)
         return self._basis[1]
 
-    def _found(self, setup: Setup, key: str) -> LightTable:
+    def _load_or_make(self, setup: Setup, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
             return computed(scene, self._views(setup), spots=True)

@@ -1,4 +1,4 @@
-"""Tables of direct light on disk: found again, never wrong, and never in the way."""
+"""Tables of direct light on disk: reused, never wrong, and failures of the disk never stop a measurement."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def cache(tmp_path: Path) -> TableCache:
 
 @pytest.fixture(scope="module")
 def kept(blender: Blender, tmp_path_factory: pytest.TempPathFactory) -> TableCache:
-    """A cache that has met the pillars and the card."""
+    """A cache that holds the tables of the pillars and the card."""
     store = TableCache(tmp_path_factory.mktemp("kept"))
     for setup in (PILLARS, CARD):
         Light(world(), blender, store).table(setup)
@@ -80,7 +80,7 @@ def kept(blender: Blender, tmp_path_factory: pytest.TempPathFactory) -> TableCac
 
 
 def needs_render(of: World, store: TableCache, setup: Setup = PILLARS) -> bool:
-    """Whether another bench that is this world has to render what it sees."""
+    """Whether a new virtual bench of this world has to render."""
     try:
         picture(of, NoBlender(), store, setup)
     except Rendering:
@@ -191,7 +191,7 @@ def test_another_place_of_the_stage_is_rendered_again(kept: TableCache) -> None:
 
 
 def test_what_shakes_is_neither_looked_for_nor_kept(blender: Blender, tmp_path: Path) -> None:
-    """It never comes back: it would push out what does."""
+    """A displaced item is never seen again: its table would displace useful ones."""
     store = TableCache(tmp_path / "light")
     assert picture(world(), blender, store, Setup("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
     assert not (tmp_path / "light").exists()
@@ -209,7 +209,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def discarded(folder: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> str:
-    """Have a file of that content refused and removed; why."""
+    """Load a file of that content, which is refused and removed; return the reason."""
     file = folder / "k.table"
     file.write_bytes(content)
     caplog.clear()
@@ -278,7 +278,7 @@ def test_a_file_of_another_format_is_discarded(
 def test_a_head_of_other_content_is_discarded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, about: bytes
 ) -> None:
-    """Nor is memory asked for that the file does not fill."""
+    """Memory is not allocated for more than the file holds."""
     head = about.replace(b"VERSION", module.renderer().encode())
     discarded(tmp_path, f"{module.FORMAT}\n".encode() + head + b"\n" + bytes(200), caplog)
 
@@ -358,7 +358,7 @@ def test_a_directory_of_another_user_only_warns(
 def test_what_may_only_be_read_serves_all_the_same(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither its time can be set nor can it be removed."""
+    """Its time cannot be set and it cannot be removed."""
     TableCache(tmp_path).store("k", small_table())
     TableCache(tmp_path).store("broken", small_table())
     (tmp_path / "broken.table").write_bytes(b"what")
@@ -400,7 +400,7 @@ def names(folder: Path) -> set[str]:
 
 
 def aged(folder: Path, name: str, seconds: float) -> None:
-    """As if it was last used so long ago."""
+    """Set the time of last use to so long ago."""
     path = folder / name
     now = path.stat().st_mtime
     os.utime(path, (now - seconds, now - seconds))
@@ -451,7 +451,7 @@ def test_a_file_that_another_process_removed_is_no_matter(
 
 
 def test_many_at_once_never_see_half_a_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Two writers and two readers of one key: what is read is one of the two tables, whole."""
+    """Two writers and two readers of one key: every read gives one of the two tables, complete."""
     tables = [small_table(seed, (120, 100)) for seed in (1, 2)]
     TableCache(tmp_path).store("k", tables[0])
     wrong: list[str] = []

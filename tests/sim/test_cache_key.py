@@ -1,4 +1,4 @@
-"""The name of a table on disk: every number that light depends on, and nothing else."""
+"""The key of a table on disk depends on every number that light depends on, and on nothing else."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ..
 
 
 def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
-    """The same with the least change of the number at a place; of an array's, the one at a share `which`."""
+    """The same with the least change of the number at a place; in an array at the fraction `which`."""
     if path:
         first, rest = path[0], path[1:]
         if isinstance(first, str):
@@ -73,7 +73,7 @@ def test_a_scene_has_the_numbers_that_it_is_thought_to_have() -> None:
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: ".".join(map(str, place)))
 def test_any_one_number_changes_the_name(place: tuple[Any, ...]) -> None:
-    """By the least that a number can change, at the ends and within of arrays."""
+    """By the least change of the number; in arrays at both ends and in the middle."""
     for which in (0.0, 0.37, 0.999999):
         assert digest(*altered((SCENE, SHIFTED), place, which)) != KNOWN
 

@@ -1,4 +1,4 @@
-"""Data sets: their labels against exact truth, their samples against interruption, and the loader."""
+"""Data sets: labels against the ground truth, resumption after interruption, and the loader."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
 
 
 def test_labels_of_a_plate_from_behind_are_dark() -> None:
-    """Camera and lamp on opposite sides of a flat thing: it is seen, and not lit."""
+    """Camera and lamp on opposite sides of a flat item: it is seen but not illuminated."""
     plate = trimesh.Trimesh(
         [[-30, -30, 450], [30, -30, 450], [30, 30, 450], [-30, 30, 450]],
         [[0, 1, 2], [0, 2, 3]],
@@ -328,7 +328,7 @@ def test_splits_share_no_scene(boards: Dataset) -> None:
 
 
 def test_a_sample_s_world_is_a_world_file(boards: Dataset, tmp_path: Path) -> None:
-    """What was drawn is all there is to it: the recorded world shows the recorded frames."""
+    """The recorded world reproduces the recorded frames."""
     record, recorded = boards.scene(2), boards[2]
     (tmp_path / "world.yaml").write_text(config.to_yaml(record["world"]))
     (tmp_path / "rig.yaml").write_text(RIG_OF_BOARDS)

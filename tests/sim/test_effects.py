@@ -1,4 +1,4 @@
-"""What an operator meets on the twin: vibration, shutters, colours, indirect light, through the devices."""
+"""Effects of the twin through its devices: vibration, shutters, colours, indirect light."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BRIGHT, QUIET = 1e4, {"full_well_e": 1e9, "read_noise_e": 0.0}
 
 
 def stand(bench: Bench, exposure_s: float = EXPOSURE_S, gain_db: float = 0.0, **changes: Any) -> World:
-    """Let the bench be that world with its card up, and count frames from 0."""
+    """Give the virtual bench that world with its card mounted, and count frames from 0."""
     of = world(**changes)
     bench.shared.replace_world(of)
     bench.fixture.mount("card")
@@ -123,7 +123,7 @@ def test_phase_errors_of_vibration_are_those_of_theory(bench: Bench, steps: int)
 
 
 def test_phase_errors_grow_with_the_vibration(bench: Bench) -> None:
-    """The same seed shakes the same way, so that errors are in proportion."""
+    """The same seed gives the same vibration, so that errors are in proportion."""
     fringes = fringe(4)
     of = stand(bench, **quiet())
     still = phase(taken(bench, of, fringes), fringes)
@@ -187,7 +187,7 @@ MIRRORS = {"period_s": PERIOD_S}
 
 
 def share_of_steady(bench: Bench, grey: int, exposure_s: float, shutter: dict[str, Any]) -> Floats:
-    """What reaches the sensor of one grey level over what steady light would bring, (height, width)."""
+    """Irradiance of one grey level relative to steady light, (height, width)."""
     pictures = []
     for mirrors in (MIRRORS, {}):
         of = stand(bench, exposure_s, **quiet(camera=shutter, projector=mirrors))
@@ -209,7 +209,7 @@ def test_whole_periods_are_steady_light(
 
 
 def test_nearly_whole_periods_are_nearly_steady_light(bench: Bench) -> None:
-    """The sum of the binary planes is the pattern: no jump where the planes begin to be counted apart."""
+    """The sum of the binary planes is the pattern: no jump where planes begin to be weighted separately."""
     share = share_of_steady(bench, 100, 2 * PERIOD_S * (1 + 1e-7), ROLLING)
     np.testing.assert_allclose(share, 1.0, atol=1e-5)
 
@@ -429,7 +429,7 @@ def test_a_groove_is_linear_by_itself_and_right(
 
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
 def test_ambient_light_is_the_same_by_any_way(bench: Bench, path: str) -> None:
-    """It is on the whole card, whether the projector is dark or not."""
+    """Ambient light is on the whole card, whether the projector is dark or not."""
     patterns = uniform_patterns([0, 255], world().projector.size)
     levels = {}
     for ambient in (0.0, 0.25):

@@ -1,4 +1,4 @@
-"""The response on the virtual bench: found as the world has it, and taken out of the patterns."""
+"""The response of the simulated projector is measured correctly and compensated in the patterns."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def data(response: dict[str, float], quiet: bool) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """One open bench that becomes one world after another."""
+    """One open virtual bench that is given one world after another."""
     folder = tmp_path_factory.mktemp("rig")
     write_world(folder, data(STRAIGHT, quiet=False))
     (folder / "rig.yaml").write_text(RIG)
@@ -74,7 +74,7 @@ def rms(error: Floats) -> float:
 
 
 def test_precorrection_takes_the_response_out_of_three_steps(rig: Rig) -> None:
-    """At g = 2.2, with the response as measured by the bench itself.
+    """At g = 2.2, with the response as measured on the virtual bench itself.
 
     Against thirty steps, which neither the response nor the rounding of greys disturbs noticeably. What is
     left is the rounding to 256 greys, which blur and pixels average a little: it cannot exceed what is

@@ -1,4 +1,4 @@
-"""Points of the lens that few samples of a pixel pass."""
+"""Sample points on the lens for few samples of a pixel."""
 
 from __future__ import annotations
 

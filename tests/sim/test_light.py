@@ -146,7 +146,7 @@ def test_sharp_mirrors_are_divided_out_alike() -> None:
 
 @pytest.mark.parametrize("fill", [None, 1.0, 0.8])
 def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> None:
-    """Under the part of a texture that it looks at, too; beside the window it is dark."""
+    """A part of the texture gives the same; outside the window it is dark."""
     random = np.random.default_rng(7)
     samples = np.zeros((2, 12, 15, 4), np.float32)
     samples[:, 3:9, 4:11, :2] = random.uniform(8, 20, (2, 6, 7, 2))

@@ -274,7 +274,7 @@ def test_translucent_body_reflects_about_as_much_as_paint(blender: Blender, refl
 
 
 def test_linear_light_through_a_translucent_body(blender: Blender) -> None:
-    """A basis serves it as every pattern rendered does, and that is what is chosen by itself."""
+    """A basis gives what rendering every pattern gives, and `auto` chooses it."""
     plan = Plan(fringes=(FringeSet(axis="x", stripes=12, steps=4),))
     chosen = translucent(2.0, path="auto", samples=2)
     assert chosen.path == "linear"
@@ -295,7 +295,7 @@ def test_ambient_light_meets_the_whole_reflectance(
 
 
 def test_items_have_materials_of_their_own(blender: Blender) -> None:
-    """Two cards in one place, one of a named material, one of the bench's."""
+    """Two cards in one place, one of a named material, one of the world's default material."""
     card = plain()["items"]["card"]
     of = world(
         items={"card": card, "black": {**card, "material": "soot"}},

@@ -83,7 +83,7 @@ def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: P
 
 @pytest.mark.slow
 def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Path) -> None:
-    """The noise is another draw, and the scan's is all that differs."""
+    """Only the noise differs, by another draw."""
     plan = candidate_of(START).plan(START).model_copy(update={"stage_mm": 0.0})
     score = measured(folder, (candidate_of(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
@@ -101,7 +101,7 @@ def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Pa
 
 @pytest.mark.slow
 def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a bench, where an operator puts it up."""
+    """As on a real bench, where an operator mounts it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1
     known = measured(folder, asked)[0][0]
     monkeypatch.setattr("sim.devices.SimFixture._pose", lambda self, item, pose: None)

@@ -1,4 +1,4 @@
-"""Light on flat items by formula: against Blender, against rays of our own, and where it must not serve."""
+"""Computed light on flat items: against Blender, against the ray caster, and which items are refused."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_light_by_formula_is_blender_s(
 @pytest.mark.parametrize("focus_mm", [None, 445.0, 500.0], ids=["sharp", "nearer", "farther"])
 @pytest.mark.parametrize("pose", range(2))
 def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -> None:
-    """Nearer to 400 points of pixel and lens than so many points are, and not beside their places."""
+    """Closer to 400 points of pixel and lens than as many independent points are, and without an offset."""
 
     def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
         places = shifts(subpixels)

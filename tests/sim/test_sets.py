@@ -1,4 +1,4 @@
-"""Fringe sets: acquired once, shared by steps, and with noise that does not know who asked first."""
+"""Fringe sets: acquired once, shared between steps, with noise independent of the order of requests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 
 Sets = Callable[..., FringeSets]
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "shaking"])
+@pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "vibrating"])
 def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A card, lit by formula."""
     folder = tmp_path_factory.mktemp("rig")
@@ -41,7 +41,7 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def sets(rig: Rig) -> Sets:
-    """New sets on the rig, which know of nothing before."""
+    """New sets on the rig, without earlier acquisitions."""
     return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
 
 
@@ -88,7 +88,7 @@ def test_a_plan_with_one_other_frequency_takes_one_set(sets: Sets) -> None:
 
 
 def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
-    """And not only another number here and there."""
+    """In most pixels, not only in a few."""
     store = sets()
     one, again, elsewhere = stack(store, BASE), stack(store, BASE, seed=2), stack(store, FINE, BASE)[12:]
     assert (one != again).mean() > 0.3
@@ -98,7 +98,7 @@ def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
 
 
 def test_near_candidates_have_the_same_noise(sets: Sets) -> None:
-    """So a difference between them is a difference between them."""
+    """Differences between candidates are then not due to noise."""
     near = Fringes("x", 7.3001, 12)
     frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
     other = stack(sets(), BASE, near, seed=2)[12:].astype(float)
@@ -126,7 +126,7 @@ def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
 
 
 def test_where_noise_is_not_told_what_to_follow_from_it_goes_on_as_before(rig: Rig) -> None:
-    """The bench uses each number once, and counts frames again then."""
+    """The virtual bench uses each number once, and then counts frames again."""
     rig.fixture.mount("card")  # type: ignore[union-attr]
     camera, projector = rig.camera, rig.projector
     camera.configure(CameraSettings(0.02))

@@ -72,7 +72,7 @@ def test_out_of_focus_a_disc_s_variance_comes_on_top(lattice: Lattice, circle: f
 
 
 def test_a_wide_circle_is_a_disc_and_no_bell() -> None:
-    """Even light as far as the radius, none beyond."""
+    """Uniform light within the radius, none beyond."""
     texture = MirrorTexture((81, 81), Lattice.SQUARE, least_blur(1.0), widest=30.0)
     light = np.zeros((81, 81), np.float32)
     light[40, 40] = 1

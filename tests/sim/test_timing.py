@@ -1,4 +1,4 @@
-"""Rows of a camera under the binary planes of a projector, against plain integrals over time."""
+"""Rows of a camera under the binary planes of a projector, against numerical integrals over time."""
 
 from __future__ import annotations
 

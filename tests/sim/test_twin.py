@@ -1,4 +1,4 @@
-"""The twin as matching drives it: what it says first, what it becomes, and what it leaves behind."""
+"""The twin as matching uses it: its initial parameters, changes of them, and the files it writes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EXACT = {"subpixels": 2, "cache": False}
 
 
 def _bent() -> World:
-    """The bench of which the plain world is the data sheet: everything that can be matched is different."""
+    """The reference whose data sheet is the plain world: every parameter that can be matched is different."""
     data = plain(ambient=0.05, vibration_mm=0.02, render=EXACT)
     data["camera"] |= {"focus_mm": 440.0, "f_number": 4.0, "vignetting": 5.0, "centre_offset_px": [4, 3]}
     data["camera"]["sensor"] = {"black_level": 0.02, "full_well_e": 12000.0, "read_noise_e": 4.0}
@@ -81,7 +81,7 @@ def test_at_first_it_is_what_its_file_says() -> None:
 
 
 def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
-    """The world itself, through the bench's own way: the twin adds nothing and leaves nothing out."""
+    """The same world through the virtual bench's devices: the twin gives the same."""
     of = _bent()
     twin = _twin(of)
     patterns = _patterns(twin)
@@ -223,7 +223,7 @@ def test_what_it_saves_is_a_rig_that_sees_the_same(twin: SimTwin, tmp_path: Path
 
 
 def _unequal(calibration: Calibration) -> Calibration:
-    """What no world can say of itself: unequal focal lengths, eight coefficients."""
+    """What only a calibration can hold: unequal focal lengths, eight coefficients."""
     camera = calibration.camera
     matrix = camera.matrix * np.array([[1.0, 1, 1], [1, 1.003, 1], [1, 1, 1]])
     lens = camera.distortion + np.array([0, 0, 0, 0, 0, 0.05, 0.01, 0.001])

@@ -1,4 +1,4 @@
-"""The Blender process: it dies, hangs or is interrupted, and nothing is left behind."""
+"""The Blender process dies, hangs or is interrupted: no process and no shared memory is left."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MIDDLE = [SubpixelView((0.0, 0.0))]
 
 
 def soon(condition: Callable[[], bool]) -> bool:
-    """Whether a condition comes true; the limit only ends a test that has failed."""
+    """Whether a condition becomes true within a time limit."""
     for _ in range(400):
         if condition():
             return True

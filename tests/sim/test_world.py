@@ -1,4 +1,4 @@
-"""The world file and what follows from it without a picture."""
+"""The world file and what follows from it without rendering."""
 
 from __future__ import annotations
 
