@@ -91,7 +91,7 @@ def needs_render(of: World, store: TableCache, setup: Setup = PILLARS) -> bool:
 # What is found again ---------------------------------------------------------------------------------
 
 
-def test_a_world_met_again_is_the_same_to_the_last_bit_without_a_render(
+def test_a_cached_world_gives_identical_pictures_without_a_render(
     blender: Blender, cache: TableCache
 ) -> None:
     first = picture(world(), blender, cache)
@@ -100,7 +100,7 @@ def test_a_world_met_again_is_the_same_to_the_last_bit_without_a_render(
     np.testing.assert_array_equal(first, again)
 
 
-def test_blender_does_not_even_start_for_what_is_kept(kept: TableCache) -> None:
+def test_blender_does_not_start_where_the_table_is_cached(kept: TableCache) -> None:
     idle = Blender("idle")
     try:
         assert picture(world(), idle, kept).max() > 0.5
@@ -137,7 +137,7 @@ FREE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("change", FREE.values(), ids=FREE.keys())
-def test_what_does_not_move_light_needs_no_render(kept: TableCache, change: dict[str, Any]) -> None:
+def test_changes_that_do_not_affect_light_need_no_render(kept: TableCache, change: dict[str, Any]) -> None:
     assert not needs_render(world(**change), kept)
 
 
@@ -181,7 +181,7 @@ BOUND: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("change", BOUND.values(), ids=BOUND.keys())
-def test_what_moves_light_is_rendered_again(kept: TableCache, change: dict[str, Any]) -> None:
+def test_changes_that_affect_light_are_rendered_again(kept: TableCache, change: dict[str, Any]) -> None:
     assert needs_render(world(**change), kept)
 
 
@@ -190,7 +190,7 @@ def test_another_place_of_the_stage_is_rendered_again(kept: TableCache) -> None:
     assert needs_render(world(), kept, dataclasses.replace(PILLARS, stage_mm=0.5))
 
 
-def test_what_shakes_is_neither_looked_for_nor_kept(blender: Blender, tmp_path: Path) -> None:
+def test_tables_of_displaced_items_are_neither_looked_up_nor_stored(blender: Blender, tmp_path: Path) -> None:
     """A displaced item is never seen again: its table would displace useful ones."""
     store = TableCache(tmp_path / "light")
     assert picture(world(), blender, store, Setup("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
@@ -229,13 +229,13 @@ def test_what_is_written_is_read(tmp_path: Path, written: bytes) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0, 1, exclude_max=True))
-def test_a_file_cut_short_anywhere_is_discarded(
+def test_a_truncated_file_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture, share: float
 ) -> None:
     discarded(tmp_path, written[: int(share * len(written))], caplog)
 
 
-def test_a_file_cut_short_at_every_place_of_its_head_or_end_is_discarded(
+def test_a_file_truncated_anywhere_in_its_header_or_end_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     head = written.index(b"}\n") + 3
@@ -275,7 +275,7 @@ def test_a_file_of_another_format_is_discarded(
               b'{"renderer": "VERSION", "samples": ["x"], "albedo": [1]}',
               b'{"renderer": "VERSION", "samples": [99999999, 99999999], "albedo": [1]}'],
 )  # fmt: skip
-def test_a_head_of_other_content_is_discarded(
+def test_a_header_of_other_content_is_discarded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, about: bytes
 ) -> None:
     """Memory is not allocated for more than the file holds."""
@@ -283,7 +283,7 @@ def test_a_head_of_other_content_is_discarded(
     discarded(tmp_path, f"{module.FORMAT}\n".encode() + head + b"\n" + bytes(200), caplog)
 
 
-def test_more_than_was_written_is_discarded(
+def test_a_file_with_trailing_bytes_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert "checksum" in discarded(tmp_path, written + b"\0", caplog)
@@ -332,7 +332,7 @@ def test_a_full_disk_only_warns(
     assert not list((tmp_path / "light").iterdir()), "half a file is left"
 
 
-def test_a_directory_that_cannot_be_only_warns(
+def test_a_directory_that_cannot_be_made_only_warns(
     blender: Blender, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A file stands where the directory would be."""
@@ -355,7 +355,7 @@ def test_a_directory_of_another_user_only_warns(
     assert "Permission denied" in caplog.text
 
 
-def test_what_may_only_be_read_serves_all_the_same(
+def test_read_only_tables_are_used(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its time cannot be set and it cannot be removed."""
@@ -406,7 +406,7 @@ def aged(folder: Path, name: str, seconds: float) -> None:
     os.utime(path, (now - seconds, now - seconds))
 
 
-def test_the_longest_unused_go_first(tmp_path: Path, written: bytes) -> None:
+def test_the_least_recently_used_are_removed_first(tmp_path: Path, written: bytes) -> None:
     store = TableCache(tmp_path, limit=3 * len(written))
     for age, key in ((300, "a"), (200, "b"), (100, "c")):
         store.store(key, small_table())
@@ -418,17 +418,17 @@ def test_the_longest_unused_go_first(tmp_path: Path, written: bytes) -> None:
     assert names(tmp_path) == {"a", "d", "e"}
 
 
-def test_a_table_greater_than_the_limit_is_not_kept(
+def test_a_table_greater_than_the_limit_is_not_stored(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = TableCache(tmp_path, limit=len(written))
     store.store("small", small_table())
     store.store("great", small_table(shape=(60, 50)))
     assert names(tmp_path) == {"small"}
-    assert "more than the cache holds" in caplog.text
+    assert "exceed the cache" in caplog.text
 
 
-def test_drafts_of_killed_processes_go_too(tmp_path: Path, written: bytes) -> None:
+def test_temporary_files_of_killed_processes_are_removed_too(tmp_path: Path, written: bytes) -> None:
     (tmp_path / ".k.table.x8f3").write_bytes(bytes(10 * len(written)))
     aged(tmp_path, ".k.table.x8f3", 1000)
     (tmp_path / "notes.txt").write_text("somebody's own")
@@ -436,7 +436,7 @@ def test_drafts_of_killed_processes_go_too(tmp_path: Path, written: bytes) -> No
     assert {path.name for path in tmp_path.iterdir()} == {"a.table", "notes.txt"}
 
 
-def test_a_file_that_another_process_removed_is_no_matter(
+def test_a_file_that_another_process_removed_is_ignored(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, written: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = TableCache(tmp_path, limit=len(written))
@@ -450,7 +450,9 @@ def test_a_file_that_another_process_removed_is_no_matter(
     assert names(tmp_path) == {"b"}
 
 
-def test_many_at_once_never_see_half_a_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_concurrent_readers_never_see_part_of_a_table(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Two writers and two readers of one key: every read gives one of the two tables, complete."""
     tables = [small_table(seed, (120, 100)) for seed in (1, 2)]
     TableCache(tmp_path).store("k", tables[0])

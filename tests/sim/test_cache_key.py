@@ -65,7 +65,7 @@ def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
 PLACES = list(numbers((SCENE, SHIFTED)))
 
 
-def test_a_scene_has_the_numbers_that_it_is_thought_to_have() -> None:
+def test_the_scene_has_the_expected_fields() -> None:
     named = {str(p[-1] if isinstance(p[-1], str) else p[-2]) for p in PLACES}
     assert {"vertices", "faces", "uv", "picture", "T_camera_item", "distortion", "circles", "window"} < named
     assert {"reflectance", "slope", "depth_mm", "diameter_mm", "exact", "fill", "shift", "lens"} < named

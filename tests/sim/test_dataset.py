@@ -190,7 +190,7 @@ def test_boards_agree_with_their_labels(boards: Dataset) -> None:
         check_sample(boards[k], edges_px=2)
 
 
-def test_artefacts_agree_with_their_labels_whatever_came_before(tmp_path: Path) -> None:
+def test_artefacts_agree_with_their_labels_in_any_order_of_scenes(tmp_path: Path) -> None:
     """Rendered by Blender; each sample is the same by itself as after others."""
     scenes = ALL.model_copy(update={"targets": (), "gloss": (0.0, 0.0)})
     with opened(tmp_path, scenes) as maker:
@@ -239,7 +239,7 @@ def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     assert visible.mean() >= 0.5
 
 
-def test_a_draft_of_a_killed_process_is_begun_anew(boards: Dataset, tmp_path: Path) -> None:
+def test_an_unfinished_shard_of_a_killed_process_is_made_anew(boards: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "set"
     copied(boards, out)
     half = out / f".{shard_name(1)}"
@@ -273,7 +273,7 @@ def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset)
     assert contents(out) == contents(boards.folder)
 
 
-def test_who_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_failing_process_leaves_no_files(tmp_path: Path) -> None:
     def fail() -> None:
         with claimed(tmp_path, 0) as draft:
             assert draft is not None
@@ -378,7 +378,7 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
         ({"scenes": BOARDS.model_copy(update={"tilt_deg": 20.0})}, "another 'scenes'; name another output"),
     ],
 )
-def test_another_data_set_is_not_gone_on_with(
+def test_another_data_set_is_not_resumed(
     boards: Dataset, tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     copied(boards, tmp_path / "set")

@@ -98,7 +98,7 @@ def test_stage_carries_the_projector_along_the_baseline(bench: Bench) -> None:
         bench.stage.move_to(1000.0)
 
 
-def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
+def test_another_world_keeps_the_pictures_that_are_still_valid(bench: Bench) -> None:
     """A changed response or sensor needs no render; a changed pose does."""
     bench.fixture.mount("card")
     bench.projector.show(1)
@@ -141,7 +141,9 @@ def test_fixture_lists_items_and_refuses_others(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("still", [False, True])
-def test_a_bench_may_see_its_world_at_rest_and_with_fewer_rays(still: bool, tmp_path: Path) -> None:
+def test_a_virtual_bench_can_switch_vibration_off_and_use_fewer_subpixels(
+    still: bool, tmp_path: Path
+) -> None:
     file = write_world(tmp_path, plain(vibration_mm=0.05, render={"subpixels": 3}))
     bench = VirtualBench({"world": file, "analytic": True, "subpixels": 2, "still": still})
     assert bench.world.render.subpixels == 2

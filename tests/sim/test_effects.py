@@ -162,7 +162,7 @@ def test_without_vibration_frames_differ_by_their_noise_alone(bench: Bench) -> N
     np.testing.assert_array_equal(first, second)
 
 
-def test_every_frame_shakes_its_own_way_and_again_the_same_way(bench: Bench) -> None:
+def test_every_frame_has_its_own_reproducible_vibration(bench: Bench) -> None:
     def run(seed: int) -> list[Image]:
         of = stand(bench, seed=seed, vibration_mm=0.5)
         bench.projector.load(
@@ -214,7 +214,7 @@ def test_nearly_whole_periods_are_nearly_steady_light(bench: Bench) -> None:
     np.testing.assert_allclose(share, 1.0, atol=1e-5)
 
 
-def test_broken_periods_make_bands_that_repeat_with_the_mirrors(bench: Bench) -> None:
+def test_exposures_of_fractional_periods_make_bands_that_repeat_with_the_mirrors(bench: Bench) -> None:
     share = share_of_steady(bench, 128, 1.5 * PERIOD_S, ROLLING)
     assert np.ptp(share, axis=1).max() < 1e-5, "a band is a whole row"
     rows = share.mean(axis=1)
@@ -243,7 +243,9 @@ def test_a_global_shutter_gets_a_wrong_level_but_no_rows(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("shutter", [ROLLING, {}], ids=["rolling", "global"])
-def test_broken_periods_spoil_the_phase_and_whole_ones_do_not(bench: Bench, shutter: dict[str, Any]) -> None:
+def test_fractional_periods_disturb_the_phase_and_whole_ones_do_not(
+    bench: Bench, shutter: dict[str, Any]
+) -> None:
     fringes = fringe(4)
 
     def found(periods: float, mirrors: dict[str, Any]) -> Floats:
@@ -394,7 +396,9 @@ SOFT = {"kind": "translucent", "radius_mm": 1.0}
         ({"render": {"path": "linear"}}, "linear", None),
     ],
 )
-def test_the_way_is_chosen_by_the_light(changes: dict[str, Any], path: str, why: str | None) -> None:
+def test_the_light_path_is_chosen_by_the_materials_and_bounces(
+    changes: dict[str, Any], path: str, why: str | None
+) -> None:
     of = world(**changes)
     assert of.path == path
     assert (why or "None") in str(of.indirect)
@@ -407,7 +411,7 @@ def test_one_translucent_item_makes_the_world_linear() -> None:
     assert "'items.soft'" in str(of.indirect)
 
 
-def test_a_groove_is_linear_by_itself_and_right(
+def test_a_groove_takes_the_linear_path_and_is_correct(
     blender: Blender, groove: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     """Four bounces: what one basis gives is what rendering the pattern gives, to 0.2 grey levels."""
@@ -428,7 +432,7 @@ def test_a_groove_is_linear_by_itself_and_right(
 
 
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
-def test_ambient_light_is_the_same_by_any_way(bench: Bench, path: str) -> None:
+def test_ambient_light_is_the_same_by_any_light_path(bench: Bench, path: str) -> None:
     """Ambient light is on the whole card, whether the projector is dark or not."""
     patterns = uniform_patterns([0, 255], world().projector.size)
     levels = {}

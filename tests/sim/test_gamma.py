@@ -120,7 +120,7 @@ def test_a_hidden_response_is_recovered(rig: Rig) -> None:
     assert found.region_spread < 2 * found.region_sigma
 
 
-def test_where_white_is_full_scale_the_projectors_own_figures_are_seen(rig: Rig) -> None:
+def test_where_white_is_full_scale_the_fit_gives_the_projectors_own_parameters(rig: Rig) -> None:
     """Without black level, and exposed so that irradiance 1 is full scale, a and b are the projector's."""
     become(rig, STRAIGHT)
     white = uniform_patterns([255], rig.projector.caps.size)
@@ -133,7 +133,7 @@ def test_where_white_is_full_scale_the_projectors_own_figures_are_seen(rig: Rig)
     assert (found.a / 0.99, (found.b - 0.01) / 0.99, found.g) == pytest.approx((0.65, 0.056, 1.033), rel=0.01)
 
 
-def test_the_judgement_is_what_the_bench_shows(rig: Rig, tmp_path: Path) -> None:
+def test_the_assessment_of_the_response_agrees_with_the_frames(rig: Rig, tmp_path: Path) -> None:
     become(rig, {"a": 1.0, "b": 0.0, "g": 2.2}, quiet=True)
     response, _ = measure_response(rig, EXPOSURE_S)
     response.save(tmp_path / "response.yaml")

@@ -67,7 +67,7 @@ def measured(folder: Path, *asked: tuple[Candidate, int]) -> list[tuple[Score, .
 
 
 @pytest.mark.slow
-def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: Path) -> None:
+def test_a_score_does_not_depend_on_the_process_or_the_order(folder: Path) -> None:
     coarse, fine = candidate(1, 8, 32, stage_mm=0.0), candidate(1, 8, 64, stage_mm=0.0)
     moved = candidate(1, 8, 64, steps=6, stage_mm=10.0)
     asked = [(coarse, 1), (fine, 1), (moved, 1), (fine, 2)]
@@ -100,7 +100,7 @@ def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_artefact_of_unknown_pose_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a real bench, where an operator mounts it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1
     known = measured(folder, asked)[0][0]

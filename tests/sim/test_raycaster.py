@@ -33,8 +33,11 @@ RAY_PX = 1e-3
 
 @dataclass(frozen=True)
 class Bench:
-    """The same scene by Blender and by the ray caster. facets: greatest distance of the mesh's surface from the shape, in mm, and angle
-    between their normals, in rad."""
+    """The same scene by Blender and by the ray caster.
+
+    facets: greatest distance of the mesh's surface from the shape, in mm, and angle between their normals, in
+    rad.
+    """
 
     world: World
     setup: Setup

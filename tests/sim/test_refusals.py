@@ -176,7 +176,7 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     assert "set it to CPU, or install" in said
 
 
-def test_what_the_camera_sees_nothing_of(tmp_path: Path) -> None:
+def test_an_item_out_of_the_camera_s_view(tmp_path: Path) -> None:
     items = {"pillars": {"artefact": "pillars", "pose": AWAY}}
     expected = (
         "world: the camera sees nothing of the projector's light on 'pillars' (pose 0, stage at 0 mm); "
@@ -213,7 +213,7 @@ PARTS: dict[str, tuple[bytes | None, str]] = {
 
 
 @pytest.mark.parametrize(("content", "why"), PARTS.values(), ids=PARTS.keys())
-def test_a_part_that_is_none(tmp_path: Path, content: bytes | None, why: str) -> None:
+def test_a_file_that_is_no_part(tmp_path: Path, content: bytes | None, why: str) -> None:
     """At the start and on mounting; the message names the item's field and the file."""
     file = tmp_path / "part.stl"
     if content is not None:

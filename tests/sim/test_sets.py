@@ -56,7 +56,7 @@ def fewer(fringes: Fringes, steps: int) -> Fringes:
 
 
 @pytest.mark.parametrize("steps", [6, 4, 3])
-def test_a_set_of_every_so_manyth_image_is_the_set_acquired(sets: Sets, steps: int) -> None:
+def test_a_subsampled_set_is_the_set_acquired(sets: Sets, steps: int) -> None:
     of_twelve, alone = sets(), sets()
     stack(of_twelve, BASE, FINE)
     taken = stack(of_twelve, fewer(BASE, steps), fewer(FINE, steps))
@@ -72,7 +72,7 @@ def test_five_steps_are_not_in_twelve(sets: Sets) -> None:
     assert store.acquired == 17
 
 
-def test_nothing_depends_on_who_was_measured_before(sets: Sets) -> None:
+def test_results_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     one, other = sets(), sets()
     first = stack(one, BASE, MIDDLE, FINE)
     stack(other, fewer(BASE, 5), fewer(MIDDLE, 3), seed=4)
@@ -97,7 +97,7 @@ def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
     assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
 
 
-def test_near_candidates_have_the_same_noise(sets: Sets) -> None:
+def test_similar_candidates_have_the_same_noise(sets: Sets) -> None:
     """Differences between candidates are then not due to noise."""
     near = Fringes("x", 7.3001, 12)
     frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
@@ -105,7 +105,7 @@ def test_near_candidates_have_the_same_noise(sets: Sets) -> None:
     assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)
 
 
-def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None:
+def test_sets_dropped_from_memory_are_acquired_again_identically(sets: Sets) -> None:
     store = sets(keep_bytes=1)
     before = stack(store, BASE)
     stack(store, FINE)
@@ -113,7 +113,7 @@ def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None
     assert store.acquired == 36
 
 
-def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
+def test_nothing_moves_for_sets_in_memory(rig: Rig) -> None:
     stood: list[MeasuringSetup] = []
     store = FringeSets(rig, LIKE, stood.append)
     rig.fixture.mount("card")  # type: ignore[union-attr]
@@ -125,7 +125,7 @@ def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
     assert stood == [CARD, brighter]
 
 
-def test_where_noise_is_not_told_what_to_follow_from_it_goes_on_as_before(rig: Rig) -> None:
+def test_without_given_numbers_noise_follows_the_frame_count(rig: Rig) -> None:
     """The virtual bench uses each number once, and then counts frames again."""
     rig.fixture.mount("card")  # type: ignore[union-attr]
     camera, projector = rig.camera, rig.projector

@@ -55,7 +55,7 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_it(tmp_path: Path) -> None:
+def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(tmp_path: Path) -> None:
     data = plain(render={"subpixels": 8, "samples": 64, "bounces": 4})
     before = shared_memory()
     bench = VirtualBench({"world": write_world(tmp_path, data)})

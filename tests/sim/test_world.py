@@ -243,7 +243,7 @@ def test_a_board_has_its_own_reflectances_or_its_target_s() -> None:
 
 
 @pytest.mark.parametrize("name", ["hidden", "twin"])
-def test_the_hidden_bench_and_its_twin_are_alike_to_a_session(name: str) -> None:
+def test_the_hidden_reference_and_its_twin_look_alike_to_a_session(name: str) -> None:
     """Same sizes, items and number of poses; nothing else need agree."""
     of = World.load(f"world_{name}.yaml")
     assert (of.camera.size, of.projector.size) == ((1368, 912), (912, 1140))
