@@ -35,7 +35,7 @@ from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.simulation.matchable import Parameters, Twin
 from fpplab.targets import Target
-from sim.twin import SimTwin, brightest
+from sim.twin import SimTwin, white_level_per_s
 from sim.world import World
 
 BOARD, CARD = "board", "grey_card"
@@ -99,7 +99,7 @@ def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
                 out = folder / SCANS / item
                 take(rig, scan_plan, out, (item, 0), complete_too=True, progress=report)
         with console.progress(f"Recording {MOVED} poses with the focus moved"):
-            virtual_bench(rig).become(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
+            virtual_bench(rig).replace_world(_refocused(virtual_bench(rig).world, trial.focus_moved_mm))
             for pose in range(trial.few - MOVED, trial.few):
                 out = folder / REFOCUSED / f"pose_{pose:02d}"
                 take(rig, plan, out, (BOARD, pose), complete_too=True)
@@ -144,7 +144,7 @@ def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Matchin
 def truth_of(bench: Rig, nominal: World) -> Parameters:
     """What a matching of the twin `nominal` ought to find of an open virtual bench."""
     known = twin_of(bench, BOARD).parameters
-    return replace(known, white=brightest(virtual_bench(bench).world) / brightest(nominal))
+    return replace(known, white=white_level_per_s(virtual_bench(bench).world) / white_level_per_s(nominal))
 
 
 def _seen_in(sessions: Sequence[Session], truth: Parameters) -> Parameters:

@@ -288,7 +288,7 @@ def _seconds_rendered(rig: str, study: Study, count: int) -> float:
     with Rig.load(rig) as opened, console.progress(f"Rendering {count} images of each artefact"):
         world = virtual_bench(opened).world
         render = world.render.model_copy(update={"path": "reference", "cache": False})
-        virtual_bench(opened).become(world.model_copy(update={"render": render}))
+        virtual_bench(opened).replace_world(world.model_copy(update={"render": render}))
         caps, plan = opened.projector.caps, study.start
         opened.projector.load(make_patterns(plan, caps.size, caps.lattice))
         opened.camera.configure(opened.camera_settings(plan.exposure_s))

@@ -1,4 +1,4 @@
-"""World and set-up -> the scene that Blender is sent."""
+"""Build the scene that Blender is sent from a world and the state of its moving parts."""
 
 from __future__ import annotations
 
@@ -14,34 +14,77 @@ from sim.scene import Aperture, Lamp, PinholeOptics, RenderScene, Surface
 from sim.texture import MirrorTexture
 from sim.world import World
 
-FEWEST_TEXELS, NEXT = 0.75, 1.3
-"""How far apart the drawn circles of confusion are: by so many texels, or by this factor."""
+CIRCLE_STEP_TEXELS, CIRCLE_RATIO = 0.75, 1.3
+"""Spacing of the circles of confusion that textures are made for: so many texels, or this factor if more."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """All that moves on the bench: the item and its pose, the stage, and how far the item shakes, in mm.
+    """The state of everything that moves in the simulation.
 
-    held: T_camera_item, in place of the world's pose. convergence_deg: turn of the projector towards the
-    camera.
+    Attributes
+    ----------
+    item : str
+        Name of the mounted item, or "nothing".
+    pose : int
+        Index of the item's pose in the world.
+    stage_mm : float
+        Position of the stage in mm.
+    vibration_mm : tuple of float
+        Displacement of the item by vibration, in mm in the camera's frame.
+    held : RigidTransform or None
+        T_camera_item in place of the world's pose.
+    convergence_deg : float
+        Turn of the projector towards the camera, in degrees.
     """
 
     item: str = "nothing"
     pose: int = 0
     stage_mm: float = 0.0
-    shake_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    vibration_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     held: RigidTransform | None = None
     convergence_deg: float = 0.0
 
     def T_projector_camera(self, world: World) -> RigidTransform:
-        """Where the projector of a world stands then."""
+        """Compute the pose of the camera in the projector's frame in this state.
+
+        Parameters
+        ----------
+        world : World
+            The world that the state is of.
+
+        Returns
+        -------
+        RigidTransform
+            In mm.
+        """
         return world.T_projector_camera(self.stage_mm, self.convergence_deg)
 
 
 def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]:
-    """The scene with the item of `setup` in its pose, and the texture of its lamp. Raises `ConfigError`."""
+    """Build the scene with the mounted item in its pose.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    setup : Setup
+        State of the moving parts; its item is not "nothing".
+
+    Returns
+    -------
+    scene : RenderScene
+        What Blender is sent.
+    texture : MirrorTexture
+        The texture of the scene's lamp.
+
+    Raises
+    ------
+    ConfigError
+        The item cannot be made.
+    """
     held = setup.held or item_poses(world, setup.item)[setup.pose]
-    surface = item_surface(world, setup.item, held.moved(np.array(setup.shake_mm)))
+    surface = item_surface(world, setup.item, held.moved(np.array(setup.vibration_mm)))
     box, camera = _bounding_box(surface), world.camera_model()
     aperture = Aperture(world.camera.aperture_mm, world.camera.focus_mm or 1.0)
     lamp, texture = _lamp(world, setup.T_projector_camera(world), box)
@@ -50,7 +93,25 @@ def build_scene(world: World, setup: Setup) -> tuple[RenderScene, MirrorTexture]
 
 
 def is_lit_in_view(world: World, setup: Setup) -> bool:
-    """Whether some point of the item lies in the camera's image and in the projector's; shadows aside."""
+    """Tell whether some point of the item lies in the images of both camera and projector; shadows aside.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    setup : Setup
+        State of the moving parts; its item is not "nothing".
+
+    Returns
+    -------
+    bool
+        Judged by points spread over the item's triangles.
+
+    Raises
+    ------
+    ConfigError
+        The item cannot be made.
+    """
     vertices, faces = item_shape(world, setup.item)
     points = item_poses(world, setup.item)[setup.pose].apply(_spread_points(vertices[faces]))
     seen = world.camera_model().sees(points)
@@ -89,7 +150,7 @@ def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tupl
 
 
 def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, ...]:
-    """Diameters in texels that suffice for these depths, rising."""
+    """List diameters in texels that suffice for these depths, rising."""
     near, far = max(float(depths.min()), 1.0), max(float(depths.max()), 1.0)
     ends = scale * aperture.circle_per_px(np.array([near, far]))
     least, most = float(ends.min()), float(ends.max())
@@ -97,7 +158,7 @@ def _circles(aperture: Aperture, scale: float, depths: Floats) -> tuple[float, .
         least = 0.0
     drawn = [least]
     while drawn[-1] < most:
-        drawn.append(max(drawn[-1] + FEWEST_TEXELS, drawn[-1] * NEXT))
+        drawn.append(max(drawn[-1] + CIRCLE_STEP_TEXELS, drawn[-1] * CIRCLE_RATIO))
     return tuple(drawn)
 
 
@@ -106,12 +167,12 @@ def _half_angle(projector: Pinhole) -> float:
     width, height = projector.size
     corners = np.array([[-8.0, -8.0], [width + 8, -8], [width + 8, height + 8], [-8, height + 8]])
     widest = np.arctan(np.linalg.norm(projector.normalise(corners), axis=-1)).max() + 0.01
-    # A corner that the lens does not reach is NaN.
+    # A corner beyond the reach of the distortion model is NaN.
     return float(np.fmin(widest, np.arctan(projector.reach)))
 
 
 def _bounding_box(surface: Surface) -> Floats:
-    """Points (729, 3) in and on the box that holds a surface, in the camera's frame."""
+    """Sample points (729, 3) in and on the box that holds a surface, in the camera's frame."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     share = np.linspace(0, 1, 9)
     grid = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3)
@@ -124,7 +185,7 @@ def _placed(surface: Surface, points: Floats) -> Floats:
 
 
 def _window(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int, int, int]:
-    """Pixels (left, top, right, bottom) that hold a box, with a margin."""
+    """Find the pixels (left, top, right, bottom) that hold a box, with a margin."""
     width, height = camera.size
     if box[:, 2].min() <= 0:
         return 0, 0, width, height
@@ -138,7 +199,7 @@ def _window(camera: Pinhole, aperture: Aperture, box: Floats) -> tuple[int, int,
 
 
 def _spread_points(triangles: Floats) -> Floats:
-    """Points on triangles (F, 3, 3): a lattice over each, coarse where there are many."""
+    """Sample points on triangles (F, 3, 3): a lattice over each, coarse where there are many."""
     steps = 12 if len(triangles) < 500 else 1
     i, j = (k.ravel() for k in np.mgrid[0 : steps + 1, 0 : steps + 1])
     inside = i + j <= steps

@@ -1,10 +1,12 @@
 """The virtual bench: the four devices of a rig over one simulated world.
 
-bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
-camera:    {backend: "sim.devices:SimCamera"}
-projector: {backend: "sim.devices:SimProjector"}
-stage:     {backend: "sim.devices:SimStage"}
-fixture:   {backend: "sim.devices:SimFixture"}
+In a rig file::
+
+    bench:     {backend: "sim.devices:VirtualBench", world: world_demo.yaml}
+    camera:    {backend: "sim.devices:SimCamera"}
+    projector: {backend: "sim.devices:SimProjector"}
+    stage:     {backend: "sim.devices:SimStage"}
+    fixture:   {backend: "sim.devices:SimFixture"}
 """
 
 from __future__ import annotations
@@ -54,31 +56,45 @@ from sim.worker import START_S, Blender
 from sim.world import Binning, BoardItem, Subpixels, World
 
 DARK = "dark"
-"""The pattern id of a frame that was taken with the projector blank."""
+"""Pattern id of a frame taken with the projector blank."""
 
 LEAST_EXPOSURE_S = {
     1: 235e-6, 2: 700e-6, 3: 1570e-6, 4: 1700e-6, 5: 2000e-6, 6: 2500e-6, 7: 4500e-6, 8: 8333e-6,
 }  # fmt: skip
-"""By bit depth: the DLP LightCrafter 4500's, whose place the projector takes."""
+"""Least pattern exposure by bit depth, as of the DLP LightCrafter 4500 that the projector stands in for."""
 
 
 class VirtualBenchOptions(Document):
-    """The bench's section in a rig file.
+    """The section `bench` of a rig file.
 
-    world: a world file by path or by the name of one that comes with fpplab. binning: the camera's, in place
-    of the world's. analytic: light on flat, matt items is computed instead of rendered, see
-    `sim.light.plane`. subpixels: as in `sim.world.Render`, in place of the world's. still: nothing vibrates.
-    Both make searches quick: an item at rest takes one table of light where one that trembles takes four.
+    Fewer `subpixels` and `still` make searches quick: an item at rest takes one table of light, a vibrating
+    item takes four.
     """
 
     world: str
+    """World file, by path or by the name of one that comes with fpplab."""
     binning: Binning | None = None
+    """The camera's binning, in place of the world's."""
     analytic: bool = False
+    """Whether light on flat, matt items is computed instead of rendered, see `sim.light.plane`."""
     subpixels: Subpixels | None = None
+    """As in `sim.world.Render`, in place of the world's."""
     still: bool = False
+    """Whether vibration is switched off."""
 
-    def seen(self) -> World:
-        """The world as this bench has it. Raises `ConfigError`."""
+    def load_world(self) -> World:
+        """Load the world with the changes that these options make.
+
+        Returns
+        -------
+        World
+            As the virtual bench uses it.
+
+        Raises
+        ------
+        ConfigError
+            The world file is missing or not valid, or its sensor does not allow the binning.
+        """
         world = World.load(self.world)
         if self.binning is not None:
             world = world.binned(self.binning)
@@ -89,29 +105,41 @@ class VirtualBenchOptions(Document):
 
 
 class VirtualBench:
-    """What the devices share: the world, and how it stands at the moment.
+    """What the simulated devices share: the world, and the state of everything that moves.
 
-    Raises `ConfigError` for a wrong option (see `VirtualBenchOptions`) or world. Blender starts with the first
-    picture that needs it.
+    Blender starts with the first picture that needs it.
+
+    Parameters
+    ----------
+    options : dict of str to Any
+        See `VirtualBenchOptions`.
+
+    Raises
+    ------
+    ConfigError
+        An option or the world file is not valid.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
         chosen = config.validate(options, VirtualBenchOptions, "bench")
-        self.world = chosen.seen()
+        self.world = chosen.load_world()
         self.blender = Blender("bench")
         self._analytic = chosen.analytic
         self.light = Light(self.world, self.blender, analytic=self._analytic)
         self.setup = Setup(self.world.mounted)
         self.show: Show | None = None
-        self._lit: Setup | None = None
-        self._trembling: tuple[Setup, tuple[Setup, ...]] | None = None
+        self._seen_lit: Setup | None = None
+        self._vibrating: tuple[Setup, tuple[Setup, ...]] | None = None
         self._draws: deque[int] = deque()
 
     def open(self) -> None:
-        """Start with what the world has mounted, dark.
+        """Start with what the world has mounted, with the projector dark.
 
-        Raises `ConfigError` for an item that cannot be seen in the light, and for a device of the computer
-        that is not there: before anything is measured.
+        Raises
+        ------
+        ConfigError
+            The item cannot be seen in the light, or the computer lacks the render device that the world asks
+            for; found before anything is measured.
         """
         self.setup, self.show = Setup(self.world.mounted), None
         self._draws.clear()
@@ -119,77 +147,154 @@ class VirtualBench:
         self.check(self.world.mounted, 0)
 
     def check(self, item: str, pose: int) -> None:
-        """Raise `ConfigError` unless the item can be made, and seen in the projector's light."""
+        """Check that an item can be made, and seen in the projector's light.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item, or "nothing".
+        pose : int
+            Index of its pose.
+
+        Raises
+        ------
+        ConfigError
+            The item cannot be made, or the camera sees nothing of the light on it.
+        """
         if item != "nothing":
             self._check_lit(replace(self.setup, item=item, pose=pose))
 
     def close(self) -> None:
-        """End the Blender process and let go of every picture; legal any number of times."""
+        """End the Blender process and release every picture; allowed any number of times."""
         self.blender.close()
         self.light.forget()
 
-    def become(self, world: World) -> None:
-        """Go on as another world, with the same Blender process; pictures that still hold are kept.
+    def replace_world(self, world: World) -> None:
+        """Go on with another world and the same Blender process; pictures that are still valid are kept.
 
         For searches that change the response, the sensor or the light of the world many times.
+
+        Parameters
+        ----------
+        world : World
+            The new world.
         """
         light = Light(world, self.blender, analytic=self._analytic)
         light.inherit(self.light)
-        self.world, self.light, self._lit, self._trembling = world, light, None, None
+        self.world, self.light, self._seen_lit, self._vibrating = world, light, None, None
 
     def twin(self, board: str) -> Twin:
-        """A twin of a bench, nominally of this world, that looks at its item `board`; see `fpplab.matching`.
+        """Make a twin that starts from this world and looks at one of its boards; see `fpplab.matching`.
 
-        It renders in the same Blender process and lives as long. Raises `ConfigError` when that is no board.
+        It renders in the same Blender process and lives as long.
+
+        Parameters
+        ----------
+        board : str
+            Name of the item.
+
+        Returns
+        -------
+        Twin
+            A `SimTwin`.
+
+        Raises
+        ------
+        ConfigError
+            The item is no board.
         """
         return SimTwin(self.world, board, self.blender)
 
     def draw(self, numbers: Iterable[int]) -> None:
-        """Noise and shaking of the next frames follow from these numbers, one each, and the world's seed.
+        """Let noise and vibration of the next frames follow from these numbers and the world's seed.
 
-        For comparisons with common random numbers; what was to come of the last numbers is forgotten.
+        For comparisons with common random numbers; what is left of earlier numbers is discarded.
+
+        Parameters
+        ----------
+        numbers : iterable of int
+            Not negative, one for each of the next frames.
         """
         self._draws = deque(numbers)
 
-    def drawn(self, frame: int) -> int:
-        """The number that the next frame's noise and shaking follow from: its own count unless told one."""
+    def next_draw(self, frame: int) -> int:
+        """Take the number that the next frame's noise and vibration follow from.
+
+        Parameters
+        ----------
+        frame : int
+            Count of the frame, used where `draw` has given no number for it.
+
+        Returns
+        -------
+        int
+            A number from `draw`, or `frame`.
+        """
         return self._draws.popleft() if self._draws else frame
 
     def turn(self, convergence_deg: float) -> None:
-        """Turn the projector towards the camera, in degrees from how the world has it."""
+        """Turn the projector towards the camera.
+
+        Parameters
+        ----------
+        convergence_deg : float
+            In degrees from its orientation in the world file.
+        """
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
 
     def studio(self) -> SceneStudio:
-        """Scenes of this world's devices with everything known about them; see `fpplab.dataset`."""
+        """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`.
+
+        Returns
+        -------
+        SceneStudio
+            Replaces this bench's world with every scene.
+        """
         return SimStudio(self)
 
     def irradiance(self, settings: CameraSettings, frame: int) -> PatternLevels:
-        """What reaches the sensor during a frame, (height, width), 1 for white.
+        """Compute what reaches the sensor during a frame.
 
-        frame: as `drawn`; how the item shakes and when the shutter opens follow from it and the seed.
-        Raises `DeviceError`, `ConfigError` when nothing of the item lies in the light.
+        Parameters
+        ----------
+        settings : CameraSettings
+            Of which the exposure matters.
+        frame : int
+            From `next_draw`; the item's vibration and the phase of the shutter follow from it and the seed.
+
+        Returns
+        -------
+        PatternLevels
+            Irradiance (height, width), 1 for white.
+
+        Raises
+        ------
+        DeviceError
+            Blender fails.
+        ConfigError
+            Nothing of the item lies in the light.
         """
         setup, show = self.setup, self.show
         if show is not None and setup.item != "nothing":
             self._check_lit(setup)
         random = np.random.default_rng([self.world.seed, frame])
-        shake, start = random.standard_normal(3), random.uniform()
-        weights, step = self._row_weights(show, settings, start), self.world.vibration_mm
-        if step and setup.item != "nothing" and not self.light.computes(setup):
-            return with_vibration(self.light, setup, self._displaced(setup), shake, show, weights)
-        if step:  # no render to save
-            x, y, z = (step * shake).tolist()
-            setup = replace(setup, shake_mm=(x, y, z))
+        steps, start = random.standard_normal(3), random.uniform()
+        weights, step_mm = self._row_weights(show, settings, start), self.world.vibration_mm
+        if step_mm and setup.item != "nothing" and not self.light.computes(setup):
+            return with_vibration(self.light, setup, self._displaced(setup), steps, show, weights)
+        if step_mm:  # computed light is exact for every displacement at no greater cost
+            x, y, z = (step_mm * steps).tolist()
+            setup = replace(setup, vibration_mm=(x, y, z))
         return self.light.irradiance(setup, show, weights)
 
     def _displaced(self, setup: Setup) -> tuple[Setup, ...]:
-        if self._trembling is None or self._trembling[0] != setup:
+        if self._vibrating is None or self._vibrating[0] != setup:
             pose = setup.held or item_poses(self.world, setup.item)[setup.pose]
-            self._trembling = (setup, displaced(setup, pose, self.world.vibration_mm))
-        return self._trembling[1]
+            self._vibrating = (setup, displaced(setup, pose, self.world.vibration_mm))
+        return self._vibrating[1]
 
     def _row_weights(self, show: Show | None, settings: CameraSettings, start: float) -> Floats | None:
-        """Light of every binary plane in every row, when the shutter is open for broken periods."""
+        """Light of every binary plane in every row, where the exposure is not a whole number of periods."""
         period, shutter = self.world.projector.period_s, self.world.camera.shutter
         if show is None or period == 0 or is_whole(settings.exposure_s, period):
             return None
@@ -197,7 +302,7 @@ class VirtualBench:
         return plane_weights(rows, bits, period, settings.exposure_s, shutter.line_time_s, start * period)
 
     def _check_device(self) -> None:
-        """Render one pixel, where the computer may lack what the world asks for."""
+        """Render one pixel, where the computer may lack the render device that the world asks for."""
         if self.world.render.device == "CPU" or not self.world.items:
             return
         scene, _ = build_scene(self.world, Setup(next(iter(self.world.items))))
@@ -207,11 +312,11 @@ class VirtualBench:
                 one, None, [SubpixelView((0.0, 0.0))], Effort(device=self.world.render.device), START_S
             )
         except BaseException:
-            self.blender.close()  # a bench that does not open is not closed
+            self.blender.close()  # `close` is not called where `open` fails
             raise
 
     def _check_lit(self, setup: Setup) -> None:
-        if setup == self._lit:
+        if setup == self._seen_lit:
             return
         if not is_lit_in_view(self.world, setup):
             raise ConfigError(
@@ -219,7 +324,7 @@ class VirtualBench:
                 f"(pose {setup.pose}, stage at {setup.stage_mm:g} mm); correct "
                 f"'items.{setup.item}' or 'projector.T_camera_projector'"
             )
-        self._lit = setup
+        self._seen_lit = setup
 
 
 def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
@@ -231,11 +336,11 @@ def _shared(bench: Any, name: str, options: dict[str, Any]) -> VirtualBench:
 
 
 class SimCamera(Camera):
-    """The world's camera. Frames know the pattern that was on show, or `DARK`."""
+    """The world's camera. Frames carry the id of the pattern that was on show, or `DARK`."""
 
     @property
     def bench(self) -> VirtualBench:
-        """What it looks at, for those who want to know the truth."""
+        """The virtual bench that it belongs to, which knows the ground truth."""
         return self._bench
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
@@ -264,9 +369,9 @@ class SimCamera(Camera):
         self._index = 0  # a software trigger is the call of `read` itself
 
     def _read(self, timeout_s: float) -> Frame:
-        # On the bench's clock a picture takes no longer than its exposure, however long Blender works.
+        # On the simulated clock a picture takes no longer than its exposure, however long Blender works.
         settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
-        number = self._bench.drawn(self._count)
+        number = self._bench.next_draw(self._count)
         image = SensorModel.of(world).expose(self._bench.irradiance(settings, number), settings, number)
         index, self._index, self._count = self._index, self._index + 1, self._count + 1
         self._clock_s += settings.exposure_s
@@ -283,11 +388,11 @@ def _shown(pattern: Pattern) -> Pattern:
 
 @lru_cache(maxsize=8)
 def _greys(bit_depth: int) -> NDArray[np.uint8]:
-    """The grey that mirrors of that depth show for each of 256."""
+    """Tabulate the grey level that a pattern of that bit depth shows for each of 256."""
     return quantise(np.arange(256) / 255.0, bit_depth)
 
 
-# What cannot change need not be quantised twice; the same pattern also finds its texture again.
+# A read-only image need not be quantised twice; for the same pattern `Light` finds its pictures again.
 _shown_again = lru_cache(maxsize=128)(_shown)
 
 
@@ -336,7 +441,7 @@ class SimStage(Stage):
         self._homed = False
 
     def _close(self) -> None:
-        """It stands still between calls."""
+        """Nothing to do: the stage stands still between calls."""
 
     def _info(self) -> DeviceInfo:
         return DeviceInfo("stage", "simulated", "world", "Blender")
@@ -354,14 +459,14 @@ class SimStage(Stage):
         return self._bench.setup.stage_mm
 
     def _halt(self) -> None:
-        """It stands still between calls."""
+        """Nothing to do: the stage stands still between calls."""
 
     def _place(self, mm: float) -> None:
         self._bench.setup = replace(self._bench.setup, stage_mm=float(mm))
 
 
 class SimFixture(Fixture):
-    """Holds the world's items, and knows where they are."""
+    """Holds the world's items, and knows their poses."""
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._bench = _shared(bench, self.name, options)
@@ -370,7 +475,7 @@ class SimFixture(Fixture):
         self._held = {name: item_poses(self._bench.world, name) for name in self._bench.world.items}
 
     def _close(self) -> None:
-        """It goes on holding what it holds."""
+        """Nothing to do: the item stays mounted."""
 
     def _info(self) -> DeviceInfo:
         boards = sum(isinstance(item, BoardItem) for item in self._bench.world.items.values())

@@ -1,4 +1,4 @@
-"""What the fixture holds: items of the world file as surfaces, and the poses they are held in."""
+"""Items of the world file as surfaces, and the poses that the fixture holds them in."""
 
 from __future__ import annotations
 
@@ -23,13 +23,31 @@ from fpplab.targets import Target
 from sim.poses import board_poses, plate_corners
 from sim.scene import Paint, Surface
 from sim.world import ArtefactItem, BoardItem, CardItem, MeshItem, PoseRules, World
-from sim.world.materials import paint
 
 PRINT_PX_PER_MM = (4.0, 32.0)
+"""Least and greatest resolution of a board's picture."""
 
 
 def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
-    """Every pose T_camera_item that an item is held in. Raises `ConfigError`."""
+    """List the poses that an item is held in.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    name : str
+        Name of the item.
+
+    Returns
+    -------
+    tuple of RigidTransform
+        T_camera_item in mm; one for anything but a board.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, its target file cannot be read, or its pose rules leave no room.
+    """
     item = world.item(name)
     if not isinstance(item, BoardItem):
         return (item.pose.transform(),)
@@ -39,7 +57,23 @@ def item_poses(world: World, name: str) -> tuple[RigidTransform, ...]:
 
 
 def item_mesh(item: ArtefactItem | MeshItem) -> trimesh.Trimesh:
-    """The true shape of an artefact or part, in its own frame; not to be changed. Raises `ConfigError`."""
+    """Make or load the true shape of an artefact or part.
+
+    Parameters
+    ----------
+    item : ArtefactItem or MeshItem
+        Section of the world file.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        In mm in the item's own frame; shared between calls, so it must not be changed.
+
+    Raises
+    ------
+    ConfigError
+        There is no such artefact, its sizes are impossible, or the file cannot be read.
+    """
     if isinstance(item, ArtefactItem):
         return _artefact(item.artefact, tuple(item.sizes.items()), item.layer_mm, item.bead_mm)
     path = Path(item.mesh)
@@ -60,7 +94,27 @@ def _part(path: Path, changed_ns: int) -> trimesh.Trimesh:
 
 
 def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
-    """Corners (V, 3) in mm in the item's own frame, and triangles (F, 3) of them. Raises `ConfigError`."""
+    """Triangulate any item.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    name : str
+        Name of the item.
+
+    Returns
+    -------
+    vertices : Floats
+        Corners (V, 3) in mm in the item's own frame.
+    faces : ndarray of int64
+        Indices (F, 3) of the corners of every triangle.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, or it cannot be made; the message names the field.
+    """
     item = world.item(name)
     if isinstance(item, CardItem):
         return plate_corners(item.card_mm), _PLATE
@@ -72,25 +126,63 @@ def item_shape(world: World, name: str) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def item_surface(world: World, name: str, pose: RigidTransform) -> Surface:
-    """An item held in `pose`, T_camera_item. Raises `ConfigError`."""
+    """Make the surface that Blender is sent for an item.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    name : str
+        Name of the item.
+    pose : RigidTransform
+        T_camera_item in mm.
+
+    Returns
+    -------
+    Surface
+        Shape, pose, paint and, for a board, print.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, or it cannot be made; the message names the field.
+    """
     item = world.item(name)
     vertices, faces = item_shape(world, name)
     if isinstance(item, BoardItem):
         target = board_target(name, item)
-        picture = _share_of_ground(target, _print_resolution(world, pose))
+        picture = _ground_mask(target, _print_resolution(world, pose))
         printed = Paint(target.background, ink=target.foreground)
         return Surface(vertices, faces, pose.matrix, printed, picture, _PLATE_UV)
-    return Surface(vertices, faces, pose.matrix, paint(world.material_of(name)))
+    return Surface(vertices, faces, pose.matrix, world.material_of(name).paint())
 
 
 @lru_cache(maxsize=64)
-def _share_of_ground(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
-    """A board's picture, 255 where nothing is printed; not to be changed."""
+def _ground_mask(target: Target, px_per_mm: float) -> NDArray[np.uint8]:
+    """Draw a board's picture, 255 where nothing is printed; shared, so it must not be changed."""
     return target.model_copy(update={"foreground": 0.0, "background": 1.0}).image(px_per_mm)
 
 
 def board_target(name: str, item: BoardItem) -> Target:
-    """What is printed on a board, and with what reflectances. Raises `ConfigError`."""
+    """Load what is printed on a board, with the item's own reflectances.
+
+    Parameters
+    ----------
+    name : str
+        Name of the item, for messages.
+    item : BoardItem
+        Section of the world file.
+
+    Returns
+    -------
+    Target
+        With `item.reflectance` and `item.ink` where they are given.
+
+    Raises
+    ------
+    ConfigError
+        The target file is missing or not valid; the message names the field.
+    """
     with _named(f"items.{name}.target"):
         path = config.find_config(item.target)
         target = _target(path, path.stat().st_mtime_ns)
@@ -105,7 +197,7 @@ def _target(path: Path, changed_ns: int) -> Target:
 
 @contextmanager
 def _named(field: str) -> Iterator[None]:
-    """Say which field of the world a `ConfigError` is about."""
+    """Prefix a `ConfigError` with the world's field that it is about."""
     try:
         yield
     except ConfigError as error:
@@ -117,7 +209,7 @@ _PLATE_UV = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 def _print_resolution(world: World, pose: RigidTransform) -> float:
-    """Pixels per mm of a board's picture: twice what the camera resolves or more, within reason.
+    """Choose the pixels per mm of a board's picture: at least twice what the camera resolves, within limits.
 
     A power of two, so that a board that moves a little keeps its picture.
     """

@@ -1,4 +1,4 @@
-"""Where a board is held: seeded poses that camera and projector see whole."""
+"""Random poses of a board, from a seed, in which camera and projector see it whole."""
 
 from __future__ import annotations
 
@@ -13,11 +13,24 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from sim.world import PoseRules, World
 
 TRIES = 20000
+"""Random poses that are tried for each pose asked for."""
 CANDIDATES = 6
+"""Poses that fit, of which the one farthest from those before is taken."""
 
 
 def plate_corners(size_mm: tuple[float, float]) -> Floats:
-    """Corners (4, 3) of a plate around its origin, clockwise from the top left."""
+    """List the corners of a rectangular plate centred at its origin.
+
+    Parameters
+    ----------
+    size_mm : tuple of float
+        (width, height) in mm.
+
+    Returns
+    -------
+    Floats
+        (4, 3) in mm, clockwise from the top left, z = 0.
+    """
     x, y = 0.5 * size_mm[0], 0.5 * size_mm[1]
     return np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
 
@@ -31,7 +44,7 @@ def _poses_of(
     camera, projector = world.camera_model(), world.projector_model()
     outline = _outline(size_mm)
     T_projector_camera = world.T_projector_camera()
-    margin = rules.margin_px + 0.5  # the rules count from the centres of the outermost pixels
+    margin = rules.margin_px + 0.5  # `margin_px` is measured from the centres of the outermost pixels
     chosen: list[RigidTransform] = []
     fitting: list[RigidTransform] = []
     for attempt in count():
@@ -59,16 +72,36 @@ def _poses_of(
 def board_poses(
     world: World, name: str, size_mm: tuple[float, float], rules: PoseRules
 ) -> tuple[RigidTransform, ...]:
-    """Poses T_camera_board, reproducible from the world's seed, spread over the camera's image.
+    """Draw poses of a board, reproducible from the world's seed, spread over the camera's image.
 
     Of a few random poses that fit, the one farthest from all before is taken (Mitchell's best candidate).
-    Raises `ConfigError` when there is no room.
+
+    Parameters
+    ----------
+    world : World
+        Devices and seed.
+    name : str
+        Name of the item, which the random numbers depend on too.
+    size_mm : tuple of float
+        (width, height) of the board in mm.
+    rules : PoseRules
+        Number and range of the poses.
+
+    Returns
+    -------
+    tuple of RigidTransform
+        T_camera_board in mm.
+
+    Raises
+    ------
+    ConfigError
+        Hardly any pose lies wholly in both images.
     """
     return _poses_of(world.model_dump_json(), name, size_mm, rules)
 
 
 def _outline(size_mm: tuple[float, float]) -> Floats:
-    """Points along a board's edge, so that distortion cannot bend one out of sight."""
+    """Sample points along a board's edge, so that distortion cannot bend a part of it out of the image."""
     corners = plate_corners(size_mm)
     steps = np.linspace(0, 1, 5)[:-1, None]
     return np.concatenate(

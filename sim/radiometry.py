@@ -1,4 +1,4 @@
-"""From the lumens of a projector to the photons on a pixel of the camera: one chain, in SI units.
+"""Radiometry in SI units, from the lumens of a projector to the photons on a pixel of the camera.
 
     Φ_v     lumens of one LED, as the projector's data sheet gives them
     Φ = Φ_v / (683 lm/W V(λ))       radiant flux, W                          (`Led.watts`)
@@ -16,7 +16,7 @@ free of coma (Abbe's sine condition, sin θ' = 1 / (2 N)) gives π τ L / (4 N²
 differ by 1/(4 N²), 3 % at f/2.8 and 0.4 % at f/8. N belongs to the image distance; the number engraved on a
 lens is that for infinity, focal length over D, and N exceeds it by the factor 1 + magnification.
 
-What the chain leaves out: the fall of light with the fourth power of the cosine away from the camera's axis,
+Not included: the fall of light with the fourth power of the cosine away from the camera's axis,
 the width of an LED's spectrum, and any unevenness over the projected image.
 
 Sources: CIE 018:2019 for lumens; Born & Wolf, Principles of Optics, 7th ed., 4.8, for the lens; Wyman, Sloan
@@ -37,8 +37,15 @@ LUMENS_PER_WATT = 683.0
 
 @dataclass(frozen=True)
 class Led:
-    """Light of one colour. lumens: luminous flux out of the projector's lens under white, all mirrors on, on
-    average over a pattern's time. wavelength_nm: its dominant wavelength.
+    """Light of one colour.
+
+    Attributes
+    ----------
+    lumens : float
+        Luminous flux out of the projector's lens under white, all mirrors on, averaged over a pattern's time,
+        in lm.
+    wavelength_nm : float
+        Dominant wavelength in nm.
     """
 
     lumens: float
@@ -51,12 +58,26 @@ class Led:
 
 
 def photopic_efficiency(wavelength_nm: float) -> float:
-    """V(λ), the eye's relative sensitivity by day (CIE 1924), at a wavelength in nm.
+    """Compute V(λ), the photopic luminous efficiency function (CIE 1924).
 
-    Two lobes, each a Gaussian with a standard deviation of its own on either side: the fit to ȳ = V of Wyman,
-    Sloan & Shirley, Simple analytic approximations to the CIE XYZ color matching functions, J. Computer
-    Graphics Techniques 2(2), 2013. It keeps within 0.008 of the table: 3 % from 470 to 650 nm, 7 % at 460 and
-    660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that it fails: at 400 nm it gives three times too much.
+    Two lobes, each a Gaussian with different standard deviations on either side. It keeps within 0.008 of the
+    table: 3 % from 470 to 650 nm, 7 % at 460 and 660 nm, 13 % at 450 nm and 18 % at 440 nm. Below that it
+    fails: at 400 nm it gives three times too much.
+
+    Parameters
+    ----------
+    wavelength_nm : float
+        In nm.
+
+    Returns
+    -------
+    float
+        Relative to the peak at 555 nm, 0 to 1.
+
+    References
+    ----------
+    The fit to ȳ = V of Wyman, Sloan & Shirley, Simple analytic approximations to the CIE XYZ color matching
+    functions, J. Computer Graphics Techniques 2(2), 2013.
     """
     broad = 0.821 * _lobe(wavelength_nm, 568.8, 46.9, 40.5)
     green = 0.286 * _lobe(wavelength_nm, 530.9, 16.3, 31.1)
@@ -69,28 +90,68 @@ def _lobe(wavelength: float, peak: float, below: float, above: float) -> float:
 
 
 def lit_area_m2(size: tuple[int, int], focal_px: tuple[float, float], distance_mm: float) -> float:
-    """Area in m² that the projector's image covers on a surface that faces it at `distance_mm`.
+    """Compute the area that the projector's image covers on a surface that faces it.
 
-    size: (columns, rows) of mirrors. focal_px: (fx, fy), in columns and in rows. Where the principal point
-    lies does not matter: a facing plane shows the same rectangle, moved.
+    The principal point does not matter: it only moves the rectangle on a facing plane.
+
+    Parameters
+    ----------
+    size : tuple of int
+        (columns, rows) of mirrors.
+    focal_px : tuple of float
+        (fx, fy), in columns and in rows.
+    distance_mm : float
+        Distance of the surface in mm.
+
+    Returns
+    -------
+    float
+        In m².
     """
     width, height = (side / focal * distance_mm for side, focal in zip(size, focal_px, strict=True))
     return width * height * 1e-6
 
 
 def irradiance_w_m2(led: Led, lit_area_m2: float) -> float:
-    """Irradiance in W/m² of a facing surface over which the LED's light is spread evenly."""
+    """Compute the irradiance of a facing surface over which the LED's light is spread evenly.
+
+    Parameters
+    ----------
+    led : Led
+        The light.
+    lit_area_m2 : float
+        Illuminated area in m².
+
+    Returns
+    -------
+    float
+        In W/m².
+    """
     return led.watts / lit_area_m2
 
 
 def photons_per_s(
     leds: Sequence[Led], lit_area_m2: float, f_number: float, transmission: float, pixel_um: float
 ) -> float:
-    """Photons per second on an unbinned pixel that sees a white Lambertian surface facing the projector.
+    """Compute the photon flux on an unbinned pixel that sees a white Lambertian surface facing the projector.
 
-    leds: those that are on. lit_area_m2: that of the surface's distance. f_number: the camera's working
-    f-number, image distance over the aperture's diameter. transmission: τ of the camera's lens, 0 … 1.
-    pixel_um: side of the square pixel, in µm; all of it collects light.
+    Parameters
+    ----------
+    leds : sequence of Led
+        Those that are on.
+    lit_area_m2 : float
+        Area of the projector's image at the surface's distance, in m².
+    f_number : float
+        Working f-number of the camera, image distance over the aperture's diameter.
+    transmission : float
+        τ of the camera's lens, 0 to 1.
+    pixel_um : float
+        Side of the square pixel in µm; all of it collects light.
+
+    Returns
+    -------
+    float
+        Photons per second.
     """
     share = transmission / (4 * f_number**2)
     area = (pixel_um * 1e-6) ** 2
@@ -105,5 +166,16 @@ def _photon_energy(wavelength_nm: float) -> float:
 
 
 def gain_factor(gain_db: float) -> float:
-    """The factor of a camera's gain: amplitudes, so 20 dB are ten times."""
+    """Convert a camera's gain to a factor.
+
+    Parameters
+    ----------
+    gain_db : float
+        In dB of amplitude, so 20 dB are ten times.
+
+    Returns
+    -------
+    float
+        Factor on the signal.
+    """
     return float(10 ** (gain_db / 20))

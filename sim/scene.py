@@ -1,4 +1,4 @@
-"""What the Blender process is told: plain numbers, no configuration, no bpy.
+"""The scene as the Blender process receives it: plain numbers, no configuration, no bpy.
 
 Frame: the camera's (OpenCV), mm. A scene is all that a render depends on, except the
 projector's texture and the rendering effort, so the process keeps no other state.
@@ -18,7 +18,14 @@ from fpplab.core.conventions import Floats
 class PinholeOptics:
     """A pinhole with OpenCV's distortion.
 
-    size: (width, height) in px. matrix: (3, 3) in px. distortion: (8,), k1 k2 p1 p2 k3 k4 k5 k6.
+    Attributes
+    ----------
+    size : tuple of int
+        (width, height) of the image in px.
+    matrix : Floats
+        Intrinsic matrix (3, 3) in px.
+    distortion : Floats
+        OpenCV's coefficients (8,): k1 k2 p1 p2 k3 k4 k5 k6.
     """
 
     size: tuple[int, int]
@@ -28,13 +35,32 @@ class PinholeOptics:
 
 @dataclass(frozen=True, eq=False)
 class Aperture:
-    """A thin lens in the place of the pinhole: its diameter, 0 for none, and the depth that is sharp, mm."""
+    """A thin lens in the place of the pinhole.
+
+    Attributes
+    ----------
+    diameter_mm : float
+        Diameter of the aperture in mm; 0 for a pinhole, which is sharp at every depth.
+    focus_mm : float
+        Depth that is in focus, in mm.
+    """
 
     diameter_mm: float = 0.0
     focus_mm: float = 1.0
 
     def circle_per_px(self, depth_mm: Floats) -> Floats:
-        """Diameter of the circle of confusion over the focal length: `A |1/z - 1/z_focus|`."""
+        """Compute the diameter of the circle of confusion over the focal length: `A |1/z - 1/z_focus|`.
+
+        Parameters
+        ----------
+        depth_mm : Floats
+            Depths before the lens in mm, of any shape.
+
+        Returns
+        -------
+        Floats
+            Of the same shape, in px of diameter for each px of focal length.
+        """
         return np.asarray(self.diameter_mm * np.abs(1.0 / depth_mm - 1.0 / self.focus_mm))
 
 
@@ -42,15 +68,32 @@ class Aperture:
 class Lamp:
     """The projector as a light.
 
-    T_camera_projector: (4, 4). affine: (2, 3), projector pixels (u, v, 1) to texture columns and rows.
-    texture_shape: (rows, columns). exact: mirrors with sharp edges, else interpolated linearly.
-    fill: side of an exact mirror, in texels.
-    distance_mm: where a white surface that faces the white projector has irradiance 1.
-    half_angle: of the cone around the axis that holds the image, rad; beyond it the lens's polynomial may
-    fold back into the image.
-    aperture: of its lens. texels_per_slope: of the texture, by which the circle of confusion is scaled.
-    circles: (L,) rising diameters in texels for which textures are given; between two of them their mixture
-    is linear in the diameter's square, as variances are.
+    Attributes
+    ----------
+    optics : PinholeOptics
+        Of the projector, in mirrors.
+    T_camera_projector : Floats
+        Pose (4, 4) of the projector in the camera's frame, in mm.
+    affine : Floats
+        (2, 3), from projector pixels (u, v, 1) to columns and rows of the texture.
+    texture_shape : tuple of int
+        (rows, columns) of the texture.
+    exact : bool
+        Whether mirrors have sharp edges; otherwise the texture is interpolated linearly.
+    fill : float
+        Side of a mirror with sharp edges, in texels.
+    distance_mm : float
+        Distance at which a white surface that faces the white projector has irradiance 1.
+    half_angle : float
+        Of the cone around the axis that holds the image, in rad; beyond it the lens's polynomial may fold
+        back into the image.
+    aperture : Aperture
+        Of the projector's lens.
+    texels_per_slope : float
+        Focal length in texels, by which the circle of confusion is scaled.
+    circles : tuple of float
+        (L,) rising diameters in texels for which textures are given; between two of them their mixture is
+        linear in the diameter's square, as variances are.
     """
 
     optics: PinholeOptics
@@ -66,14 +109,24 @@ class Lamp:
     circles: tuple[float, ...]
 
     @property
-    def sharp(self) -> float | None:
+    def sharp_side(self) -> float | None:
         """Side of mirrors with sharp edges, in texels; None for smooth optics."""
         return self.fill if self.exact else None
 
 
 @dataclass(frozen=True)
 class Relief:
-    """Sinusoidal ridges across `axis`, of length 1 in the item's frame; `depth_mm` from crest to valley."""
+    """Sinusoidal ridges.
+
+    Attributes
+    ----------
+    axis : tuple of float
+        Direction across the ridges, of length 1 in the item's frame.
+    period_mm : float
+        Distance from ridge to ridge in mm.
+    depth_mm : float
+        Height from valley to crest in mm; 0 for no ridges.
+    """
 
     axis: tuple[float, float, float]
     period_mm: float
@@ -82,32 +135,88 @@ class Relief:
 
 @dataclass(frozen=True)
 class Grain:
-    """Random facets: RMS slope, and their size."""
+    """Random facets.
+
+    Attributes
+    ----------
+    slope : float
+        Root mean square of the surface's gradient; 0 for no facets.
+    size_mm : float
+        Square root of a facet's mean area, in mm.
+    """
 
     slope: float
     size_mm: float
 
 
-LEVEL, EVEN = Relief((0.0, 0.0, 1.0), 1.0, 0.0), Grain(0.0, 1.0)
-"""No relief, and no grain."""
+NO_RELIEF, NO_GRAIN = Relief((0.0, 0.0, 1.0), 1.0, 0.0), Grain(0.0, 1.0)
+"""A surface without ridges, and one without facets."""
+
+
+@dataclass(frozen=True)
+class BaseLayer:
+    """What a surface is made of below its gloss coat.
+
+    Attributes
+    ----------
+    shader : str
+        Name of the shader that draws it, a key of `sim.blender.materials.BASE_SHADERS`.
+    parameters : tuple of (str, float)
+        What that shader asks for besides reflectance and normal, by name.
+    """
+
+    shader: str
+    parameters: tuple[tuple[str, float], ...] = ()
+
+
+def matt(roughness: float = 0.0) -> BaseLayer:
+    """Make the base layer of matt paint.
+
+    Parameters
+    ----------
+    roughness : float
+        Of Oren and Nayar's model in Fujii's form, 0 (Lambertian) to 1 (roughest).
+
+    Returns
+    -------
+    BaseLayer
+        Drawn by the shader "diffuse".
+    """
+    return BaseLayer("diffuse", (("roughness", roughness),))
+
+
+LAMBERTIAN = matt()
+"""The base layer that reflects equally in all directions."""
 
 
 @dataclass(frozen=True)
 class Paint:
     """What a surface is made of.
 
-    reflectance: 0 … 1, where a picture on the surface is white; ink: where it is black. roughness:
-    Oren-Nayar's, 0 … 1. gloss: share of light that a gloss reflects. scatter_mm: mean free path below the
-    surface, 0 for a surface that light does not enter.
+    Attributes
+    ----------
+    reflectance : float
+        Of the base layer, 0 to 1, where a picture on the surface is white.
+    base : BaseLayer
+        The layer below the gloss coat.
+    gloss : float
+        Share of the light that a gloss coat reflects; 0 for no coat.
+    gloss_roughness : float
+        Square root of the width parameter of GGX, of the coat.
+    relief : Relief
+        Ridges.
+    grain : Grain
+        Facets.
+    ink : float
+        Reflectance where a picture on the surface is black.
     """
 
     reflectance: float
-    roughness: float = 0.0
+    base: BaseLayer = LAMBERTIAN
     gloss: float = 0.0
     gloss_roughness: float = 0.3
-    scatter_mm: float = 0.0
-    relief: Relief = LEVEL
-    grain: Grain = EVEN
+    relief: Relief = NO_RELIEF
+    grain: Grain = NO_GRAIN
     ink: float = 0.0
 
 
@@ -115,9 +224,20 @@ class Paint:
 class Surface:
     """A body of triangles.
 
-    vertices: (V, 3) in mm in the item's frame. faces: (F, 3) indices. T_camera_item: (4, 4).
-    picture: uint8 [v, u], from the paint's ink at 0 to its reflectance at 255, or None. uv: (V, 2) places of
-    the vertices in the picture, 0 … 1, v downwards.
+    Attributes
+    ----------
+    vertices : Floats
+        Corners (V, 3) in mm in the item's frame.
+    faces : ndarray of int64
+        Indices (F, 3) of the corners of every triangle.
+    T_camera_item : Floats
+        Pose (4, 4) in the camera's frame, in mm.
+    paint : Paint
+        What it is made of.
+    picture : ndarray of uint8 or None
+        Print [v, u], from the paint's ink at 0 to its reflectance at 255; None for none.
+    uv : Floats or None
+        Places (V, 2) of the vertices in the picture, 0 to 1, v downwards; None without a picture.
     """
 
     vertices: Floats
@@ -132,8 +252,19 @@ class Surface:
 class RenderScene:
     """Camera, light and surfaces.
 
-    window: (left, top, right, bottom) in px, the right and bottom ones excluded: the part of the image that
-    holds the surfaces. The rest is black without being rendered.
+    Attributes
+    ----------
+    camera : PinholeOptics
+        The camera, at the origin.
+    aperture : Aperture
+        Of the camera's lens.
+    lamp : Lamp
+        The projector.
+    surfaces : tuple of Surface
+        Everything that is in view.
+    window : tuple of int
+        (left, top, right, bottom) in px, the right and bottom ones excluded: the part of the image that holds
+        the surfaces. The rest is black without being rendered.
     """
 
     camera: PinholeOptics
@@ -145,9 +276,21 @@ class RenderScene:
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard to render: light paths a sub-pixel, bounces between surfaces, on what device, and what of it.
+    """How thoroughly to render, on what device, and which channels to return.
 
-    survey: also say which points are seen and how they are lit; else it is a picture alone.
+    Attributes
+    ----------
+    samples : int
+        Light paths for each sub-pixel.
+    bounces : int
+        Reflections between surfaces that are followed.
+    seed : int
+        Of the random light paths.
+    device : str
+        What Cycles computes on, as `sim.world.Render.device`.
+    survey : bool
+        Whether the channels of a survey are returned too: the points that are seen and their direct light.
+        Otherwise only the picture is.
     """
 
     samples: int = 1
@@ -158,7 +301,7 @@ class Effort:
 
     @property
     def channels(self) -> int:
-        """Numbers for each pixel."""
+        """How many numbers a render gives for each pixel."""
         return CHANNELS if self.survey else COLOURS
 
 
@@ -166,26 +309,31 @@ class Effort:
 class SubpixelView:
     """One point of every pixel and of the lens that a picture is taken through.
 
-    shift: (u, v) from the pixel's centre in px. lens: on a disc of radius 1; turned about the axis by an
-    angle of each pixel's own, so that few points do not make ghosts.
+    Attributes
+    ----------
+    shift : tuple of float
+        (u, v) from the pixel's centre in px.
+    lens : tuple of float
+        Point of the aperture, on a disc of radius 1; turned about the axis by a different angle in every
+        pixel, so that few points do not make ghost images.
     """
 
     shift: tuple[float, float]
     lens: tuple[float, float] = (0.0, 0.0)
 
 
-class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot be had
-    """What the world asks for and cannot be had, and what to change: one sentence."""
+class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot be rendered
+    """The world asks for something that cannot be rendered; one sentence says what, and what to change."""
 
 
 COLOURS = 3
-"""What a picture gives for each pixel: radiance in three colours."""
+"""Channels of a picture: radiance in three colours."""
 
 DIRECT, ALBEDO, X, Y, Z = range(COLOURS, COLOURS + 5)
 CHANNELS = COLOURS + 5
-"""What a survey gives besides: of the first colour, what came straight from the projector; the surface's
-reflectance; and the point that was seen, in mm, zeros where none was."""
+"""Channels of a survey, after the picture's: of the first colour, the light that came straight from the
+projector; the surface's reflectance; and the point that was seen, in mm, zeros where none was."""
 
 
 POSITION, REFLECTANCE = "position", "reflectance"
-"""The names under which every material says which point was seen, and what of the light it gives back."""
+"""Render passes in which every material outputs the point that is seen, and its reflectance."""

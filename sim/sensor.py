@@ -1,6 +1,6 @@
-"""The sensor: irradiance -> electrons -> numbers, with shot noise, read noise and saturation.
+"""The sensor: from irradiance to electrons to grey levels, with shot noise, read noise and saturation.
 
-Photon transfer: a pixel with mean charge N electrons and gain K numbers per electron has the variance
+Photon transfer: a pixel with mean charge N electrons and gain K grey levels per electron has the variance
 `K² (N + read²) + 1/12` (Janesick, Photon Transfer, 2007; 1/12 for rounding).
 """
 
@@ -17,15 +17,24 @@ from fpplab.devices import CameraSettings
 from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
 from sim.world import Sensor, World
 
-MANY = 1000.0
-"""Electrons from which a Poisson variable is drawn as a normal one; the skewness left out is 3 %."""
+MANY_ELECTRONS = 1000.0
+"""Charge from which shot noise is drawn as normal instead of Poisson; the neglected skewness is 3 %."""
 
 
 @dataclass(frozen=True)
 class SensorModel:
     """The sensor of a camera that sums the charge of `binning` x `binning` pixels.
 
-    photons_per_s: on an unbinned pixel that sees irradiance 1, see `sim.radiometry`.
+    Attributes
+    ----------
+    sensor : Sensor
+        Section of the world file.
+    binning : int
+        Pixels of the sensor along each side of a pixel of a frame.
+    photons_per_s : float
+        On an unbinned pixel that sees irradiance 1, see `sim.radiometry`.
+    seed : int
+        Of the noise.
     """
 
     sensor: Sensor
@@ -35,37 +44,100 @@ class SensorModel:
 
     @classmethod
     def of(cls, world: World) -> SensorModel:
-        """The sensor of a world's camera."""
+        """Make the sensor of a world's camera.
+
+        Parameters
+        ----------
+        world : World
+            Camera, projector and seed.
+
+        Returns
+        -------
+        SensorModel
+            With the photon flux of that world's light.
+        """
         camera = world.camera
         return cls(camera.sensor, camera.binning, white_photons_per_s(world), world.seed)
 
     def electrons(self, irradiance: float, exposure_s: float) -> float:
-        """Mean charge of a binned pixel, without saturation."""
+        """Compute the mean charge of a binned pixel, without saturation.
+
+        Parameters
+        ----------
+        irradiance : float
+            1 for a white surface that faces the white projector.
+        exposure_s : float
+            Exposure in s.
+
+        Returns
+        -------
+        float
+            In electrons.
+        """
         per_pixel = self.photons_per_s * self.sensor.quantum_efficiency * exposure_s
         return irradiance * per_pixel * self.binning**2
 
     def gain(self, settings: CameraSettings) -> float:
-        """Numbers per electron."""
+        """Compute the system gain.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            Bit depth and gain.
+
+        Returns
+        -------
+        float
+            Grey levels per electron.
+        """
         share = (1 - self.sensor.black_level) / (self.sensor.full_well_e * self.binning**2)
         return float(full_scale(settings.bits) * share * gain_factor(settings.gain_db))
 
     def expected(self, irradiance: NDArray[np.float32], settings: CameraSettings) -> NDArray[np.float32]:
-        """The mean of many frames, float32 0 … full scale: without noise, and without rounding."""
+        """Compute the mean of many frames: without noise, and without rounding.
+
+        Parameters
+        ----------
+        irradiance : ndarray of float32
+            Of any shape, 1 for white.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        ndarray of float32
+            Grey levels of the same shape, 0 to full scale.
+        """
         full = full_scale(settings.bits)
         most = np.float32(self.sensor.full_well_e * self.binning**2)
-        numbers = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
-        np.minimum(numbers, most, out=numbers)
-        numbers *= np.float32(self.gain(settings))
-        numbers += np.float32(self.sensor.black_level * full)
-        return np.minimum(numbers, np.float32(full), out=numbers)
+        levels = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
+        np.minimum(levels, most, out=levels)
+        levels *= np.float32(self.gain(settings))
+        levels += np.float32(self.sensor.black_level * full)
+        return np.minimum(levels, np.float32(full), out=levels)
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
-        """One frame [v, u], uint8 up to 8 bits, else uint16; the noise follows from seed and counter."""
+        """Expose one frame.
+
+        Parameters
+        ----------
+        irradiance : ndarray of float32
+            [v, u], 1 for white.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+        counter : int
+            Number of the frame; the noise follows from this and the seed.
+
+        Returns
+        -------
+        Image
+            Grey levels [v, u], uint8 up to 8 bits, otherwise uint16.
+        """
         random = np.random.Generator(np.random.SFC64([self.seed, counter]))
         charge = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
         read = self.sensor.read_noise_e * self.binning
         noise = random.standard_normal(charge.shape, np.float32)
-        few = (charge > 0) & (charge < MANY)
+        few = (charge > 0) & (charge < MANY_ELECTRONS)
         counted = random.poisson(charge[few]).astype(np.float32) + np.float32(read) * noise[few]
         full = full_scale(settings.bits)
         out = np.empty(charge.shape, raw_dtype(settings.bits))
@@ -84,7 +156,18 @@ class SensorModel:
 
 
 def white_photons_per_s(world: World) -> float:
-    """Photons on an unbinned pixel that sees irradiance 1, by the lamp, the distance and the lens."""
+    """Compute the photon flux on an unbinned pixel that sees irradiance 1.
+
+    Parameters
+    ----------
+    world : World
+        Its lamp, distance and lens determine the flux.
+
+    Returns
+    -------
+    float
+        Photons per second.
+    """
     camera, projector = world.camera, world.projector
     focal = world.projector_model().matrix
     area = lit_area_m2(projector.size, (focal[0, 0], focal[1, 1]), projector.distance_mm)
@@ -102,5 +185,5 @@ def _digitise(
     out: Image,
 ) -> None:
     for i in range(charge.size):
-        number = min(charge[i], full_well) * gain + black
-        out[i] = int(min(max(number, 0.0), full_scale) + 0.5)
+        level = min(charge[i], full_well) * gain + black
+        out[i] = int(min(max(level, 0.0), full_scale) + 0.5)

@@ -1,9 +1,9 @@
-"""The bench as a studio for data sets: any scene of its devices, and what is true of it."""
+"""Scenes for data sets: any item before the simulated devices, and the ground truth of the scene."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import trimesh
 
@@ -11,45 +11,110 @@ from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.simulation.arrangeable import SceneTruth
 from fpplab.simulation.scene import DatasetScene
+from sim.build import Setup
 from sim.items import item_poses, item_shape
+from sim.light import Light
 from sim.world import World
 
-if TYPE_CHECKING:
-    from sim.devices import VirtualBench
-
 ITEM = "item"
-"""What a scene's one item is called."""
+"""Name of the one item of a scene."""
+
+
+class WorldHolder(Protocol):
+    """What a studio needs of the virtual bench whose scenes it arranges."""
+
+    world: World
+    """The world in use."""
+    setup: Setup
+    """State of everything that moves."""
+    light: Light
+    """Pictures of the world in use."""
+
+    def replace_world(self, world: World) -> None:
+        """Go on with another world; called once for every scene.
+
+        Parameters
+        ----------
+        world : World
+            With the scene's item, materials and light.
+        """
 
 
 class SimStudio:
-    """A `fpplab.simulation.arrangeable.Arrangeable` of the world that the bench stands in when it is made."""
+    """A `fpplab.simulation.arrangeable.SceneStudio` over the world in use when it is made.
 
-    def __init__(self, bench: VirtualBench) -> None:
+    Parameters
+    ----------
+    bench : WorldHolder
+        The virtual bench, whose world and set-up are replaced with every scene.
+    """
+
+    def __init__(self, bench: WorldHolder) -> None:
         self._bench, self._nominal = bench, bench.world
 
     def nominal(self) -> dict[str, Any]:
-        """The world that scenes are variations of, without its items, which do not appear in them."""
+        """Give the world that scenes are variations of.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain data, without the parts that every scene replaces, such as items and materials.
+        """
         return {name: part for name, part in config.plain(self._nominal).items() if name not in _REPLACED}
 
     def calibration(self, stage_mm: float) -> Calibration:
-        """The true devices with the stage at `stage_mm`."""
+        """Give the true devices.
+
+        Parameters
+        ----------
+        stage_mm : float
+            Position of the stage in mm.
+
+        Returns
+        -------
+        Calibration
+            Camera, projector and the pose between them.
+        """
         world = self._nominal
         return Calibration(
             world.camera_model(), world.projector_model(), world.T_projector_camera(stage_mm), rms_px={}
         )
 
     def arrange(self, scene: DatasetScene) -> None:
-        """Stand the scene's item before the devices, in its light. Raises `ConfigError`."""
-        self._bench.become(_world_of(self._nominal, scene))
-        self._bench.light.forget()  # no scene comes again
+        """Put the scene's item before the devices, in the scene's light.
+
+        Parameters
+        ----------
+        scene : DatasetScene
+            Item, pose, material, light and noise.
+
+        Raises
+        ------
+        ConfigError
+            No world can have such a scene.
+        """
+        self._bench.replace_world(_world_of(self._nominal, scene))
+        self._bench.light.forget()  # no scene is used twice
         self._bench.setup = replace(self._bench.setup, item=ITEM, pose=0)
 
     def world(self) -> dict[str, Any]:
-        """The world as it is arranged."""
+        """Give the world with the arranged scene.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain data of a world file.
+        """
         return config.plain(self._bench.world)
 
     def truth(self) -> SceneTruth:
-        """The item's true surface, and the devices where the stage has put them."""
+        """Give the ground truth of the arranged scene.
+
+        Returns
+        -------
+        SceneTruth
+            The item's surface in mm in the camera's frame, and the devices with the stage where it is.
+        """
         world = self._bench.world
         vertices, faces = item_shape(world, ITEM)
         (pose,) = item_poses(world, ITEM)
@@ -58,11 +123,11 @@ class SimStudio:
 
 
 _REPLACED = ("seed", "items", "mounted", "material", "materials", "ambient")
-"""Parts of a world that every scene has its own of."""
+"""Parts of a world that every scene replaces."""
 
 
 def _world_of(nominal: World, scene: DatasetScene) -> World:
-    """The nominal world with the scene in it. Raises `ConfigError` for what no world can have."""
+    """Make the nominal world with the scene in it; `ConfigError` where no world can have it."""
     data = nominal.model_dump(mode="json")
     pose = scene.pose.model_dump(mode="json")
     item: dict[str, Any]
@@ -85,5 +150,5 @@ def _world_of(nominal: World, scene: DatasetScene) -> World:
         "read_noise_e": scene.read_noise_e,
     }
     data["projector"] |= {"blur": scene.projector_blur, "focus_mm": scene.projector_focus_mm}
-    data["render"]["cache"] = False  # no scene comes again
+    data["render"]["cache"] = False  # no scene is used twice
     return config.validate(data, World, "scene")

@@ -1,4 +1,4 @@
-"""Mirrors as a texture: from the grey level of each mirror to the light that leaves the lens.
+"""Projector mirrors as a texture: from the light of each mirror to the light that leaves the lens.
 
 The texture is a square lattice with one texel per mirror. On the diamond lattice mirror (i, j) is centred at
 u = i + 0.5 (j mod 2), v = j, so with s = u + v/2 and t = u - v/2 every centre is an integer (s, t): the
@@ -8,8 +8,8 @@ is half a column high.
 Optics: a mirror fills the share f of its unit square, so it is a square of variance f/12 along each side, and
 the lens blurs it with a point-spread of standard deviation `blur`, in mirrors. Linear interpolation between
 texels is a tent of variance 1/6, so the texels are blurred by the Gaussian of variance `blur² + f/12 - 1/6`:
-the whole has the variance of both. Out of focus the circle of confusion, a disc of
-variance D²/16, comes on top. `blur = 0` are ideal mirrors with sharp edges, which no lens shows.
+together they have the variance of mirror and lens. Out of focus the circle of confusion, a disc of
+variance D²/16, comes on top. `blur = 0` means ideal mirrors with sharp edges, which no real lens shows.
 """
 
 from __future__ import annotations
@@ -29,11 +29,23 @@ from fpplab.core.conventions import Floats, Lattice, mirror_centres
 
 
 def least_blur(fill_factor: float) -> float:
-    """The least point-spread that linear interpolation can stand for, in mirrors."""
+    """Compute the smallest point spread that linear interpolation of texels can represent.
+
+    Parameters
+    ----------
+    fill_factor : float
+        Share of its square that a mirror fills.
+
+    Returns
+    -------
+    float
+        Standard deviation in mirrors.
+    """
     return math.sqrt(1 / 6 - fill_factor / 12)
 
 
 Texels = NDArray[np.float32]
+"""A texture (rows, columns)."""
 Part = tuple[int, int, int, int]
 """Texels (left, top, right, bottom) of a texture, the right and bottom ones excluded."""
 
@@ -42,8 +54,18 @@ Part = tuple[int, int, int, int]
 class MirrorTexture:
     """The texture of a projector.
 
-    size: (columns, rows) of mirrors. blur: in mirrors, 0 or >= `least_blur`. fill_factor: of the mirrors.
-    widest: greatest circle of confusion that is asked for, in texels.
+    Attributes
+    ----------
+    size : tuple of int
+        (columns, rows) of mirrors.
+    lattice : Lattice
+        How the mirrors are arranged.
+    blur : float
+        Standard deviation of the lens's point spread in mirrors, 0 or at least `least_blur`.
+    fill_factor : float
+        Share of its square that a mirror fills.
+    widest : float
+        Diameter of the greatest circle of confusion that will be asked for, in texels.
     """
 
     size: tuple[int, int]
@@ -64,12 +86,12 @@ class MirrorTexture:
 
     @property
     def texels_per_column(self) -> float:
-        """Texels over a length of one column of mirrors; a diamond's neighbours stand at 45 degrees."""
+        """Texels per column of mirrors; on the diamond lattice nearest neighbours lie at 45 degrees."""
         return math.sqrt(2.0) if self.lattice is Lattice.DIAMOND else 1.0
 
     @property
     def _variance(self) -> float:
-        """Of the Gaussian that is left beside mirror and interpolation, in texels squared."""
+        """Variance of the Gaussian that remains to be applied, in texels squared."""
         return 0.0 if self.exact else max(self.blur**2 + self.fill_factor / 12 - 1 / 6, 0.0)
 
     @property
@@ -92,23 +114,50 @@ class MirrorTexture:
         return rows, columns
 
     def spread(self, light: NDArray[np.float32], circle: float = 0.0, part: Part | None = None) -> Texels:
-        """The texture of mirrors that give `light` (rows, columns of mirrors), float32; dark outside.
+        """Make the texture of mirrors with given light; dark outside.
 
-        circle: diameter of the circle of confusion in texels, at most `widest`. part: so much of the texture.
+        Parameters
+        ----------
+        light : ndarray of float32
+            Of every mirror, (rows, columns).
+        circle : float
+            Diameter of the circle of confusion in texels, at most `widest`.
+        part : Part or None
+            Region of the texture to return; None for all of it.
+
+        Returns
+        -------
+        Texels
+            (rows, columns) of the texture or of its part.
         """
         return self.spreads(light, (circle,), part)[0]
 
     def spreads(
         self, light: NDArray[np.float32], circles: Sequence[float], part: Part | None = None
     ) -> list[Texels]:
-        """What `spread` gives for each of several circles; the mirrors are laid out once for all."""
+        """Make the textures for several circles of confusion, placing the mirrors once.
+
+        Parameters
+        ----------
+        light : ndarray of float32
+            Of every mirror, (rows, columns).
+        circles : sequence of float
+            Diameters in texels, at most `widest`.
+        part : Part or None
+            Region of the texture to return; None for all of it.
+
+        Returns
+        -------
+        list of Texels
+            One for each circle, as from `spread`.
+        """
         kernels = [self._kernels(circle) for circle in circles]
         reach = max(sum(len(k) // 2 for k in pair if k is not None) for pair in kernels)
         sharp, inside = self._sharp(light, part, reach)
         return [_blurred(sharp, *pair)[inside] for pair in kernels]
 
     def _kernels(self, circle: float) -> tuple[Floats | None, Floats | None]:
-        """Of the Gaussian along each axis, and of the disc, None where there is none."""
+        """Make the kernel of the Gaussian along each axis, and that of the disc, None where not needed."""
         variance, disc = self._variance, None
         if circle > _SMALL_DISC:
             disc = _disc_of(circle)
@@ -119,7 +168,7 @@ class MirrorTexture:
     def _sharp(
         self, light: NDArray[np.float32], part: Part | None, reach: int
     ) -> tuple[Texels, tuple[slice, slice]]:
-        """The unblurred texture of a part and so many texels around it, and where in that the part is."""
+        """Make the unblurred texture of a part and `reach` texels around it; say where in it the part is."""
         if part is None:
             texture = np.zeros(self.shape, np.float32)
             np.put(texture, self._layout.places, light)
@@ -150,8 +199,10 @@ def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """places: (rows, columns) of mirrors, the flat place of every mirror's texel. mirrors: (rows, columns) of
-    the texture, the flat place of every texel's mirror, -1 where there is none.
+    """Where mirrors and texels lie.
+
+    places: (rows, columns) of mirrors, the flat index of every mirror's texel. mirrors: (rows, columns) of
+    the texture, the flat index of every texel's mirror, -1 where there is none.
     """
 
     places: NDArray[np.intp]
@@ -171,12 +222,12 @@ def _layout(size: tuple[int, int], lattice: Lattice, margin: int) -> _Layout:
 
 
 _SMALL_DISC = 2.0
-"""Diameter in texels up to which a disc is not told from a Gaussian of its variance."""
+"""Diameter in texels up to which a disc is replaced by a Gaussian of the same variance."""
 
 
 @lru_cache(maxsize=64)
 def _disc_of(circle: float) -> Floats:
-    """A disc of the variance that a circle of confusion has; drawn on whole texels it would have more."""
+    """Draw a disc whose variance on whole texels is that of a circle of confusion."""
 
     def excess(diameter: float) -> float:
         disc = _disc(diameter)
@@ -187,7 +238,7 @@ def _disc_of(circle: float) -> Floats:
 
 
 def _disc(diameter: float) -> Floats:
-    """Shares of the texels that a disc covers, by 15 x 15 points in each, normalised."""
+    """Share of each texel that a disc covers, by 15 x 15 points in each, normalised."""
     reach = math.ceil(diameter / 2 - 0.5)
     fine = (np.arange((2 * reach + 1) * 15) + 0.5) / 15 - reach - 0.5
     covered = (fine[:, None] ** 2 + fine**2 <= diameter**2 / 4).astype(np.float64)
@@ -202,6 +253,6 @@ def _reach(sigma: float) -> int:
 
 
 def _gaussian(sigma: float) -> Floats:
-    """The discrete Gaussian `exp(-t) I_n(t)`, t = σ², whose variance is σ² exactly (Lindeberg 1990)."""
+    """Make the discrete Gaussian `exp(-t) I_n(t)`, t = σ², whose variance is σ² exactly (Lindeberg 1990)."""
     kernel = ive(np.arange(-_reach(sigma), _reach(sigma) + 1), sigma**2)
     return np.asarray(kernel / kernel.sum(), np.float64)

@@ -1,4 +1,4 @@
-"""What rows of a camera collect of a projector that makes grey levels by switching its mirrors.
+"""Light that each row of a camera collects from a projector that makes grey levels by switching mirrors.
 
 A DLP mirror is on or off. A pattern of B bits is shown as B binary planes one after another within the period
 T: the plane of bit k is lit for `2^k / (2^B - 1)` of T, the most significant first, and the pattern is
@@ -12,7 +12,7 @@ split long planes into segments and mix them, which mostly makes bands weaker, a
 between patterns, which makes bands on white too. What does not depend on it: a whole number of periods has no
 bands.
 
-The closed form: with t in periods, row r's exposure is `n + e` long, n whole and 0 <= e < 1, and begins at
+Closed form: with t in periods, row r's exposure is `n + e` long, n whole and 0 <= e < 1, and begins at
 phase p in [0, 1). Its n whole periods hold n times the plane's duration d; the rest, [p, p + e], can meet the
 plane in this period, [o, o + d], and in the next, [o + 1, o + 1 + d].
 """
@@ -24,22 +24,37 @@ import numpy as np
 from fpplab.core.conventions import Floats
 
 WHOLE = 1e-9
-"""What rounding may leave of an exposure beside whole periods, relative to it: weights of B bits are then
-within `2^B` times this of 1."""
+"""Relative deviation of an exposure from a whole number of periods that counts as rounding: weights of B bits
+are then within `2^B` times this of 1."""
 
 
 def plane_weights(
     rows: int, bits: int, period_s: float, exposure_s: float, line_time_s: float, start_s: float
 ) -> Floats:
-    """Light that each row collects of each plane, relative to what it would collect on average.
+    """Compute the light that each row collects of each plane, relative to what it would collect on average.
 
-    Shape (bits, rows); plane k is that of bit k, so 0 is the least significant and the last to be lit. A row
-    of grey level `sum_k b_k 2^k` has the relative light `sum_k b_k 2^k weights[k] / (2^bits - 1)`: the
-    weights are 1 when the exposure is a whole number of periods, and white is collected wholly always.
+    A row of grey level `sum_k b_k 2^k` has the relative light `sum_k b_k 2^k weights[k] / (2^bits - 1)`: the
+    weights are 1 when the exposure is a whole number of periods, and white is always collected completely.
 
-    bits: of the pattern. period_s: in which the pattern is shown once. exposure_s: of a row, more than 0.
-    line_time_s: from one row of the frame to the next, 0 for a global shutter. start_s: of row 0's exposure
-    after the beginning of any period, of either sign.
+    Parameters
+    ----------
+    rows : int
+        Of the frame.
+    bits : int
+        Of the pattern.
+    period_s : float
+        In which the pattern is shown once, in s.
+    exposure_s : float
+        Of a row, in s, more than 0.
+    line_time_s : float
+        Delay from one row of the frame to the next in s, 0 for a global shutter.
+    start_s : float
+        Start of row 0's exposure after the beginning of any period, in s, of either sign.
+
+    Returns
+    -------
+    Floats
+        (bits, rows); plane k is that of bit k, so 0 is the least significant and the last to be lit.
     """
     duration = plane_durations(bits)[:, None]
     onset = 1 - np.cumsum(duration, axis=0)
@@ -52,12 +67,36 @@ def plane_weights(
 
 
 def plane_durations(bits: int) -> Floats:
-    """Share of the period for which each bit's plane is lit, (bits,), least significant first; sum 1."""
+    """Compute the share of the period for which each bit's plane is lit.
+
+    Parameters
+    ----------
+    bits : int
+        Of the pattern.
+
+    Returns
+    -------
+    Floats
+        (bits,), least significant first, of sum 1.
+    """
     return np.asarray(np.exp2(np.arange(bits)) / (2**bits - 1), np.float64)
 
 
 def is_whole(exposure_s: float, period_s: float) -> bool:
-    """Whether the exposure is one or more whole periods within rounding, so that every weight is 1."""
+    """Tell whether the exposure is one or more whole periods within rounding, so that every weight is 1.
+
+    Parameters
+    ----------
+    exposure_s : float
+        Of a row, in s.
+    period_s : float
+        Of the projector's mirrors, in s.
+
+    Returns
+    -------
+    bool
+        Whether it is within `WHOLE`.
+    """
     turns = exposure_s / period_s
     return round(turns) >= 1 and abs(turns - round(turns)) <= WHOLE * turns
 

@@ -1,7 +1,8 @@
-"""The twin that a bench is matched to: a world whose parameters can be set, seen without a session.
+"""The digital twin that is matched to a bench: a world whose parameters can be set, used without a session.
 
 Boards and cards are flat, so their light is computed (`sim.light.plane`) and an evaluation takes no render.
-What the mirrors' clock does to broken exposures is left out: on average over its phases it does nothing.
+The effect of mirror switching on exposures that are not whole periods is left out: on average over the phases
+it is zero.
 """
 
 from __future__ import annotations
@@ -36,9 +37,21 @@ from sim.world import ArtefactItem, BoardItem, MeshItem, World
 
 
 class SimTwin:
-    """A `fpplab.simulation.matchable.Twin` of the world `nominal`, whose item `board` is looked at.
+    """A `fpplab.simulation.matchable.Twin` that looks at one board.
 
-    blender: the process that renders what is not flat. Raises `ConfigError` when the item is no board.
+    Parameters
+    ----------
+    nominal : World
+        What the twin's own file says; other parameters are changes of it.
+    board : str
+        Name of the item that is looked at.
+    blender : Blender
+        The process that renders what is not flat.
+
+    Raises
+    ------
+    ConfigError
+        The item is no board.
     """
 
     def __init__(self, nominal: World, board: str, blender: Blender) -> None:
@@ -55,13 +68,21 @@ class SimTwin:
 
     @property
     def parameters(self) -> Parameters:
-        """As it stands; at first what its own file says."""
+        """Parameters in use; at first those of the twin's own file."""
         return self._parameters
 
     def become(self, parameters: Parameters) -> None:
-        """Go on with these. Tables of light are kept for all geometry that comes again.
+        """Replace the parameters. Tables of light are kept for geometry that is used again.
 
-        Raises `ConfigError` for what no world can have.
+        Parameters
+        ----------
+        parameters : Parameters
+            All of them.
+
+        Raises
+        ------
+        ConfigError
+            No world can have these parameters.
         """
         world = _world_of(self._nominal, self._board, parameters)
         light = Light(world, self._blender, analytic=True)
@@ -69,33 +90,122 @@ class SimTwin:
         self._parameters, self._world, self._light = parameters, world, light
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """What the camera sees of the board on average, (n, h, w)."""
+        """Compute what the camera sees of the board on average, without noise and vibration.
+
+        Parameters
+        ----------
+        pose : int
+            Index into `parameters.poses`.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        ExpectedLevels
+            Grey levels (n, h, w), 0 to full scale.
+        """
         return self._expected(Setup(self._board, held=self._parameters.poses[pose]), patterns, settings)
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
-        """What `expected` is at these pixels, (n, P)."""
+        """Compute what `expected` gives at some pixels only.
+
+        Parameters
+        ----------
+        pose : int
+            Index into `parameters.poses`.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        ExpectedLevels
+            Grey levels (n, P), 0 to full scale.
+        """
         setup = Setup(self._board, held=self._parameters.poses[pose])
         irradiance = self._light.irradiance_at(setup, tuple(patterns), pixels)
         self._settings = settings
         return SensorModel.of(self._world).expected(irradiance, settings)
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """What the camera sees of another item of the world on average, (n, h, w)."""
+        """Compute what the camera sees of another item of the world on average.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item, in its own pose.
+        patterns : sequence of Pattern
+            n patterns to show.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        ExpectedLevels
+            Grey levels (n, h, w), 0 to full scale.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
         self._world.item(item)
         return self._expected(Setup(item), patterns, settings)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
-        """Frames of the board with the sensor's noise and the item's vibration."""
+        """Simulate frames of the board with the sensor's noise and the item's vibration.
+
+        Parameters
+        ----------
+        pose : int
+            Index into `parameters.poses`.
+        patterns : sequence of Pattern
+            Patterns to show, one frame each.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        list of Image
+            Grey levels [v, u]; other noise with each call.
+        """
         return self.scan(self._board, self._parameters.poses[pose], patterns, settings)
 
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> list[Image]:
-        """Frames of an item that is held in `pose`, with the sensor's noise and the item's vibration.
+        """Simulate frames of an item in any pose, with the sensor's noise and the item's vibration.
 
-        Vibration counts to first order in the displacement: four pictures of each pattern serve any number.
+        Vibration is computed to first order in the displacement: four pictures of each pattern serve any
+        number of frames.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+        pose : RigidTransform
+            T_camera_item in mm.
+        patterns : sequence of Pattern
+            Patterns to show, one frame each.
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        list of Image
+            Grey levels [v, u]; other noise with each call.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
         """
         self._world.item(item)
         shown, sensor, self._settings = tuple(patterns), SensorModel.of(self._world), settings
@@ -105,8 +215,8 @@ class SimTwin:
         for n in range(len(shown)):
             if step:
                 random = np.random.default_rng([self._world.seed, self._frames_taken + n])
-                shake = random.standard_normal(3)
-                pictures.append(with_vibration(self._light, still, moved, shake, Show(shown, n)))
+                steps = random.standard_normal(3)
+                pictures.append(with_vibration(self._light, still, moved, steps, Show(shown, n)))
             else:
                 pictures.append(self._irradiance(still, shown, n))
         counters = range(self._frames_taken, self._frames_taken + len(shown))
@@ -115,16 +225,47 @@ class SimTwin:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """The true shape of an artefact or part, in its own frame in mm. Raises `ConfigError`."""
+        """Give the true shape of an artefact or part.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            In mm in the item's own frame; not to be changed.
+
+        Raises
+        ------
+        ConfigError
+            There is no such item, or it is a board or card.
+        """
         found = self._world.item(item)
         if not isinstance(found, ArtefactItem | MeshItem):
             raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
         return item_mesh(found)
 
     def save(self, folder: Path) -> Path:
-        """Leave `rig.yaml`, `world.yaml` and `calibration.yaml` in `folder`; the path of the rig file.
+        """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
-        The camera's standing settings there are those that it was last looked through with.
+        The camera's bit depth and gain in the rig file are those last used.
+
+        Parameters
+        ----------
+        folder : Path
+            Where to write.
+
+        Returns
+        -------
+        Path
+            Of the rig file.
+
+        Raises
+        ------
+        DataError
+            The folder cannot be written to.
         """
         world = self._world.save(folder)
         devices: dict[str, dict[str, Any]] = {
@@ -180,7 +321,7 @@ def _parameters_of(world: World, board: str, target: Target) -> Parameters:
 
 
 def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
-    """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
+    """Make the nominal world with other parameters; `ConfigError` where no world can have them."""
     p, data = parameters, nominal.model_dump(mode="json")
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {
@@ -206,17 +347,28 @@ def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
     }
     data |= {"ambient": p.ambient, "vibration_mm": p.vibration_mm}
     world = config.validate(data, World, "the twin's parameters")
-    return _lit(world, p.white * brightest(nominal) / brightest(world))
+    return _with_light(world, p.white * white_level_per_s(nominal) / white_level_per_s(world))
 
 
-def brightest(world: World) -> float:
-    """Level above black that the projector's white gives on a white surface, for each second at 0 dB."""
+def white_level_per_s(world: World) -> float:
+    """Compute the level above black of a white surface under the projector's white, per second at 0 dB.
+
+    Parameters
+    ----------
+    world : World
+        Its projector, distance, lens and sensor determine the level.
+
+    Returns
+    -------
+    float
+        Grey levels of 8-bit frames per second of exposure, without saturation.
+    """
     sensor, response = SensorModel.of(world), world.projector.response
     return (response.a + response.b) * sensor.gain(CameraSettings(1.0)) * sensor.electrons(1.0, 1.0)
 
 
-def _lit(world: World, factor: float) -> World:
-    """The same with so many times the light."""
+def _with_light(world: World, factor: float) -> World:
+    """Make the same world with `factor` times the light."""
     leds = {
         name: led.model_copy(update={"lumens": factor * led.lumens})
         for name, led in world.projector.leds.items()

@@ -1,4 +1,4 @@
-"""The Blender process seen from outside: start it, have it render, notice its death, end it.
+"""Client of the Blender process: start it, request renders, detect its death, end it.
 
 Blender runs in its own process, because bpy is a whole application with global state. Requests go over a
 socket, pictures through anonymous shared memory: it has no name, so nothing can be left behind, whichever
@@ -26,13 +26,20 @@ from fpplab.core.system import BLENDER
 from sim.scene import Effort, RenderScene, SubpixelView
 
 START_S = 120.0
+"""Longest time that Blender may take to start."""
 STOP_S = 5.0
+"""Time that the process has to end by itself before it is killed."""
 
 
 class Blender:
     """One Blender process, started when it is first needed and again after it has died.
 
     It knows nothing but the scene it was last sent, which is sent again after a restart.
+
+    Parameters
+    ----------
+    name : str
+        Name of the device in error messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -50,7 +57,15 @@ class Blender:
         return self._process.pid if self._process and self._process.poll() is None else None
 
     def start(self) -> None:
-        """Start it unless it runs. Raises `DeviceError` that says what is missing, `DeviceTimeoutError`."""
+        """Start the process unless it runs.
+
+        Raises
+        ------
+        DeviceError
+            It cannot start; the message names a system library that is missing.
+        DeviceTimeoutError
+            It is not ready within `START_S`.
+        """
         if self.pid is not None:
             return
         self.close()
@@ -64,7 +79,7 @@ class Blender:
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
-                start_new_session=True,  # what an interruption means is decided here
+                start_new_session=True,  # Ctrl-C reaches this process alone, which decides what happens
                 env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
             )
             self._connection = Connection(ours.detach())
@@ -81,12 +96,36 @@ class Blender:
         effort: Effort,
         timeout_s: float,
     ) -> NDArray[np.float32]:
-        """Render `scene` once for every view, under `textures` (circles, rows, columns, 3) or even white.
+        """Render a scene once for every view.
 
-        Returns (views, height, width, effort.channels) float32, see `sim.scene`, in memory that the next
-        call uses again.
-        Raises `DisconnectedError` when the process dies, `DeviceTimeoutError`, `DeviceError` when Blender fails,
-        `ConfigError` when the scene asks for what it cannot do.
+        Parameters
+        ----------
+        scene : RenderScene
+            Camera, lamp and surfaces; sent only when it is another object than before.
+        textures : ndarray of float32 or None
+            Of the lamp, (circles, rows, columns, 3); None for uniform white light.
+        views : list of SubpixelView
+            Points of the pixels and of the lens to look through.
+        effort : Effort
+            Samples, bounces, device and channels.
+        timeout_s : float
+            Longest time to wait, in s.
+
+        Returns
+        -------
+        ndarray of float32
+            (views, height, width, effort.channels), see `sim.scene`, in memory that the next call overwrites.
+
+        Raises
+        ------
+        DisconnectedError
+            The process dies.
+        DeviceTimeoutError
+            It does not answer in time.
+        DeviceError
+            Blender fails, or there is not enough memory.
+        ConfigError
+            The scene asks for something that Blender cannot render.
         """
         self.start()
         width, height = scene.camera.size
@@ -103,7 +142,7 @@ class Blender:
         return pixels[:count].reshape(shape)
 
     def close(self) -> None:
-        """End the process and let go of everything; legal at any time, any number of times."""
+        """End the process and release all memory; allowed at any time and any number of times."""
         if self._connection is not None:
             self._connection.close()  # which ends the process
         if self._process is not None:
@@ -120,7 +159,7 @@ class Blender:
         self._memory, self._pixels = -1, np.empty(0, np.float32)
 
     def _reserve(self, size: int) -> NDArray[np.float32]:
-        """The shared memory, grown to `size` bytes at least."""
+        """Map the shared memory, grown to at least `size` bytes."""
         if size <= self._pixels.nbytes:
             return self._pixels
         try:
@@ -143,7 +182,7 @@ class Blender:
             raise self._dead(verb) from error
 
     def _answer(self, doing: str, timeout_s: float) -> None:
-        """Wait for the process; anything but its answer, an interruption too, ends it."""
+        """Wait for the process's answer; anything else, including an interruption, ends the process."""
         assert self._connection is not None
         try:
             if not self._connection.poll(timeout_s):
@@ -167,26 +206,37 @@ class Blender:
         self.close()
 
     def _dead(self, doing: str) -> DeviceError:
-        """The error for a process that is gone, with what it said last."""
-        said = ""
+        """Make the error for a process that is gone, with its last line of output."""
+        output = ""
         if self._process is not None and self._log is not None:
             self._process.kill()
             self._process.wait()
             self._log.seek(0)
-            said = self._log.read().decode(errors="replace").strip()
+            output = self._log.read().decode(errors="replace").strip()
         self.close()
-        missing = missing_library(said)
+        missing = missing_library(output)
         if missing:
             return DeviceError(self.name, doing, *missing)
-        last = said.splitlines()[-1] if said else "it said nothing"
+        last = output.splitlines()[-1] if output else "no output"
         return DisconnectedError(
             self.name, doing, f"the Blender process has died ({last})", "run the same command again"
         )
 
 
-def missing_library(said: str) -> tuple[str, str] | None:
-    """(found, remedy) when Blender's output tells of a missing system library, else None."""
-    match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", said)
+def missing_library(output: str) -> tuple[str, str] | None:
+    """Recognise a missing system library in Blender's output.
+
+    Parameters
+    ----------
+    output : str
+        Output of the process.
+
+    Returns
+    -------
+    tuple of (str, str) or None
+        What was found and the remedy; None where no library is missing.
+    """
+    match = re.search(r"(lib[\w.+-]*\.so[.\d]*): cannot open shared object file", output)
     if match is None:
         return None
     library = match.group(1)
@@ -196,5 +246,5 @@ def missing_library(said: str) -> tuple[str, str] | None:
 
 
 def _anonymous_memory() -> int:
-    """A descriptor of growing memory without a name."""
+    """Open a descriptor of anonymous memory that can grow."""
     return os.memfd_create("fpplab-pictures")

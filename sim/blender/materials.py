@@ -1,13 +1,16 @@
 """What surfaces are made of, as Cycles' shaders.
 
-A shader is a body, matt or translucent, under a share of gloss; ridges and grain tilt its normal. Lengths
-are mm, because a unit of the scene is one: coordinates of the item's frame are those of its mesh.
+A shader is a base layer, matt or translucent, under a share of gloss; ridges and grain tilt its normal.
+Lengths are mm, because a unit of the scene is one: coordinates of the item's frame are those of its mesh.
+
+A new base layer is one function and its line in `BASE_SHADERS`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
@@ -20,11 +23,97 @@ from sim.scene import POSITION, REFLECTANCE, Grain, Paint, Relief
 
 EDGE = 1.2
 """Edge of a cell of Blender's Voronoi texture for facets of edge 1: a plane through unit cells cuts them into
-1.46 facets a unit of area (measured), which makes 1.46 = EDGE² the area of a cell's share."""
+1.46 facets a unit of area (measured), so the area of a cell has to be 1.46 = EDGE²."""
+
+LayerParameters = dict[str, float]
+"""Parameters of a base layer by name, see `sim.scene.BaseLayer`."""
+
+
+def _unchanged(reflectance: Any) -> Any:
+    return reflectance
+
+
+def _unchanged_socket(nodes: Nodes, grey: Any) -> Any:
+    return grey
+
+
+class BaseShader(NamedTuple):
+    """How a base layer is drawn.
+
+    Attributes
+    ----------
+    node : callable
+        Adds the shader's node, which has the inputs Color and Normal, for the layer's parameters.
+    colour : callable
+        Gives Blender's colour for a reflectance, both numbers or arrays; the same where they are equal.
+    reflectance : callable
+        The inverse of `colour`, on sockets of the node tree.
+    """
+
+    node: Callable[[Nodes, LayerParameters], Any]
+    colour: Callable[[Any], Any] = _unchanged
+    reflectance: Callable[[Nodes, Any], Any] = _unchanged_socket
+
+
+def _diffuse(nodes: Nodes, parameters: LayerParameters) -> Any:
+    """Blender 5's Diffuse BSDF, Lambertian or rough.
+
+    Rough is Oren-Nayar as Fujii improved it, and the light that facets pass to each other added, as
+    Portsmouth, Kutz and Hill do ("EON: a practical energy-preserving rough diffuse BRDF", JCGT 2025), but
+    times the reflectance once more. With white facets no energy is lost.
+    """
+    node = nodes.add("ShaderNodeBsdfDiffuse")
+    nodes.join(parameters["roughness"], node.inputs["Roughness"])
+    return node
+
+
+def _translucent(nodes: Nodes, parameters: LayerParameters) -> Any:
+    """Random walk of isotropic scattering between entry and exit.
+
+    The mean free path is the same at any reflectance; the single-scattering albedo follows from the
+    reflectance.
+    """
+    node = nodes.add("ShaderNodeSubsurfaceScattering")
+    node.falloff = "RANDOM_WALK"
+    # Cycles takes a 4π-th of a radius for the mean free path, so as to look like older models.
+    nodes.join(4 * math.pi * parameters["radius_mm"], node.inputs["Scale"])
+    nodes.join((1.0, 1.0, 1.0), node.inputs["Radius"])
+    return node
+
+
+def _translucent_colour(reflectance: Any) -> Any:
+    """Find the colour c whose random walk reflects c (0.8 + 0.2 c) (measured).
+
+    Half of Cycles' walk enters refracted and is lost deeper than the colour was fitted for.
+    """
+    return np.sqrt(4 + 5 * reflectance) - 2
+
+
+def _translucent_reflectance(nodes: Nodes, grey: Any) -> Any:
+    return nodes.times(grey, nodes.total(nodes.times(grey, 0.2), 0.8))
+
+
+BASE_SHADERS = {
+    "diffuse": BaseShader(_diffuse),
+    "translucent": BaseShader(_translucent, _translucent_colour, _translucent_reflectance),
+}
+"""The shaders of base layers, by the name that `sim.scene.BaseLayer` has for them."""
 
 
 def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None) -> None:
-    """Make `mesh` of `paint`, printed on with `picture` [v, u] at `uv` (V, 2) of the vertices."""
+    """Give a mesh its material.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+        The mesh, whose vertices are in mm.
+    paint : Paint
+        What it is made of.
+    picture : ndarray of uint8 or None
+        Print [v, u], from the paint's ink at 0 to its reflectance at 255; None for none.
+    uv : Floats or None
+        Places (V, 2) of the vertices in the picture, 0 to 1, v downwards; without them there is no print.
+    """
     material = bpy.data.materials.new("paint")
     material.use_nodes = True
     material.cycles.use_bump_map_correction = False  # it darkens and straightens normals
@@ -35,26 +124,24 @@ def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Fl
     if picture is not None and uv is not None:
         colour = _picture(nodes, mesh, _colour(paint, picture / np.float32(255)), uv)
     normal = _normal(nodes, paint)
-    shader = _body(nodes, paint, colour, normal)
+    shader = _base(nodes, paint, colour, normal)
     if paint.gloss > 0:
         shader = _under_gloss(nodes, paint, shader, normal)
     nodes.join(shader, nodes.add("ShaderNodeOutputMaterial").inputs["Surface"])
-    _tell(nodes, POSITION, nodes.add("ShaderNodeNewGeometry").outputs["Position"])
-    _tell(nodes, REFLECTANCE, _reflectance(nodes, paint, colour))
+    _output_pass(nodes, POSITION, nodes.add("ShaderNodeNewGeometry").outputs["Position"])
+    _output_pass(nodes, REFLECTANCE, _reflectance(nodes, paint, colour))
     mesh.materials.append(material)
 
 
-def _tell(nodes: Nodes, name: str, value: Any) -> None:
+def _output_pass(nodes: Nodes, name: str, value: Any) -> None:
     output = nodes.add("ShaderNodeOutputAOV")
     output.aov_name = name
     nodes.join(value, output.inputs["Color"])
 
 
 def _reflectance(nodes: Nodes, paint: Paint, colour: Any) -> Any:
-    """Of all layers together, as a grey; the inverse of `_colour`, and what gloss adds."""
-    grey = _red(nodes, colour)
-    if paint.scatter_mm > 0:
-        grey = nodes.times(grey, nodes.total(nodes.times(grey, 0.2), 0.8))
+    """Grey reflectance of all layers together: the inverse of `_colour`, and what gloss adds."""
+    grey = _shader(paint).reflectance(nodes, _red(nodes, colour))
     whole = nodes.total(nodes.times(grey, 1.0 - paint.gloss), paint.gloss)
     return nodes.combine("ShaderNodeCombineColor", (whole, whole, whole))
 
@@ -68,45 +155,31 @@ def _red(nodes: Nodes, colour: Any) -> Any:
 
 
 def _colour(paint: Paint, share: Any) -> Any:
-    """Blender's colour for a share of the reflectance.
-
-    They are the same but below a translucent surface: of a colour c Cycles' walk, half of which enters
-    refracted and is lost deeper than the colour was fitted for, leaves c (0.8 + 0.2 c) (measured).
-    """
-    reflectance = paint.ink + (paint.reflectance - paint.ink) * share
-    return np.sqrt(4 + 5 * reflectance) - 2 if paint.scatter_mm > 0 else reflectance
+    """Blender's colour where the print has a share of the paint's reflectance, the rest of its ink's."""
+    return _shader(paint).colour(paint.ink + (paint.reflectance - paint.ink) * share)
 
 
-def _body(nodes: Nodes, paint: Paint, colour: Any, normal: Any) -> Any:
-    """Lambertian, rough, or translucent.
-
-    Rough is Blender 5's Diffuse BSDF: Oren-Nayar as Fujii improved it, and the light that facets pass to each
-    other added, as Portsmouth, Kutz and Hill do ("EON: a practical energy-preserving rough diffuse BRDF",
-    JCGT 2025), but times the reflectance once more. With white facets no energy is lost.
-    Translucent is a random walk of isotropic scattering between entry and exit, the mean free path alike at
-    any reflectance; which share of the light is scattered each time follows from the reflectance.
-    """
-    if paint.scatter_mm == 0:
-        body = nodes.add("ShaderNodeBsdfDiffuse")
-        nodes.join(paint.roughness, body.inputs["Roughness"])
-    else:
-        body = nodes.add("ShaderNodeSubsurfaceScattering")
-        body.falloff = "RANDOM_WALK"
-        # Cycles takes a 4π-th of a radius for the mean free path, so as to look like older models.
-        nodes.join(4 * math.pi * paint.scatter_mm, body.inputs["Scale"])
-        nodes.join((1.0, 1.0, 1.0), body.inputs["Radius"])
-    nodes.join(colour, body.inputs["Color"])
-    _tilt(nodes, normal, body)
-    return body.outputs[0]
+def _base(nodes: Nodes, paint: Paint, colour: Any, normal: Any) -> Any:
+    base = _shader(paint).node(nodes, dict(paint.base.parameters))
+    nodes.join(colour, base.inputs["Color"])
+    _tilt(nodes, normal, base)
+    return base.outputs[0]
 
 
-def _under_gloss(nodes: Nodes, paint: Paint, body: Any, normal: Any) -> Any:
+def _shader(paint: Paint) -> BaseShader:
+    name = paint.base.shader
+    if name not in BASE_SHADERS:
+        raise ValueError(f"there is no shader '{name}'; there are {', '.join(BASE_SHADERS)}")
+    return BASE_SHADERS[name]
+
+
+def _under_gloss(nodes: Nodes, paint: Paint, base: Any, normal: Any) -> Any:
     gloss, mixed = nodes.add("ShaderNodeBsdfAnisotropic"), nodes.add("ShaderNodeMixShader")
     gloss.distribution = "GGX"
     nodes.join((1.0, 1.0, 1.0, 1.0), gloss.inputs["Color"])
     nodes.join(paint.gloss_roughness, gloss.inputs["Roughness"])
     _tilt(nodes, normal, gloss)
-    for value, socket in zip((paint.gloss, body, gloss.outputs[0]), mixed.inputs, strict=True):
+    for value, socket in zip((paint.gloss, base, gloss.outputs[0]), mixed.inputs, strict=True):
         nodes.join(value, socket)
     return mixed.outputs[0]
 
@@ -117,10 +190,10 @@ def _tilt(nodes: Nodes, normal: Any, shader: Any) -> None:
 
 
 def _normal(nodes: Nodes, paint: Paint) -> Any:
-    """The normal of the surface with the heights of ridges and grain on it, or None without any.
+    """Compute the normal of the surface with ridges and grain on it, None without any.
 
-    A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the part of
-    the gradient of h that lies in the surface. An item moves rigidly, so that gradients turn as directions.
+    A surface raised by h(X) along its normal n has the normal n - g_t, normalised, where g_t is the component
+    of the gradient of h tangential to the surface. An item moves rigidly, so gradients turn as directions do.
     """
     gradients = [*_ridges(nodes, paint.relief), *_facets(nodes, paint.grain)]
     if not gradients:
@@ -138,7 +211,7 @@ def _normal(nodes: Nodes, paint: Paint) -> Any:
 
 
 def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
-    """The gradient of `h = depth/2 sin(2π a·X / period)`."""
+    """Gradient of `h = depth/2 sin(2π a·X / period)`."""
     if not any(relief.axis) or relief.depth_mm == 0:
         return []
     axis = tuple(map(float, relief.axis))
@@ -148,7 +221,7 @@ def _ridges(nodes: Nodes, relief: Relief) -> list[Any]:
 
 
 def _facets(nodes: Nodes, grain: Grain) -> list[Any]:
-    """A gradient of its own for every cell of a random division of space.
+    """Random gradient for every cell of a Voronoi division of space.
 
     Its components are independent and uniform, of variance slope²/2. Two of them lie in the surface, however
     that is turned, so the root mean square of the gradient's length there is the slope: Sdq of ISO 25178-2.
@@ -164,12 +237,12 @@ def _facets(nodes: Nodes, grain: Grain) -> list[Any]:
 
 
 def _place(nodes: Nodes) -> Any:
-    """The point that is seen, in the item's frame."""
+    """Point that is seen, in the item's frame."""
     return nodes.add("ShaderNodeTexCoord").outputs["Object"]
 
 
 def _picture(nodes: Nodes, mesh: Any, reflectance: NDArray[np.float32], uv: Floats) -> Any:
-    """The reflectance [v, u] painted on the mesh."""
+    """Reflectance [v, u] painted on the mesh."""
     layer = mesh.uv_layers.new(name="picture")
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)

@@ -1,4 +1,4 @@
-"""What Cycles computes on."""
+"""The devices that Cycles computes on."""
 
 from __future__ import annotations
 
@@ -9,15 +9,40 @@ import bpy
 from sim.scene import RenderRefused
 
 CPU, OPTIX = "CPU", "OPTIX"
+"""The kinds of device that run Open Shading Language."""
 
 
 def runs_osl(device: str) -> bool:
-    """Whether a kind of device runs Open Shading Language, in which the camera is written."""
+    """Tell whether a kind of device runs Open Shading Language, in which the camera is written.
+
+    Parameters
+    ----------
+    device : str
+        As `sim.world.Render.device`.
+
+    Returns
+    -------
+    bool
+        Whether the custom camera can be used.
+    """
     return device in (CPU, OPTIX)
 
 
 def choose_device(stage: Any, device: str) -> None:
-    """Render on every device of a kind. Raises `RenderRefused` when there is none."""
+    """Set a scene to render on every device of a kind.
+
+    Parameters
+    ----------
+    stage : bpy.types.Scene
+        The scene.
+    device : str
+        As `sim.world.Render.device`.
+
+    Raises
+    ------
+    RenderRefused
+        The computer has no such device.
+    """
     if device == CPU:
         stage.cycles.device = CPU
         return
@@ -45,5 +70,5 @@ def _preferences() -> Any:
 def _devices(preferences: Any, device: str) -> list[Any]:
     try:
         return [entry for entry in preferences.get_devices_for_type(device) if entry.type == device]
-    except (ValueError, TypeError):  # a kind that this build of Blender does not know
+    except (ValueError, TypeError):  # this build of Blender does not know that kind
         return []

@@ -1,6 +1,6 @@
 """The projector: a point light whose colour depends on the direction, through the lens's model.
 
-Every mirror gives the same flux, so a plane square to the axis is lit evenly: the
+Every mirror gives the same flux, so a plane perpendicular to the axis is illuminated uniformly: the
 intensity grows as 1/cos³ of the angle to the axis.
 """
 
@@ -20,7 +20,17 @@ from sim.scene import Lamp
 
 
 def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) -> None:
-    """The light with `textures` (circles, rows, columns, 3), or without one evenly white."""
+    """Add the projector as a light.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Where to add it.
+    lamp : Lamp
+        Pose, optics and brightness.
+    textures : ndarray of float32 or None
+        (circles, rows, columns, 3); None for uniform white.
+    """
     light = bpy.data.lights.new("projector", "SPOT")
     light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle
     light.energy = 4 * math.pi**2 * lamp.distance_mm**2
@@ -42,9 +52,9 @@ def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) 
 
 
 def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
-    """x/z and y/z in the projector's frame of the lit point, and the cosine of its angle to the axis.
+    """Slopes x/z and y/z of the illuminated point in the projector's frame, and cosine to the axis.
 
-    `Normal` points to it in the light's frame.
+    The texture coordinate `Normal` points to it in the light's frame.
     """
     split = nodes.add("ShaderNodeSeparateXYZ")
     nodes.join(nodes.add("ShaderNodeTexCoord").outputs["Normal"], split.inputs[0])
@@ -57,7 +67,7 @@ def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
 
 
 def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
-    """Column and row in the texture: the lens, intrinsics and lattice, the last two folded into one."""
+    """Column and row in the texture: lens distortion, then intrinsics and lattice as one affine map."""
     k1, k2, p1, p2, k3, k4, k5, k6 = map(float, lamp.optics.distortion)
     r2 = nodes.total(nodes.times(x, x), nodes.times(y, y))
     radial = nodes.math(
@@ -85,7 +95,7 @@ def _one_and_powers(nodes: Nodes, x: Any, a: float, b: float, c: float) -> Any:
 def _colour(
     nodes: Nodes, lamp: Lamp, column: Any, row: Any, cosine: Any, textures: NDArray[np.float32]
 ) -> Any:
-    """The textures at one place, mixed for the circle of confusion at the lit point's depth."""
+    """Mix the textures at one place for the circle of confusion at the illuminated point's depth."""
     colour = _look_up(nodes, lamp, column, row, textures[0])
     if len(lamp.circles) == 1:
         return colour
@@ -132,7 +142,7 @@ def _look_up(nodes: Nodes, lamp: Lamp, column: Any, row: Any, texture: NDArray[n
 
 
 def _within_mirror(nodes: Nodes, lamp: Lamp, column: Any, row: Any, colour: Any) -> Any:
-    """Dark between mirrors that do not fill their squares, as bright as white altogether."""
+    """Darken the gaps between mirrors that do not fill their squares, without changing the mean."""
     scale = 1.0 / lamp.fill**2
     for place in (column, row):
         beside = nodes.math("ABSOLUTE", nodes.math("SUBTRACT", place, nodes.math("ROUND", place)))

@@ -1,4 +1,4 @@
-"""A scene in Blender, built afresh for every texture: nothing stale can be shown."""
+"""A scene in Blender, rebuilt for every texture, so that no stale data can be rendered."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ from sim.scene import (
 )
 
 PixelBuffer = NDArray[np.float32]
+"""Pictures or textures."""
 
 
 class BlenderScene:
-    """Holds one scene and renders it."""
+    """Builds scenes in Blender and renders them, one at a time."""
 
     def __init__(self) -> None:
         self._bytecode = compile_shader()
@@ -47,7 +48,21 @@ class BlenderScene:
         effort: Effort,
         out: PixelBuffer,
     ) -> None:
-        """Render once for every view into `out` (views, height, width, effort.channels)."""
+        """Render a scene once for every view.
+
+        Parameters
+        ----------
+        scene : RenderScene
+            Camera, lamp and surfaces.
+        textures : PixelBuffer or None
+            Of the lamp, (circles, rows, columns, 3); None for uniform white light.
+        views : list of SubpixelView
+            Points of the pixels and of the lens to look through.
+        effort : Effort
+            Samples, bounces, device and channels.
+        out : PixelBuffer
+            Where to write the result, (views, height, width, effort.channels).
+        """
         out[...] = 0
         left, top, right, bottom = scene.window
         if left >= right or top >= bottom:
@@ -69,7 +84,7 @@ class BlenderScene:
             self._take(picture[top:bottom, left:right])
 
     def _take(self, out: PixelBuffer) -> None:
-        """The passes of the last render in the order of `sim.scene`'s channels."""
+        """Copy the passes of the last render in the order of `sim.scene`'s channels."""
         passes = self._passes
         out[..., :COLOURS] = passes["Combined"][..., :COLOURS]
         if out.shape[-1] == COLOURS:
@@ -84,7 +99,7 @@ class BlenderScene:
 
 
 def _keep_passes(passes: dict[str, PixelBuffer]) -> None:
-    """Take the passes as floats from Cycles itself: without a window Blender gives them to files alone."""
+    """Keep the passes as floats from Cycles itself: without a window Blender only writes them to files."""
     render = cycles.CyclesRender.render
 
     def render_and_keep(engine: Any, depsgraph: Any) -> None:
@@ -99,17 +114,17 @@ def _keep_passes(passes: dict[str, PixelBuffer]) -> None:
 
 
 def _linear_and_exact(stage: Any, effort: Effort) -> None:
-    """No tone curve, dither, denoising, clamping or guessing; every path of a pixel through one point."""
+    """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel."""
     stage.render.engine = "CYCLES"
     stage.render.resolution_percentage = 100
     stage.render.dither_intensity = 0.0
-    stage.render.use_persistent_data = False  # it would go on showing the first texture
+    stage.render.use_persistent_data = False  # otherwise the first texture is rendered again
     stage.view_settings.view_transform = "Raw"
     if effort.survey:
         layer = stage.view_layers[0]
         layer.aovs.add().name = POSITION
         layer.aovs.add().name = REFLECTANCE
-        if effort.bounces:  # else all light is direct
+        if effort.bounces:  # otherwise all light is direct
             layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
             layer.use_pass_diffuse_direct = layer.use_pass_glossy_direct = True
     settings = stage.cycles
@@ -117,13 +132,13 @@ def _linear_and_exact(stage: Any, effort: Effort) -> None:
     settings.samples, settings.seed = effort.samples, effort.seed
     settings.pixel_filter_type, settings.filter_width = "BOX", 0.01
     settings.max_bounces = settings.diffuse_bounces = effort.bounces
-    settings.light_sampling_threshold = 0.0  # or dim light is dropped at random
+    settings.light_sampling_threshold = 0.0  # otherwise dim light is dropped at random
     settings.sample_clamp_direct = settings.sample_clamp_indirect = 0.0
     settings.use_light_tree = False
 
 
 def _restrict(stage: Any, scene: RenderScene) -> None:
-    """Render the window alone."""
+    """Limit the render to the window."""
     (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
     render = stage.render
     render.use_border = render.use_crop_to_border = True

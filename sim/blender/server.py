@@ -1,7 +1,7 @@
-"""The Blender process: takes scenes and render requests from `sim.worker`, leaves pictures in shared memory.
+"""The Blender process: answers the requests of `sim.worker` and writes pictures to shared memory.
 
 Started as `python -m sim.blender.server SOCKET MEMORY` with two inherited file descriptors. It ends when the
-socket does, whatever it is doing, so that it never outlives the process that started it.
+socket is closed, whatever it is doing, so that it never outlives the process that started it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,16 @@ from sim.scene import Effort, RenderRefused, RenderScene, SubpixelView
 
 
 def serve_renders(connection: Connection, memory: int) -> None:
-    """Answer requests until the other end is gone."""
-    studio, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
+    """Answer requests until the other end is closed.
+
+    Parameters
+    ----------
+    connection : Connection
+        To the process that started this one.
+    memory : int
+        File descriptor of the shared memory.
+    """
+    renderer, scene, pixels = BlenderScene(), None, np.empty(0, np.float32)
     connection.send(("ready", bpy.app.version_string))
     while True:
         verb, content = connection.recv()
@@ -34,7 +42,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
                 continue
             if os.fstat(memory).st_size > pixels.nbytes:
                 pixels = np.frombuffer(mmap.mmap(memory, 0), np.float32)
-            _render(studio, scene, pixels, **content)
+            _render(renderer, scene, pixels, **content)
             connection.send(("done", None))
         except RenderRefused as refused:
             connection.send(("refused", str(refused)))
@@ -43,7 +51,7 @@ def serve_renders(connection: Connection, memory: int) -> None:
 
 
 def _render(
-    studio: BlenderScene,
+    renderer: BlenderScene,
     scene: RenderScene | None,
     pixels: NDArray[np.float32],
     textured: bool,
@@ -59,11 +67,11 @@ def _render(
     if textured:
         form = (len(scene.lamp.circles), *scene.lamp.texture_shape, 3)
         textures = pixels[count : count + int(np.prod(form))].reshape(form)
-    studio.render(scene, textures, views, effort, pixels[:count].reshape(shape))
+    renderer.render(scene, textures, views, effort, pixels[:count].reshape(shape))
 
 
 def _end_with(socket: int) -> None:
-    """End at once when the other end of the socket is gone, even in the middle of a render."""
+    """End at once when the other end of the socket is closed, even in the middle of a render."""
     watch = select.poll()
     watch.register(socket, 0)
 
@@ -75,7 +83,13 @@ def _end_with(socket: int) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Serve on the inherited socket and memory named by their descriptors."""
+    """Serve on the inherited socket and memory.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Their two file descriptors.
+    """
     socket, memory = map(int, arguments)
     warnings.simplefilter("ignore", DeprecationWarning)
     _end_with(socket)

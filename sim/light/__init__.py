@@ -1,4 +1,4 @@
-"""Light from the projector by way of the scene to the sensor."""
+"""Light from the projector, reflected by the scene, to the sensor."""
 
 from sim.build import Setup
 from sim.light.basis import PatternLevels

@@ -1,4 +1,4 @@
-"""The few pictures from which every pattern's picture follows."""
+"""A basis of few light distributions from which every pattern follows by linear combination."""
 
 from __future__ import annotations
 
@@ -8,30 +8,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 PatternLevels = NDArray[np.float32]
+"""Light levels of mirrors or pictures, relative to white."""
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Light levels of patterns as sums, but for rounding: `level_n ≈ Σ_c weights[n, c] channels[c]`.
+    """Light levels of patterns as linear combinations: `level_n ≈ Σ_c weights[n, c] channels[c]`.
 
-    weights: (patterns, channels). channels: (channels, rows, columns) of mirrors, within [0, 1]; the first
-    is white.
+    Attributes
+    ----------
+    weights : ndarray of float64
+        (patterns, channels).
+    channels : PatternLevels
+        (channels, rows, columns) of mirrors, within [0, 1]; the first is white.
     """
 
     weights: NDArray[np.float64]
     channels: PatternLevels
 
     def level(self, n: int) -> PatternLevels:
-        """What the basis gives for pattern n, (rows, columns)."""
+        """Compute the light of one pattern as the basis represents it.
+
+        Parameters
+        ----------
+        n : int
+            Index of the pattern.
+
+        Returns
+        -------
+        PatternLevels
+            (rows, columns) of mirrors.
+        """
         weights = self.weights[n].astype(np.float32)
         return np.asarray(np.tensordot(weights, self.channels, axes=1))
 
 
 def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
-    """The smallest basis from which every pattern follows within `allowed` RMS.
+    """Find the smallest basis that represents every pattern.
 
-    levels: (patterns, rows, columns) in [0, 1]. The first channel is white; the others are principal
-    components, moved and scaled into [0, 1] so that they can be projected.
+    The first channel is white; the others are principal components, shifted and scaled into [0, 1] so that
+    they can be projected.
+
+    Parameters
+    ----------
+    levels : PatternLevels
+        (patterns, rows, columns) in [0, 1].
+    allowed : float
+        Greatest RMS of what the basis may leave out of any pattern.
+
+    Returns
+    -------
+    Basis
+        Of as few channels as possible.
     """
     n, shape = len(levels), levels.shape[1:]
     flat = levels.reshape(n, -1)
@@ -50,7 +78,7 @@ def smallest_basis(levels: PatternLevels, allowed: float) -> Basis:
 
 
 def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Means (n,) and covariance (n, n) of n rows, summed in double precision, a cache's worth at a time."""
+    """Compute means (n,) and covariance (n, n) of n rows in float64, in blocks that fit the CPU cache."""
     n, count = flat.shape
     total, products = np.zeros(n), np.zeros((n, n))
     for start in range(0, count, 1 << 14):
@@ -62,7 +90,7 @@ def _moments(flat: PatternLevels) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 def _residual(energy: NDArray[np.float64], vectors: NDArray[np.float64], left: int) -> float:
-    """Greatest RMS over patterns of what the `left` weakest components hold."""
+    """Compute the greatest RMS over patterns of the `left` weakest components."""
     if left == 0:
         return 0.0
     shares = (vectors[:, :left] ** 2) @ np.maximum(energy[:left], 0.0)

@@ -1,4 +1,4 @@
-"""Pictures from before, as long as there is room."""
+"""A least-recently-used cache in memory, limited in bytes."""
 
 from __future__ import annotations
 
@@ -11,21 +11,42 @@ class Sized(Protocol):
     """Whatever knows its size in bytes."""
 
     @property
-    def nbytes(self) -> int: ...
+    def nbytes(self) -> int:
+        """Size in bytes."""
 
 
 T = TypeVar("T", bound=Sized)
+"""Type of the results that a cache keeps."""
 
 
 class ByteLimitedCache(Generic[T]):
-    """Results by key; when they are more than `limit` bytes the longest unused go."""
+    """Results by key; when they exceed a limit the least recently used are dropped.
+
+    Parameters
+    ----------
+    limit : int
+        In bytes; a single greater result is kept all the same.
+    """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._results: OrderedDict[object, T] = OrderedDict()
 
     def get(self, key: object, make: Callable[[], T]) -> T:
-        """The result of that key, made if it is not there."""
+        """Give the result of a key, made if it is not there.
+
+        Parameters
+        ----------
+        key : object
+            Hashable.
+        make : callable
+            Makes the result.
+
+        Returns
+        -------
+        T
+            Now the most recently used.
+        """
         if key not in self._results:
             self._results[key] = make()
         self._results.move_to_end(key)
@@ -34,16 +55,35 @@ class ByteLimitedCache(Generic[T]):
         return self._results[key]
 
     def put(self, key: object, result: T) -> T:
-        """Keep a result that was made elsewhere."""
+        """Keep a result that was made elsewhere, unless there is one of that key.
+
+        Parameters
+        ----------
+        key : object
+            Hashable.
+        result : T
+            To keep.
+
+        Returns
+        -------
+        T
+            The result of that key.
+        """
         return self.get(key, lambda: result)
 
     def __contains__(self, key: object) -> bool:
         return key in self._results
 
     def take(self, other: ByteLimitedCache[T]) -> None:
-        """Share all that another keeps."""
+        """Add all results of another cache, which keeps them too.
+
+        Parameters
+        ----------
+        other : ByteLimitedCache
+            Whose results replace those of the same keys here.
+        """
         self._results.update(other._results)
 
     def clear(self) -> None:
-        """Let go of all."""
+        """Drop all results."""
         self._results.clear()

@@ -1,7 +1,7 @@
-"""Tables of direct light on disk, under a hash of everything that moves or shades.
+"""Tables of direct light on disk, under a hash of everything that they depend on.
 
-A file is one line that names the format, one line of JSON, the arrays, and the SHA-256 of all that. What is
-not exactly what was written, by this version of Blender, is removed and rendered again.
+A file is one line that names the format, one line of JSON, the arrays, and the SHA-256 of all that. A file
+that is damaged, or written by another version of Blender or of its shaders, is removed and rendered again.
 """
 
 from __future__ import annotations
@@ -27,13 +27,30 @@ from sim.light.table import LightTable
 from sim.scene import RenderScene, SubpixelView
 
 LIMIT_BYTES = 2 << 30
+"""Greatest size of all files together."""
 FORMAT = "fpplab light table 4"
+"""First line of a file."""
 
 _log = logging.getLogger(__name__)
 
 
 def digest(scene: RenderScene, views: list[SubpixelView], *more: object) -> str:
-    """Names all that a table depends on: more than scene and views where it is not of all pixels."""
+    """Hash all that a table depends on.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        Camera, lamp and surfaces.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    *more : object
+        Anything else, such as the pixels where the table is not of all pixels.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits: a different key where any number differs.
+    """
     hashed = hashlib.sha256()
     _feed(hashed, (scene, views, *more))
     return hashed.hexdigest()[:32]
@@ -57,7 +74,13 @@ def _feed(hashed: hashlib._Hash, value: object) -> None:
 
 @lru_cache(maxsize=1)
 def renderer() -> str:
-    """Blender's version, and that of all code of ours that makes a table, by its content."""
+    """Identify the program that makes tables.
+
+    Returns
+    -------
+    str
+        Blender's version, and a hash of all of our code that contributes to a table.
+    """
     sim = Path(__file__).parents[1]
     hashed = hashlib.sha256()
     for path in sorted(
@@ -68,14 +91,33 @@ def renderer() -> str:
 
 
 class TableCache:
-    """The tables in one directory, the longest unused of which go when they are more than `limit` bytes."""
+    """Tables in one directory, of which the least recently used are removed beyond a limit.
+
+    Parameters
+    ----------
+    directory : Path or None
+        None for `light` in the user's cache directory.
+    limit : int
+        Greatest size of all files together, in bytes.
+    """
 
     def __init__(self, directory: Path | None = None, limit: int = LIMIT_BYTES) -> None:
         self._directory = directory or cache_directory() / "light"
         self._limit = limit
 
     def load(self, key: str) -> LightTable | None:
-        """The table of that key, or None. A file that is not whole or from elsewhere is removed."""
+        """Read a table; a file that is damaged or of another renderer is removed.
+
+        Parameters
+        ----------
+        key : str
+            From `digest`.
+
+        Returns
+        -------
+        LightTable or None
+            None where there is no valid file.
+        """
         path = self._path(key)
         try:
             with path.open("rb") as stream:
@@ -84,28 +126,36 @@ class TableCache:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
             _log.warning("%s: is discarded and rendered again: %s", path, error)
-            with suppress(OSError):  # where it cannot be removed it will be discarded again
+            with suppress(OSError):  # a file that cannot be removed is discarded again next time
                 path.unlink(missing_ok=True)
             return None
-        with suppress(OSError):  # it may be another user's, to read and not to touch
+        with suppress(OSError):  # the file may be another user's and read-only
             os.utime(path)
         return table
 
     def store(self, key: str, table: LightTable) -> None:
-        """Keep a table. What cannot be written is only slower, so that is a warning and no error."""
+        """Write a table; a failure is only logged, because the table can be rendered again.
+
+        Parameters
+        ----------
+        key : str
+            From `digest`.
+        table : LightTable
+            To keep, unless it is greater than the limit.
+        """
         if table.nbytes > self._limit:
-            _log.warning("%.1f GB of light are more than the cache holds; not kept", table.nbytes / 1e9)
+            _log.warning("%.1f GB of light exceed the cache's limit and are not stored", table.nbytes / 1e9)
             return
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._write_whole(self._path(key), table)
         except OSError as error:
-            _log.warning("light is not kept in %s: %s", self._directory, error)
+            _log.warning("a table of light cannot be stored in %s: %s", self._directory, error)
             return
         self._make_room()
 
     def _write_whole(self, path: Path, table: LightTable) -> None:
-        """Under its name once it is complete; not flushed to the disk, because its checksum would tell."""
+        """Rename the file once it is complete; without fsync, because the checksum reveals a torn file."""
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f"{path.name}.", delete=False) as draft:
             try:
                 _write(draft, table)
@@ -119,7 +169,7 @@ class TableCache:
         return self._directory / f"{key}.table"
 
     def _make_room(self) -> None:
-        """Remove the longest unused files, and with them the drafts of processes that were killed."""
+        """Remove the least recently used files, including temporary ones of processes that were killed."""
         files = []
         for path in self._directory.glob("*.table*"):
             with suppress(OSError):  # another process has removed it
@@ -148,7 +198,7 @@ def _write(stream: IO[bytes], table: LightTable) -> None:
 
 
 def _read(stream: BinaryIO) -> LightTable:
-    """Raises `ValueError` that says what is wrong, `KeyError` or `TypeError` where that is the head."""
+    """Read and check a file; `ValueError` says what is wrong, a bad header is `KeyError` or `TypeError`."""
     first = stream.readline(200)
     name = first.decode(errors="replace").strip()
     if name != FORMAT:
@@ -167,9 +217,9 @@ def _read(stream: BinaryIO) -> LightTable:
 
 def _array(stream: BinaryIO, shape: tuple[int, ...], hashed: hashlib._Hash) -> NDArray[np.float32]:
     if 4 * math.prod(shape) > os.fstat(stream.fileno()).st_size:  # before memory is asked for
-        raise ValueError("it is cut short")
+        raise ValueError("it is truncated")
     values = np.empty(shape, np.float32)
     if stream.readinto(values.data.cast("B")) != values.nbytes:  # type: ignore[attr-defined]
-        raise ValueError("it is cut short")
+        raise ValueError("it is truncated")
     hashed.update(values.data)
     return values

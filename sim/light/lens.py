@@ -1,10 +1,10 @@
-"""Where rays pass the lens: one point for each place in a pixel that is looked at.
+"""Sample points on the lens, one for each sub-pixel.
 
-A pixel turns all its points by a random angle, so what few of them get wrong is noise from pixel to pixel,
-but only if every pixel's spread is right on average. Half of the points are therefore the other half seen
-from the opposite side, on the lens and in the pixel alike: no pixel then looks beside its centre, and an edge
-in the picture is as far from its blur's one end as from the other's. Their covariance is the disc's, and they
-follow the places in the pixel as little as can be.
+Every pixel turns all its points by a random angle, so the sampling error of few points becomes noise from
+pixel to pixel, but only if the mean and covariance of the points are right. Half of the points are therefore
+the other half mirrored at the centre, on the lens and in the pixel alike: the mean ray of every pixel then
+passes its centre, and edges are blurred symmetrically. The points' covariance is that of the disc, and they
+are correlated with the places in the pixel as little as possible.
 """
 
 from __future__ import annotations
@@ -17,26 +17,36 @@ from fpplab.core.conventions import Floats
 from sim.world.render import shifts
 
 TRIES = 500
+"""Random orders of the points, of which the least correlated one is taken."""
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
+"""The golden angle in rad."""
 
 
 @lru_cache
 def lens_points(places: int) -> tuple[tuple[float, float], ...]:
-    """Points of the unit disc, one for each of `places` square places of a pixel in reading order.
+    """Choose points of the unit disc, one for each sub-pixel in reading order.
 
-    places: a square number, for a pixel of side by side equal squares.
+    Parameters
+    ----------
+    places : int
+        Number of sub-pixels, the square of that along each side.
+
+    Returns
+    -------
+    tuple of (float, float)
+        (x, y) on the disc, one for each sub-pixel.
     """
     pairs, alone = divmod(places, 2)
     if not pairs:
         return ((0.0, 0.0),) * places
     side = round(np.sqrt(places))
-    half = _least_bound(np.array(shifts(side)[:pairs]), _half_disc(pairs, alone))
+    half = _least_correlated(np.array(shifts(side)[:pairs]), _half_disc(pairs, alone))
     points = np.concatenate([half, np.zeros((alone, 2)), -half[::-1]])
     return tuple((float(x), float(y)) for x, y in points)
 
 
 def _half_disc(pairs: int, alone: int) -> Floats:
-    """One of each pair (pairs, 2), on Vogel's spiral; with the other, the covariance is that of the disc."""
+    """Place one of each pair (pairs, 2) on Vogel's spiral; with the others the covariance is the disc's."""
     n = np.arange(pairs)
     radius, angle = np.sqrt((2 * n + 1 + alone) / (2 * pairs + alone)), n * GOLDEN_RAD / 2
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
@@ -44,8 +54,8 @@ def _half_disc(pairs: int, alone: int) -> Floats:
     return np.asarray(points @ axes @ np.diag(0.5 / np.sqrt(power)) @ axes.T)
 
 
-def _least_bound(places: Floats, points: Floats) -> Floats:
-    """The points in that order, and on that side, in which they follow the places least."""
+def _least_correlated(places: Floats, points: Floats) -> Floats:
+    """Order and mirror the points so that they are least correlated with the places."""
     random = np.random.default_rng(0)
     orders = [random.permutation(points) * random.choice([-1.0, 1.0], (len(points), 1)) for _ in range(TRIES)]
     return min(orders, key=lambda one: float(np.abs(places.T @ one).max()))

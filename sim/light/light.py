@@ -1,14 +1,15 @@
-"""From a pattern on show to the irradiance that the camera sees, by the cheapest way that is right.
+"""From a pattern on show to the irradiance that the camera sees, by the cheapest correct light path.
 
-Light is linear: a picture under a sum of patterns is the sum of the pictures. Three ways to one result:
+Light is linear: a picture under a sum of patterns is the sum of the pictures. Three ways to the same result:
 
-`transport`  Direct light only. Blender tells once, for every sample of a pixel, which point it sees and how
-             brightly white light falls there; any pattern is then a look-up in its texture.
-`linear`     The loaded patterns' light levels lie, but for rounding, in a space of few dimensions: for F
-             fringe sets a linear projector needs 1 + 2F, a bent response two more for each harmonic. One
-             channel of one render for each dimension, three in a render; patterns are recombined from them.
-             What rounding leaves is added as direct light, from the table that the first render gives.
-`reference`  One render for every pattern: slow, and what the others are held against.
+`transport`  Direct light only. Blender surveys the scene once: for every sample of a pixel, the point that is
+             seen and the irradiance there under white; any pattern is then a look-up in its texture.
+`linear`     Apart from quantisation the loaded patterns' light levels lie in a space of few dimensions: for F
+             fringe sets a linear projector needs 1 + 2F, a nonlinear response two more for each harmonic.
+             Every dimension is one colour channel of a render, three to a render; pictures of patterns are
+             linear combinations of them. The residual of quantisation is added as direct light, from the
+             table that the first render gives.
+`reference`  One render for every pattern: slow; what the other two are compared with.
 """
 
 from __future__ import annotations
@@ -37,30 +38,48 @@ from sim.world import World
 from sim.world.render import shifts
 
 KEEP_BYTES = 1 << 29
-TOGETHER, TOGETHER_BYTES = 12, 1 << 27
-"""So many patterns are looked up at once, as long as their pictures are no more bytes than this."""
+"""Size of the caches in memory; those of tables and bases are twice as large."""
+BATCH_PATTERNS, BATCH_BYTES = 12, 1 << 27
+"""Patterns that are looked up at once, and the greatest size of their pictures."""
 START_S, PATHS_PER_S = 60.0, 5e4
+"""Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Show:
-    """Pattern `index` of the loaded `patterns` is on."""
+    """Which of the loaded patterns is on show.
+
+    Attributes
+    ----------
+    patterns : tuple of Pattern
+        The loaded patterns.
+    index : int
+        Of the pattern on show.
+    """
 
     patterns: tuple[Pattern, ...]
     index: int
 
     @property
     def pattern(self) -> Pattern:
+        """The pattern on show."""
         return self.patterns[self.index]
 
 
 @dataclass(frozen=True, eq=False)
 class MirrorStates:
-    """Light of the mirrors, relative to the brightest, in each of `count` states.
+    """Light of the mirrors, relative to the brightest, in each of several states.
 
-    of: gives one state's, (rows, columns) float32. rounding: RMS of what quantisation made of it.
+    Attributes
+    ----------
+    count : int
+        Number of states.
+    of : callable
+        Gives the light of one state, (rows, columns) float32.
+    rounding : float
+        RMS of the quantisation error of the light.
     """
 
     count: int
@@ -70,21 +89,38 @@ class MirrorStates:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A basis' pictures (channels, height, width), and the table of direct light that came with them."""
+    """Pictures of a basis, and the table of direct light from the same renders.
+
+    Attributes
+    ----------
+    pictures : PatternLevels
+        (channels, height, width).
+    table : LightTable
+        Of direct light.
+    """
 
     pictures: PatternLevels
     table: LightTable
 
     @property
     def nbytes(self) -> int:
-        """Of memory."""
+        """Size in bytes."""
         return self.pictures.nbytes + self.table.nbytes
 
 
 class Light:
     """The light of one world. Pictures are kept while nothing moves, tables of direct light also on disk.
 
-    analytic: tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
+    Parameters
+    ----------
+    world : World
+        Devices, items and how to render.
+    blender : Blender
+        The process that renders.
+    cache : TableCache or None
+        Tables on disk; None for the user's cache directory, or none at all where the world says so.
+    analytic : bool
+        Whether tables of flat, matt items are computed by `sim.light.plane` instead of rendered.
     """
 
     def __init__(
@@ -93,7 +129,7 @@ class Light:
         self._world, self._blender, self._analytic = world, blender, analytic
         self._cache = cache if cache or not world.render.cache else TableCache()
         self._tables: ByteLimitedCache[LightTable] = ByteLimitedCache(2 * KEEP_BYTES)
-        self._shaken: tuple[str, LightTable] | None = None
+        self._displaced: tuple[str, LightTable] | None = None
         self._pictures: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
         self._bases: ByteLimitedCache[Rendered] = ByteLimitedCache(2 * KEEP_BYTES)
         self._albedos: ByteLimitedCache[PatternLevels] = ByteLimitedCache(KEEP_BYTES)
@@ -108,11 +144,29 @@ class Light:
             )
 
     def irradiance(self, setup: Setup, show: Show | None, row_weights: Floats | None = None) -> PatternLevels:
-        """What the camera sees (height, width) float32, 1 for white; `show` None: the lamp is off.
+        """Compute the irradiance that the camera sees.
 
-        row_weights: (bits, height), how much of each binary plane of the pattern every row collects, from
-        `sim.timing`; None when it is all alike. Raises `DeviceError` from the Blender process, `ConfigError`
-        for an item that cannot be made.
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        show : Show or None
+            Pattern on show; None where the lamp is off.
+        row_weights : Floats or None
+            (bits, height), how much of each binary plane of the pattern every row collects, from
+            `sim.timing`; None where every row collects all planes alike.
+
+        Returns
+        -------
+        PatternLevels
+            (height, width), 1 for white.
+
+        Raises
+        ------
+        DeviceError
+            The Blender process fails.
+        ConfigError
+            The item cannot be made.
         """
         width, height = self._world.camera.size
         if setup.item == "nothing" or (show is None and not self._world.ambient):
@@ -129,9 +183,23 @@ class Light:
     def irradiance_at(
         self, setup: Setup, patterns: tuple[Pattern, ...], pixels: PixelIndices
     ) -> PatternLevels:
-        """What `irradiance` is at some pixels, under each of the patterns (n, P).
+        """Compute what `irradiance` gives at some pixels only, under several patterns.
 
-        Where light is computed it is traced for these alone.
+        Where light is computed it is traced for these pixels alone.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        patterns : tuple of Pattern
+            n patterns.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        PatternLevels
+            (n, P), 1 for white.
         """
         if self._world.path != "transport" or not self.computes(setup):
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
@@ -145,32 +213,59 @@ class Light:
         return seen if self._falloff is None else seen * self._falloff[pixels]
 
     def computes(self, setup: Setup) -> bool:
-        """Whether the item's light takes no render."""
+        """Tell whether the item's light is computed, without a render.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+
+        Returns
+        -------
+        bool
+            Whether computing is switched on and the item is flat and matt.
+        """
         return self._analytic and can_compute(self._built(setup)[1])
 
     def table(self, setup: Setup) -> LightTable:
-        """The direct light on all that is in view, from memory, from disk, or rendered."""
+        """Get the direct light on all that is in view, from memory, from disk, or rendered.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+
+        Returns
+        -------
+        LightTable
+            Shared; not to be changed.
+        """
         _, scene, _ = self._built(setup)
         key = digest(scene, self._views(setup))
-        if any(setup.shake_mm):  # the next frame has another
-            if self._shaken is None or self._shaken[0] != key:
-                self._shaken = (key, self._found(setup, key))
-            return self._shaken[1]
-        return self._tables.get(key, lambda: self._found(setup, key))
+        if any(setup.vibration_mm):  # the next frame has another
+            if self._displaced is None or self._displaced[0] != key:
+                self._displaced = (key, self._load_or_make(setup, key))
+            return self._displaced[1]
+        return self._tables.get(key, lambda: self._load_or_make(setup, key))
 
     def inherit(self, other: Light) -> None:
-        """Take over the tables of another world, to have those that hold in this one as well.
+        """Take over the tables of another world; those with the same key are valid here too.
 
-        The other lets go of everything: it would be a long time until Python finds that nobody wants it.
+        The other's caches are emptied, because garbage collection would free their memory only much later.
+
+        Parameters
+        ----------
+        other : Light
+            Not to be used any more.
         """
         self._tables.take(other._tables)
         other.forget()
 
     def forget(self) -> None:
-        """Let go of every picture."""
+        """Drop every picture and table in memory."""
         for kept in (self._tables, self._pictures, self._bases, self._albedos):
             kept.clear()
-        self._shaken = None
+        self._displaced = None
 
     def _projected(self, setup: Setup, show: Show, row_weights: Floats | None) -> PatternLevels:
         if row_weights is None:
@@ -182,11 +277,11 @@ class Light:
         return picture
 
     def _picture(self, setup: Setup, levels: MirrorStates, index: int) -> PatternLevels:
-        """Under one state of the mirrors."""
+        """Compute the picture under one state of the mirrors."""
         path = self._world.path
         if path == "transport":
             return self._looked_up(setup, levels, index, None)
-        if path == "reference" or any(setup.shake_mm):  # for one picture a basis does not pay
+        if path == "reference" or any(setup.vibration_mm):  # a basis is not worth rendering for one picture
             return self._pictures.get(
                 (setup, levels, index),
                 lambda: self._rendered(setup, levels.of(index)[None])[..., 0].mean(axis=0),
@@ -196,22 +291,22 @@ class Light:
         weights = basis.weights[index].astype(np.float32)
         whole: PatternLevels = np.tensordot(weights, rendered.pictures, axes=1)
         if self._world.is_translucent(setup.item):
-            return whole  # what rounding leaves is washed out below the surface
+            return whole  # scattering below the surface smooths the quantisation residual away
         return whole + self._looked_up(setup, levels, index, basis)
 
     def _looked_up(
         self, setup: Setup, levels: MirrorStates, index: int, basis: Basis | None
     ) -> PatternLevels:
-        """From the table: several states at once, because their samples lie at the same places.
+        """Look up several states at once, because their samples lie at the same places.
 
-        basis: whose sums are left out, so that only what rounding leaves is looked up.
+        basis: whose linear combinations are subtracted, so that only the quantisation residual is looked up.
         """
         width, height = self._world.camera.size
-        together = max(1, min(TOGETHER, TOGETHER_BYTES // (4 * width * height)))
-        if any(setup.shake_mm):
-            together = 1  # nobody will ask for the next one here
-        first = index - index % together
-        states = range(first, min(first + together, levels.count))
+        batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
+        if any(setup.vibration_mm):
+            batch = 1  # the next frame has another displacement
+        first = index - index % batch
+        states = range(first, min(first + batch, levels.count))
         pictures = self._pictures.get(
             (setup, levels, basis, first), lambda: self._look_up(setup, levels, states, basis)
         )
@@ -229,20 +324,20 @@ class Light:
         return self._seen(setup, table, light)
 
     def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
-        """Under mirrors at these light levels, as the table has its pixels, (levels, height, width)."""
+        """Look up pictures under mirrors at these light levels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
         part = table.part(texture.shape)
-        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp, part[:2])
+        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp_side, part[:2])
 
     def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
 
     def _render_basis(self, setup: Setup, basis: Basis) -> Rendered:
-        """Three channels in a render; the table comes with the first, whose first channel is white."""
+        """Render three channels at a time; the first render, with white as first channel, gives the table."""
         _, scene, _ = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
         table = LightTable.of(first, scene).divided_by(
-            self._textures(setup, basis.channels[:1]), scene.lamp.sharp
+            self._textures(setup, basis.channels[:1]), scene.lamp.sharp_side
         )
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)
@@ -251,7 +346,7 @@ class Light:
         return Rendered(np.stack(pictures[: len(basis.channels)]), table)
 
     def _albedo(self, setup: Setup) -> PatternLevels:
-        """Mean reflectance of what every pixel sees, from any render of the set-up."""
+        """Get the mean reflectance of what every pixel sees, from any render of the set-up."""
         albedo: PatternLevels = self._albedos.get(setup, lambda: self.table(setup).albedo)
         return albedo
 
@@ -272,7 +367,7 @@ class Light:
         return table.astype(np.float32)[pattern.image]
 
     def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
-        """What closed mirrors leak, state 0, and the binary planes, the least significant first."""
+        """Light that closed mirrors leak (state 0), and of the binary planes, the least significant first."""
         if self._planes is None or self._planes[0] is not pattern:
             response, bits = self._world.projector.response, pattern.bit_depth
             greys = full_scale(bits)
@@ -293,11 +388,11 @@ class Light:
             self._basis = (levels, basis)
         return self._basis[1]
 
-    def _found(self, setup: Setup, key: str) -> LightTable:
+    def _load_or_make(self, setup: Setup, key: str) -> LightTable:
         _, scene, _ = self._built(setup)
         if self.computes(setup):
             return computed(scene, self._views(setup), spots=True)
-        keep = self._cache if not any(setup.shake_mm) else None
+        keep = self._cache if not any(setup.vibration_mm) else None
         table = keep.load(key) if keep else None
         if table is None:
             table = LightTable.of(
@@ -308,7 +403,7 @@ class Light:
         return table
 
     def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
-        """Renders (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
+        """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
         dark = [np.zeros_like(channels[0])] * (COLOURS - len(channels))
         render = self._world.render
         effort = self._effort(render.bounces, render.samples, survey)
@@ -317,7 +412,7 @@ class Light:
     def _textures(
         self, setup: Setup, levels: Sequence[PatternLevels] | PatternLevels, part: Part | None = None
     ) -> PatternLevels:
-        """Of mirrors at these light levels, (circles, rows, columns, levels), whole or so much of them."""
+        """Make textures (circles, rows, columns, levels) of mirrors at these light levels, or a part."""
         _, scene, texture = self._built(setup)
         circles, (rows, columns) = scene.lamp.circles, texture.shape
         if part is not None:
@@ -355,15 +450,15 @@ class Light:
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:
-    """The three pictures (height, width) of a render (views, height, width, …)."""
+    """Average the views of a render (views, height, width, …) to three pictures (height, width)."""
     total = np.zeros((*rendered.shape[1:3], COLOURS), np.float32)
-    for view in rendered:  # one after another as they lie in memory
+    for view in rendered:  # in memory order, which is faster than a mean over the first axis
         total += view[..., :COLOURS]
     return list(np.moveaxis(total / np.float32(len(rendered)), -1, 0))
 
 
 def _vignette(world: World) -> PatternLevels | None:
-    """What of the light the lens lets through to each pixel, (height, width); None for all of it."""
+    """Vignetting: the lens's transmission to each pixel, (height, width); None where it is 1."""
     exponent = world.camera.vignetting
     if exponent == 0:
         return None
@@ -377,7 +472,7 @@ def _vignette(world: World) -> PatternLevels | None:
 def _falloff(
     size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]
 ) -> PatternLevels:
-    """Cosine of the angle between each pixel's ray and the axis, (height, width)."""
+    """Cosine of the angle between each pixel's ray and the optical axis, (height, width)."""
     camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
     v, u = np.mgrid[0 : size[1], 0 : size[0]].astype(np.float64)
     slopes = camera.normalise(np.stack([u, v], axis=-1))

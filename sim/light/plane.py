@@ -1,5 +1,4 @@
-"""The table of direct light on a flat, matt item by formula: what Blender renders for it, at a fraction of
-the time.
+"""The table of direct light on a flat, matt item by formula: as Blender renders it, but much faster.
 
 A ray from a point of the lens meets the item's plane z = 0 in its own frame. With the lamp at height h above
 that plane, a point at depth z before the lamp and distance r from it has `cos(incidence) = h/r` and
@@ -8,13 +7,13 @@ that plane, a point at depth z before the lamp and distance r from it has `cos(i
     E = (D/r)² cos(incidence) / cos(axis)³ = D² h / z³
 
 for irradiance 1 on a facing surface at distance D (`sim.blender.projector` has the law of the lamp). Rays,
-lens points and their turning are those of `sim/blender/camera.osl`, in double precision.
+lens points and their rotation are those of `sim/blender/camera.osl`, in double precision.
 
-Where Blender's rays see points, ours can see spots: of K samples of a pixel each then stands for a K-th of
-what the pixel and the lens spread, and the print is blurred by as much before it is looked at. On a plane
-only the sum of a place in the pixel and of a point of the lens matters, so both go in step instead of at
-random, as far as the sum's variance allows. Few samples then see an edge as very many would, in all pixels
-alike.
+Where Blender's rays sample points, ours can sample spots: each of the K samples of a pixel then represents
+a K-th of the blur by pixel and lens, and the print is blurred by as much beforehand. On a plane only the sum
+of a place in the pixel and of a point of the lens matters, so both are correlated instead of independent, as
+far as the variance of the sum allows. Few samples then reproduce an edge as very many would, and alike in all
+pixels.
 """
 
 from __future__ import annotations
@@ -31,17 +30,29 @@ from fpplab.core.geometry import Pinhole, RigidTransform, distort
 from sim.light.table import Irradiance, LightTable, circle_level
 from sim.scene import Paint, RenderScene, SubpixelView, Surface
 
-STEPS = 20
-SPOTS = 4
-"""Sizes of spots for which the print is blurred beforehand; what lies between is interpolated."""
-RIM = 4.0
-"""Of the print, in standard deviations of its blur, beyond the item's edges."""
-SETTLED = 1e-20
-"""Square of a step of slopes, far below what a pixel can show, from which on rays are not corrected."""
+NEWTON_STEPS = 20
+"""Greatest number of steps of Newton's method for a ray."""
+SPOT_SIZES = 4
+"""Sizes of spots for which the print is blurred beforehand; others are interpolated."""
+RIM_SIGMAS = 4.0
+"""Margin of the blurred print beyond the item's edges, in standard deviations of the blur."""
+CONVERGED = 1e-20
+"""Square of a step in slopes below which Newton's method ends; far below what a pixel can resolve."""
 
 
 def can_compute(scene: RenderScene) -> bool:
-    """Whether the scene is one rectangle in its plane z = 0, of matt paint without relief."""
+    """Tell whether a scene can be computed: one rectangle in its plane z = 0, of matt paint without relief.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        Camera, lamp and surfaces.
+
+    Returns
+    -------
+    bool
+        Whether `computed` takes it.
+    """
     if len(scene.surfaces) != 1:
         return False
     surface = scene.surfaces[0]
@@ -52,9 +63,23 @@ def can_compute(scene: RenderScene) -> bool:
 def computed(
     scene: RenderScene, views: list[SubpixelView], spots: bool = False, pixels: PixelIndices | None = None
 ) -> LightTable:
-    """The table that a survey of this scene gives, see `Table.of`; for scenes that `can_compute` takes.
+    """Compute the table that a survey of this scene gives, see `LightTable.of`.
 
-    spots: whether samples see spots instead of points. pixels: of these alone, as one row of an image.
+    Parameters
+    ----------
+    scene : RenderScene
+        One for which `can_compute` is true.
+    views : list of SubpixelView
+        Points of the pixels and of the lens.
+    spots : bool
+        Whether samples represent spots instead of points, where there is a print.
+    pixels : PixelIndices or None
+        Rows and columns of the pixels to compute, as one row of an image; None for the scene's window.
+
+    Returns
+    -------
+    LightTable
+        As from Blender.
     """
     camera, lamp, surface = scene.camera, scene.lamp, scene.surfaces[0]
     width, height = camera.size
@@ -66,10 +91,10 @@ def computed(
     albedo = np.zeros(rows.size, np.float32)
     reach = Pinhole(camera.size, camera.matrix, camera.distortion).reach
     radius = 0.5 * scene.aperture.diameter_mm
-    spots = spots and surface.picture is not None  # what is even has nothing to blur
-    prints = _spotted(scene, len(views)) if spots else _pointed(surface)
+    spots = spots and surface.picture is not None  # a uniform surface has nothing to blur
+    prints = _blurred_prints(scene, len(views)) if spots else _sharp_print(surface)
     shifts = np.array([view.shift for view in views])
-    lens = _in_step(shifts) if spots else np.array([view.lens for view in views])
+    lens = _correlated_lens(shifts) if spots else np.array([view.lens for view in views])
     if spots and len(views) > 1:
         shifts *= np.sqrt(_places_share(len(views)) / (1.0 - 1.0 / len(views)))
     _trace(
@@ -111,7 +136,7 @@ def computed(
 class _Prints:
     """A rectangle's reflectance (sizes, rows, columns) between its corners low and high (x, y) in mm.
 
-    variances: (sizes,) in mm², of the blur of each; evenly apart.
+    variances: (sizes,) in mm², of the blur of each; equally spaced.
     """
 
     pictures: Irradiance
@@ -120,12 +145,12 @@ class _Prints:
     variances: Floats
 
 
-def _pointed(surface: Surface) -> _Prints:
+def _sharp_print(surface: Surface) -> _Prints:
     return _Prints(_reflectance(surface)[None], surface.vertices[0, :2], surface.vertices[2, :2], np.zeros(1))
 
 
-def _spotted(scene: RenderScene, samples: int) -> _Prints:
-    """The print blurred for all sizes of spots on it; nothing comes back from beside it."""
+def _blurred_prints(scene: RenderScene, samples: int) -> _Prints:
+    """Blur the print for all sizes of spots on it; the surroundings reflect nothing."""
     surface, aperture, camera = scene.surfaces[0], scene.aperture, scene.camera
     low, high = surface.vertices[0, :2], surface.vertices[2, :2]
     pose = _transform(surface.T_camera_item)
@@ -143,10 +168,10 @@ def _spotted(scene: RenderScene, samples: int) -> _Prints:
         )
         for point in seen
     ]
-    variances = np.linspace(min(spread), max(spread), SPOTS)
+    variances = np.linspace(min(spread), max(spread), SPOT_SIZES)
     grey = _reflectance(surface)
     scale = np.array(grey.shape[::-1]) / (high - low)
-    rim = np.ceil(RIM * np.sqrt(variances[-1]) * scale).astype(int) + 1
+    rim = np.ceil(RIM_SIGMAS * np.sqrt(variances[-1]) * scale).astype(int) + 1
     across, down = rim.tolist()
     wide = np.pad(grey, ((down, down), (across, across)))
     pictures = []
@@ -156,8 +181,8 @@ def _spotted(scene: RenderScene, samples: int) -> _Prints:
     return _Prints(np.stack(pictures), low - rim / scale, high + rim / scale, variances)
 
 
-def _in_step(shifts: Floats) -> Floats:
-    """Points of the unit disc (K, 2), y up, for places in a pixel: squares around its middle turn circles."""
+def _correlated_lens(shifts: Floats) -> Floats:
+    """Map places in a pixel to points (K, 2) of the unit disc, y up; squares become circles."""
     u, v = 2 * shifts.T
     wide = np.abs(u) >= np.abs(v)
     radius = np.where(wide, np.abs(u), np.abs(v))
@@ -169,25 +194,25 @@ def _in_step(shifts: Floats) -> Floats:
 
 
 def _joint_variance(shifts: Floats, lens: Floats) -> tuple[float, float]:
-    """Along u, of the points of the lens, and between them and the places in the pixel."""
+    """Variance of the points of the lens along u, and their covariance with the places in the pixel."""
     return float(np.mean(lens**2)), float(np.mean(shifts[:, 0] * lens[:, 0]))
 
 
 @numba.njit(cache=True, inline="always")
 def _places_share(samples: int) -> float:
-    """Of the variance of pixel and lens, what the places of the samples have; the rest is the spots' own.
+    """Share of the blur's variance that the samples' places represent; the rest is the spots' own.
 
-    Spots are half as wide, in standard deviations, as they are apart: narrower ones would leave gaps, in
-    which an edge jumps from spot to spot.
+    The standard deviation of a spot is half the distance between spots: narrower ones would leave gaps, so
+    that an edge would jump from spot to spot.
     """
     return (samples - 1.0) / (samples + 2.0)
 
 
 @numba.njit(cache=True, inline="always")
 def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float:
-    """What share of the lens its points may span, for pixel and lens to spread as if they were independent.
+    """Scale of the lens points for which pixel and lens blur as much as if they were independent.
 
-    circle: radius of the circle of confusion in px, negative where the picture is turned over.
+    circle: radius of the circle of confusion in px, negative where the blur is inverted.
     """
     own, common = variance
     wanted = _places_share(samples) * circle * circle / 4.0
@@ -197,10 +222,10 @@ def _opened(circle: float, samples: int, variance: tuple[float, float]) -> float
 
 @numba.njit(cache=True, inline="always")
 def _spot(depth: float, fall: float, pixel: float, radius: float, focus: float, samples: int) -> float:
-    """Variance in mm² of what one of a pixel's samples stands for, on a plane that rays meet at `depth`.
+    """Variance in mm² of the spot of one sample of a pixel, on a plane that rays meet at `depth`.
 
-    fall: of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of side 1 has
-    the variance 1/12, a disc of radius 1 has 1/4; a solid angle is wider on a tilted plane.
+    fall: component of the ray with z = 1 along the plane's normal. pixel: its area in slopes. A square of
+    side 1 has the variance 1/12, a disc of radius 1 has 1/4; a solid angle is wider on a tilted plane.
     """
     lens = radius * (1.0 / depth - 1.0 / focus)
     return float((1.0 - _places_share(samples)) * (pixel / 12.0 + lens * lens / 4.0) * depth * depth / fall)
@@ -211,7 +236,7 @@ def _transform(matrix: Floats) -> RigidTransform:
 
 
 def _reflectance(surface: Surface) -> Irradiance:
-    """[v, u] over the rectangle; a single number where it is even."""
+    """Reflectance [v, u] over the rectangle; of shape (1, 1) where it is uniform."""
     paint, picture = surface.paint, surface.picture
     share = np.ones((1, 1), np.float32) if picture is None else picture / np.float32(255)
     return np.asarray(paint.ink + (paint.reflectance - paint.ink) * share, np.float32)
@@ -222,9 +247,9 @@ _distort = numba.njit(inline="always")(distort)
 
 @numba.njit(cache=True, inline="always")
 def _undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[float, float]:
-    """Slopes of the ray that the lens bends to (xd, yd): Newton's method, half way back beyond its reach."""
+    """Undistort a ray by Newton's method; a step beyond the distortion model's reach is halved."""
     x, y, x0, y0 = xd, yd, 0.0, 0.0
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         if x * x + y * y >= reach * reach:
             x, y = 0.5 * (x + x0), 0.5 * (y + y0)
             continue
@@ -234,7 +259,7 @@ def _undistorted(xd: float, yd: float, lens: Floats, reach: float) -> tuple[floa
         determinant = xx * yy - xy * xy
         step_x, step_y = (yy * off_x - xy * off_y) / determinant, (xx * off_y - xy * off_x) / determinant
         x, y = x + step_x, y + step_y
-        if step_x * step_x + step_y * step_y < SETTLED:
+        if step_x * step_x + step_y * step_y < CONVERGED:
             break
     return x, y
 
@@ -246,7 +271,24 @@ def _rotated(x: np.uint32, bits: int) -> np.uint32:
 
 @numba.njit(cache=True)
 def cell_noise(column: int, row: int) -> float:
-    """`cellnoise` of Open Shading Language at whole numbers, 0 … 1: Jenkins's hash of both (lookup3)."""
+    """Reproduce `cellnoise` of Open Shading Language at whole numbers.
+
+    Parameters
+    ----------
+    column : int
+        First coordinate.
+    row : int
+        Second coordinate.
+
+    Returns
+    -------
+    float
+        Pseudo-random, 0 to 1.
+
+    References
+    ----------
+    Jenkins's hash of both (lookup3).
+    """
     a = b = c = np.uint32((0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF)
     b = np.uint32(b + np.uint32(row & 0xFFFFFFFF))
     a = np.uint32(a + np.uint32(column & 0xFFFFFFFF))
@@ -289,10 +331,10 @@ def _trace(
     samples: Irradiance,
     albedo: Irradiance,
 ) -> None:
-    """columns, rows: (P,) of an image of that height. samples: (K, P, 4), albedo (P,).
+    """Trace all samples of pixels and fill in `samples` (K, P, 4) and `albedo` (P,).
 
-    views: (K, 4) shift u, v and lens x, y, with their joint `variance`. lamp: in the item's frame.
-    low, high, variances, prints: as in `_Prints`.
+    columns, rows: (P,) of an image of that height. views: (K, 4) shift u, v and lens x, y, with their joint
+    `variance`. lamp: in the item's frame. low, high, variances, prints: as in `_Prints`.
     """
     R, t = T_item_camera[:, :3], T_item_camera[:, 3]
     P, p = T_projector_item[:, :3], T_projector_item[:, 3]
@@ -357,7 +399,7 @@ def _trace(
 
 @numba.njit(cache=True, inline="always")
 def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
-    """The size below, and how far on to the next: 0 … 1."""
+    """Index of the next smaller size, and the fraction 0 to 1 of the way to the next larger one."""
     step = variances[1] - variances[0]
     at = (spot - variances[0]) / step if step > 0 else 0.0
     at = min(max(at, 0.0), len(variances) - 1.0)
@@ -367,7 +409,7 @@ def _between_sizes(spot: float, variances: Floats) -> tuple[int, float]:
 
 @numba.njit(cache=True, inline="always")
 def _between_pixels(picture: Irradiance, x: float, y: float) -> float:
-    """Linearly between the middles of a picture's pixels; x, y: 0 … 1 over the whole of it."""
+    """Interpolate linearly between the centres of a picture's pixels; x, y: 0 to 1 over the whole of it."""
     rows, columns = picture.shape
     u = min(max(x * columns - 0.5, 0.0), columns - 1.0)
     v = min(max(y * rows - 0.5, 0.0), rows - 1.0)

@@ -1,4 +1,4 @@
-"""Direct light as a table: for every sample of a pixel, where on the projector it looks, and how brightly.
+"""Direct light as a table: for every sample of a pixel, its place on the projector and its irradiance.
 
 `I = mean_k shade_k * texture(column_k, row_k, circle_k)` for any pattern, brightness or response.
 """
@@ -18,18 +18,26 @@ from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
 from sim.texture import Part
 
 Irradiance = NDArray[np.float32]
+"""Arrays of a table, or pictures looked up in it."""
 
-DIMMEST = np.float32(0.02)
-"""Where white light is weaker than this share, at the projector's last mirror, it is not divided by."""
+LEAST_WHITE = np.float32(0.02)
+"""Share of full light, at the edge of the projector's outermost mirrors, below which it is not divided by."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightTable:
-    """samples: (K, h, w, 4) texture column and row, circle and shade; albedo: (height, width) of the image.
+    """Where K samples of every pixel lie on the projector, and how much white light falls there.
 
-    Samples are those of the pixels from `corner` (left, top) of the image on; outside nothing is seen.
-    Circles count along `Lamp.circles`, with fractions for what lies between two. Shade is the irradiance
-    under white, 0 in shadow.
+    Attributes
+    ----------
+    samples : Irradiance
+        (K, h, w, 4) texture column and row, circle and shade, of the pixels from `corner` on; outside nothing
+        is seen. Circles are fractional indices into `Lamp.circles`. Shade is the irradiance under white, 0 in
+        shadow.
+    albedo : Irradiance
+        Reflectance (height, width) of the whole image, averaged over samples.
+    corner : tuple of int
+        (left, top) in px of the part of the image that has samples.
     """
 
     samples: Irradiance
@@ -38,17 +46,30 @@ class LightTable:
 
     @property
     def nbytes(self) -> int:
-        """Of memory."""
+        """Size in bytes."""
         return self.samples.nbytes + self.albedo.nbytes
 
     @cached_property
     def reach(self) -> tuple[Floats, Floats]:
-        """Least and greatest (column, row) of the texture that lit samples look at."""
+        """Least and greatest (column, row) of the texture at which illuminated samples lie."""
         return _extent(self.samples.reshape(-1, 4))
 
     @classmethod
     def of(cls, rendered: Irradiance, scene: RenderScene) -> LightTable:
-        """From what Blender rendered of a scene under even light, (K, height, width, CHANNELS)."""
+        """Make the table from a survey of a scene under uniform white light.
+
+        Parameters
+        ----------
+        rendered : Irradiance
+            (K, height, width, CHANNELS) from Blender, see `sim.scene`.
+        scene : RenderScene
+            What was rendered.
+
+        Returns
+        -------
+        LightTable
+            Of the scene's window.
+        """
         lamp, (left, top, right, bottom) = scene.lamp, scene.window
         seen = rendered[:, top:bottom, left:right]
         views, height, width, channels = seen.shape
@@ -70,7 +91,18 @@ class LightTable:
         return cls(samples, albedo / np.float32(views), (left, top))
 
     def part(self, shape: tuple[int, int]) -> Part:
-        """What of a texture of `shape` (rows, columns) the samples look at, interpolation included."""
+        """Find the region of a texture that the samples need, interpolation included.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            (rows, columns) of the texture.
+
+        Returns
+        -------
+        Part
+            (left, top, right, bottom) in texels.
+        """
         last = np.array(shape[::-1]) - 2
         left, top = np.clip(self.reach[0], 0, last).astype(int).tolist()
         right, bottom = np.clip(self.reach[1], (left, top), last).astype(int).tolist()
@@ -79,10 +111,21 @@ class LightTable:
     def look_up(
         self, textures: Irradiance, fill: float | None = None, origin: tuple[int, int] = (0, 0)
     ) -> Irradiance:
-        """Pictures (patterns, height, width) under textures (circles, rows, columns, patterns).
+        """Compute pictures under textures of patterns.
 
-        fill: the side of sharp mirrors in texels, or None for smooth optics. origin: column and row of the
-        whole texture that these are cut out at.
+        Parameters
+        ----------
+        textures : Irradiance
+            (circles, rows, columns, patterns).
+        fill : float or None
+            Side of sharp mirrors in texels; None for smooth optics.
+        origin : tuple of int
+            (column, row) of the whole texture at which these are cut out.
+
+        Returns
+        -------
+        Irradiance
+            (patterns, height, width).
         """
         views, h, w, _ = self.samples.shape
         seen = np.empty((textures.shape[-1], h * w), np.float32)
@@ -101,14 +144,26 @@ class LightTable:
         return whole
 
     def divided_by(self, white: Irradiance, fill: float | None = None) -> LightTable:
-        """The table of even light, if this is that of `white` mirrors (circles, rows, columns, 1)."""
+        """Convert a table of light from white mirrors to one of uniform white light.
+
+        Parameters
+        ----------
+        white : Irradiance
+            Textures (circles, rows, columns, 1) of the white mirrors that this table was rendered under.
+        fill : float or None
+            Side of sharp mirrors in texels; None for smooth optics.
+
+        Returns
+        -------
+        LightTable
+            With 0 shade where the mirrors give hardly any light.
+        """
         samples = self.samples.copy()
         each = samples.reshape(1, 1, -1, 4)
         shade = each[0, 0, :, 3]
-        again = LightTable(each, each[0, ..., 0]).look_up(white, fill)[
-            0, 0
-        ]  # white light on top of white light
-        lit = again > DIMMEST * shade
+        # the shade already contains the white mirrors once; looked up it contains them twice
+        again = LightTable(each, each[0, ..., 0]).look_up(white, fill)[0, 0]
+        lit = again > LEAST_WHITE * shade
         shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
         return LightTable(samples, self.albedo, self.corner)
 
@@ -127,7 +182,7 @@ def _locate(
     squares: Floats,
     out: Irradiance,
 ) -> None:
-    """The lens as in `fpplab.core.geometry`, in float64: a texel is a thousandth of the projector."""
+    """Project points with the lens model of `fpplab.core.geometry`, in float64 for sub-texel precision."""
     R, t = T_projector_camera[:, :3], T_projector_camera[:, 3]
     for i in numba.prange(len(rendered)):
         out[i] = 0
@@ -146,9 +201,23 @@ def _locate(
 
 @numba.njit(cache=True)
 def circle_level(depth: float, circle_scale: float, inverse_focus: float, squares: Floats) -> float:
-    """Where the circle of confusion at a depth lies among those drawn, by its square.
+    """Interpolate the circle of confusion at a depth among those that textures are made for, by its square.
 
-    1.25 is a quarter of the way from the second to the third.
+    Parameters
+    ----------
+    depth : float
+        Before the projector, in mm.
+    circle_scale : float
+        Focal length in texels times the diameter of the aperture in mm.
+    inverse_focus : float
+        1 over the depth in focus, in 1/mm.
+    squares : Floats
+        Squares (L,) of the diameters in `Lamp.circles`, in texels squared.
+
+    Returns
+    -------
+    float
+        Fractional index: 1.25 is a quarter of the way from the second to the third.
     """
     if len(squares) == 1:
         return 0.0

@@ -1,4 +1,4 @@
-"""The simulated world as plain data, one module for each of a world file's sections.
+"""The simulated world as plain data, one module for each section of a world file.
 
 The world frame is the camera's (OpenCV, mm). Irradiance is relative: 1 is a perfectly white surface that
 faces the white projector at `projector.distance_mm`.
@@ -6,7 +6,7 @@ faces the white projector at `projector.distance_mm`.
 
 from sim.world.camera import Binning, CameraWorld, Sensor, ShutterSection
 from sim.world.items import ArtefactItem, BoardItem, CardItem, Item, MeshItem, PoseRules
-from sim.world.materials import Diffuse, Glossy, GrainSection, Material, Ridges, Translucent
+from sim.world.materials import Material
 from sim.world.projector import LedWorld, ProjectorWorld, ResponseSection
 from sim.world.render import LightPath, Render, Subpixels
 from sim.world.world import StageWorld, World
@@ -17,9 +17,6 @@ __all__ = [
     "BoardItem",
     "CameraWorld",
     "CardItem",
-    "Diffuse",
-    "Glossy",
-    "GrainSection",
     "Item",
     "LedWorld",
     "LightPath",
@@ -29,11 +26,9 @@ __all__ = [
     "ProjectorWorld",
     "Render",
     "ResponseSection",
-    "Ridges",
     "Sensor",
     "ShutterSection",
     "StageWorld",
     "Subpixels",
-    "Translucent",
     "World",
 ]

@@ -17,19 +17,25 @@ Binning = Literal[1, 2, 4, 8]
 
 
 class Sensor(Document):
-    """How light becomes numbers, from a data sheet. Electrons are of the UNBINNED pixel; binning sums charge.
+    """How light becomes grey levels, from a data sheet.
 
-    read_noise_e: standard deviation, electrons. black_level: what no light gives, share of full scale.
-    Full scale at 0 dB is the full well.
+    Electrons are of the unbinned pixel; binning sums charge. Full scale at 0 dB is the full well.
     """
 
     full_well_e: Positive = 15000.0
+    """Charge at which a pixel saturates, electrons."""
     read_noise_e: NotNegative = 2.5
+    """Standard deviation of the read noise, electrons."""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.6
+    """Electrons for each photon."""
     black_level: Annotated[float, Field(ge=0, lt=0.5)] = 0.01
+    """Level without light, as a share of full scale."""
     bits: Annotated[tuple[Literal[8, 12], ...], Field(min_length=1)] = (8, 12)
+    """Bit depths that frames can have."""
     exposure_s: tuple[Positive, Positive] = (20e-6, 10.0)
+    """Least and greatest exposure, in s."""
     gain_db: tuple[float, float] = (0.0, 24.0)
+    """Least and greatest gain, in dB."""
 
     @model_validator(mode="after")
     def _ranges_rise(self) -> Sensor:
@@ -40,32 +46,39 @@ class Sensor(Document):
 
 
 class ShutterSection(Document):
-    """When rows expose. line_time_s: from one row of a frame to the next; 0 is a global shutter."""
+    """When the rows of a frame are exposed."""
 
     line_time_s: Annotated[float, Field(ge=0, le=1e-2)] = 0.0
+    """Delay of the exposure from one row of a frame to the next, in s; 0 for a global shutter."""
 
 
 class CameraWorld(Document):
-    """The camera.
-
-    focal_mm: from lens to sensor. centre_offset_px: principal point minus the sensor's centre, in unbinned
-    pixels. f_number: `focal_mm` over the diameter of the aperture. transmission: of the lens. focus_mm: the
-    depth that is sharp; without it everything is. vignetting: exponent n of the loss cosⁿ towards the edge;
-    4 is the natural one.
-    """
+    """The simulated camera: sensor, shutter and lens."""
 
     sensor_size: PixelSize = (5472, 3648)
+    """(width, height) of the sensor in unbinned pixels."""
     pixel_um: Positive = 2.4
+    """Side of an unbinned pixel, in µm."""
     binning: Binning = 4
+    """Pixels of the sensor along each side of a pixel of a frame."""
     focal_mm: Positive = 35.0
+    """Distance from lens to sensor, in mm."""
     f_number: Annotated[float, Field(ge=0.7, le=64)] = 2.8
+    """`focal_mm` over the diameter of the aperture."""
     transmission: Share = 0.9
+    """Share of the light that passes the lens, 0 to 1."""
     focus_mm: Positive | None = None
+    """Depth that is in focus, in mm; without it everything is."""
     vignetting: Annotated[float, Field(ge=0, le=40)] = 0.0
+    """Exponent n of the falloff cosⁿ towards the edge of the image; 4 is natural vignetting."""
     centre_offset_px: tuple[float, float] = (0.0, 0.0)
+    """Principal point minus the sensor's centre, in unbinned pixels."""
     distortion: Distortion = (0.0,) * 5
+    """OpenCV's coefficients, five (k1 k2 p1 p2 k3) or eight."""
     shutter: ShutterSection = ShutterSection()
+    """When the rows of a frame are exposed."""
     sensor: Sensor = Sensor()
+    """How light becomes grey levels."""
 
     @model_validator(mode="after")
     def _binning_divides(self) -> CameraWorld:
@@ -103,7 +116,13 @@ class CameraWorld(Document):
         return 0.0 if self.focus_mm is None else self.focal_mm / self.f_number
 
     def model(self) -> Pinhole:
-        """The camera of the binned pixels."""
+        """Make the camera model in binned pixels.
+
+        Returns
+        -------
+        Pinhole
+            Intrinsics in px of a frame, with the world's distortion.
+        """
         focal = self.focal_mm * 1000 / self.pixel_um / self.binning
         centre = tuple(
             (side / 2 + offset) / self.binning - 0.5
@@ -113,7 +132,18 @@ class CameraWorld(Document):
 
 
 def has_rays(camera: Pinhole) -> bool:
-    """Whether every pixel of a camera sees somewhere: its distortion neither folds nor has a pole in view."""
+    """Tell whether every pixel of a camera has a ray: its distortion neither folds nor has a pole in view.
+
+    Parameters
+    ----------
+    camera : Pinhole
+        The camera model.
+
+    Returns
+    -------
+    bool
+        Whether the distortion can be inverted at all corners of the image.
+    """
     width, height = camera.size
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     return not np.isnan(camera.normalise(corners)).any()

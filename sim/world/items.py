@@ -1,4 +1,4 @@
-"""What the fixture of a world can hold."""
+"""What the fixture of a world can hold: boards, artefacts, parts from files and plain cards."""
 
 from __future__ import annotations
 
@@ -16,30 +16,33 @@ FileName = Annotated[str, Field(min_length=1)]
 
 
 class PoseRules(Document):
-    """Seeded random poses of a board, wholly in the camera's image and the projector's light.
-
-    tilt_deg: greatest angle between board and camera. distance_mm, range_mm: the centre's distance, middle
-    and half range.
-    """
+    """Seeded random poses of a board, wholly in the camera's image and the projector's light."""
 
     count: Annotated[int, Field(ge=1, le=500)] = 15
+    """Number of poses."""
     tilt_deg: Annotated[float, Field(ge=0, le=60)] = 30.0
+    """Greatest angle between board and image plane, in degrees."""
     distance_mm: Positive = 450.0
+    """Depth of the board's centre, middle of its range, in mm."""
     range_mm: NotNegative = 25.0
+    """Half the range of the centre's depth, in mm."""
     turn_deg: Annotated[float, Field(ge=0, le=180)] = 10.0
+    """Greatest rotation about the board's normal to either side, in degrees."""
     margin_px: NotNegative = 4.0
+    """Least distance of the board from the edges of both images, in px."""
 
 
 class BoardItem(Document):
-    """A characterisation board: its target file, and the poses it is held in. Its print is Lambertian.
-
-    reflectance, ink: of the ground and of what is printed on it, in place of the target file's.
-    """
+    """A characterisation board and the poses it is held in. Its print is Lambertian."""
 
     target: FileName
+    """Target file, by path or by the name of one that comes with fpplab."""
     reflectance: Share | None = None
+    """Reflectance of the ground, 0 to 1, in place of the target file's."""
     ink: Share | None = None
+    """Reflectance of what is printed, 0 to 1, in place of the target file's."""
     poses: PoseRules | Annotated[tuple[PoseFile, ...], Field(min_length=1)] = PoseRules()
+    """Poses T_camera_item, or rules for random ones."""
 
     @model_validator(mode="after")
     def _print_shows(self) -> BoardItem:
@@ -49,18 +52,20 @@ class BoardItem(Document):
 
 
 class ArtefactItem(Document):
-    """An artefact of `fpplab.artefacts` by name, and its pose T_camera_item.
-
-    sizes: its lengths in mm by field, where they are not the usual ones. layer_mm, bead_mm: as a printer
-    slices it; without a layer it is as designed. material: by name.
-    """
+    """An artefact of `fpplab.artefacts`."""
 
     artefact: str
+    """Name of the artefact."""
     sizes: Annotated[dict[str, Positive | tuple[Positive, ...]], Field(default_factory=dict)]
+    """Lengths in mm by field, where they differ from the artefact's defaults."""
     pose: PoseFile
+    """T_camera_item."""
     layer_mm: Positive | None = None
+    """Layer height of a printer that slices it, in mm; None for the shape as designed."""
     bead_mm: NotNegative = 0.0
+    """Depth of the grooves between the printer's layers, in mm."""
     material: str | None = None
+    """Name in the world's `materials`; None for the world's `material`."""
 
     @model_validator(mode="after")
     def _beads_need_layers(self) -> ArtefactItem:
@@ -70,26 +75,45 @@ class ArtefactItem(Document):
 
 
 class MeshItem(Document):
-    """A watertight part from a file in mm (STL, PLY or OBJ), and its pose T_camera_item."""
+    """A watertight part from a file."""
 
     mesh: FileName
+    """STL, PLY or OBJ file in mm."""
     pose: PoseFile
+    """T_camera_item."""
     material: str | None = None
+    """Name in the world's `materials`; None for the world's `material`."""
 
 
 class CardItem(Document):
-    """A plain plane. Its frame: origin in the middle, z away from the viewer."""
+    """A plain rectangular card. Its frame: origin in the middle, z away from the viewer."""
 
     card_mm: tuple[Positive, Positive]
+    """(width, height) in mm."""
     pose: PoseFile
+    """T_camera_item."""
     material: str | None = None
+    """Name in the world's `materials`; None for the world's `material`."""
 
 
 AnyItem = BoardItem | ArtefactItem | MeshItem | CardItem
 
 
 def with_file_beside(item: AnyItem, folder: Path) -> AnyItem:
-    """The item with the name of its file made absolute, if there is one of that name in `folder`."""
+    """Make the name of an item's file absolute, if there is a file of that name in a folder.
+
+    Parameters
+    ----------
+    item : AnyItem
+        Of a world file.
+    folder : Path
+        Of the world file.
+
+    Returns
+    -------
+    AnyItem
+        The same item where it names no file or the file lies elsewhere.
+    """
     if isinstance(item, BoardItem):
         return item.model_copy(update={"target": config.resolve_beside(item.target, folder)})
     if isinstance(item, MeshItem):
@@ -102,7 +126,7 @@ _KINDS = ("target", "artefact", "mesh", "card_mm")
 
 def _kind(item: Any) -> str | None:
     keys = item if isinstance(item, dict) else type(item).model_fields
-    return next((f"with {kind}" for kind in _KINDS if kind in keys), None)  # not as any key is called
+    return next((f"with {kind}" for kind in _KINDS if kind in keys), None)  # tags must not look like keys
 
 
 Item = Annotated[

@@ -7,6 +7,10 @@ from typing import Annotated
 from pydantic import Field
 
 Positive = Annotated[float, Field(gt=0)]
+"""A number greater than 0."""
 NotNegative = Annotated[float, Field(ge=0)]
+"""A number of at least 0."""
 Share = Annotated[float, Field(ge=0, le=1)]
+"""A number from 0 to 1."""
 PixelSize = tuple[Annotated[int, Field(ge=8, le=20000)], Annotated[int, Field(ge=8, le=20000)]]
+"""(width, height) in pixels or mirrors."""

@@ -15,14 +15,14 @@ from sim.world.numbers import NotNegative, PixelSize, Positive, Share
 
 
 class ResponseSection(Document):
-    """Light from grey levels, both 0 … 1: `I_out = a I_in^g + b`.
-
-    b is the black level, what closed mirrors leak: a device of contrast C has `b = (a + b) / C`.
-    """
+    """The projector's response, light from grey levels, both 0 to 1: `I_out = a I_in^g + b`."""
 
     a: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Light of white above black."""
     b: Share = 0.0
+    """Black level, the light that leaks from closed mirrors: `b = (a + b) / C` for contrast C."""
     g: Annotated[float, Field(ge=0.2, le=5)] = 1.0
+    """Exponent (gamma)."""
 
     @model_validator(mode="after")
     def _white_is_one_at_most(self) -> ResponseSection:
@@ -34,10 +34,15 @@ class ResponseSection(Document):
 
 
 class LedWorld(Document):
-    """One colour of the lamp, at full white. Below 440 nm lumens say too little about light."""
+    """One colour of the lamp.
+
+    Below 440 nm the luminous flux does not determine the radiant flux well enough.
+    """
 
     lumens: Positive
+    """Luminous flux out of the projector's lens under white, in lm."""
     wavelength_nm: Annotated[float, Field(ge=440, le=700)]
+    """Dominant wavelength, in nm."""
 
 
 def _green() -> dict[str, LedWorld]:
@@ -45,33 +50,38 @@ def _green() -> dict[str, LedWorld]:
 
 
 class ProjectorWorld(Document):
-    """The projector.
-
-    throw_ratio: distance over image width. centre_px: principal point; far from the image's middle on a lens
-    that throws upwards. T_camera_projector: its pose in the camera's frame, with the stage at 0.
-    distance_mm: where a facing white surface has irradiance 1.
-    leds: by colour; lit: those that are on. period_s: of the mirrors' switching, in which a pattern's binary
-    planes are shown one after another; 0 is steady light.
-    blur: standard deviation of the lens's point-spread at its sharpest, in mirrors. fill_factor: the share
-    of its square that a mirror fills. focus_mm, aperture_mm: the depth that is sharp and the diameter of the
-    lens, from which blur grows with the distance from focus; without a depth it does not.
-    """
+    """The simulated projector: mirrors, lamp and lens."""
 
     size: PixelSize = (912, 1140)
+    """(columns, rows) of mirrors."""
     lattice: Lattice = Lattice.DIAMOND
+    """How the mirrors are arranged."""
     throw_ratio: Positive = 1.2
+    """Distance over image width."""
     centre_px: tuple[float, float] = (455.5, 1110.0)
+    """Principal point, in mirrors; far from the image's middle for a lens with vertical offset."""
     distortion: Distortion = (0.0,) * 5
+    """OpenCV's coefficients, five (k1 k2 p1 p2 k3) or eight."""
     T_camera_projector: PoseFile
+    """Pose of the projector in the camera's frame, with the stage at 0."""
     distance_mm: Positive = 475.0
+    """Distance at which a white surface that faces the projector has irradiance 1, in mm."""
     leds: Annotated[dict[str, LedWorld], Field(min_length=1, default_factory=_green)]
+    """The lamp's LEDs, by name of their colour."""
     lit: Annotated[tuple[str, ...], Field(min_length=1)] = ("green",)
+    """Names of the LEDs that are on."""
     period_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Period in which a pattern's binary planes are shown one after another, in s; 0 for steady light."""
     response: ResponseSection = ResponseSection()
+    """Light from grey levels."""
     blur: Annotated[float, Field(ge=0, le=20)] = 0.6
+    """Standard deviation of the lens's point spread in focus, in mirrors; 0 for ideal sharp mirrors."""
     fill_factor: Annotated[float, Field(ge=0.2, le=1)] = 1.0
+    """Share of its square that a mirror fills."""
     focus_mm: Positive | None = None
+    """Depth that is in focus, in mm; None for the same blur at every depth."""
     aperture_mm: NotNegative = 10.0
+    """Diameter of the lens in mm, by which blur grows with the distance from focus."""
 
     @model_validator(mode="after")
     def _blur_can_be_drawn(self) -> ProjectorWorld:
@@ -92,7 +102,13 @@ class ProjectorWorld(Document):
         return self
 
     def model(self) -> Pinhole:
-        """The projector's pinhole; on the diamond lattice rows lie half as far apart as columns."""
+        """Make the projector model; on the diamond lattice rows lie half as far apart as columns.
+
+        Returns
+        -------
+        Pinhole
+            Intrinsics in mirrors, with the world's distortion and lattice.
+        """
         focal = self.throw_ratio * self.size[0]
         along_rows = 2 * focal if self.lattice is Lattice.DIAMOND else focal
         return Pinhole.from_focal(
@@ -100,5 +116,11 @@ class ProjectorWorld(Document):
         )
 
     def texture(self) -> MirrorTexture:
-        """Its mirrors as a texture."""
+        """Make the texture of the projector's mirrors.
+
+        Returns
+        -------
+        MirrorTexture
+            Without a circle of confusion.
+        """
         return MirrorTexture(self.size, self.lattice, self.blur, self.fill_factor)

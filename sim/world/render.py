@@ -1,4 +1,4 @@
-"""How a world's pictures are made."""
+"""How pictures of a world are rendered."""
 
 from __future__ import annotations
 
@@ -10,30 +10,45 @@ from pydantic import Field
 from fpplab.core.config import Document
 
 LightPath = Literal["transport", "linear", "reference"]
+"""How patterns become pictures, see `sim.light.light`."""
+
 Subpixels = Annotated[int, Field(ge=1, le=8)]
+"""Points of a pixel along each side."""
 
 
 class Render(Document):
-    """How pictures are made.
-
-    path: `transport` (direct light, any pattern by table), `linear` (a basis of the loaded patterns),
-    `reference` (every pattern rendered), or `auto`: transport where all light is direct, else linear.
-    subpixels: points of a pixel along each side; computed_subpixels: where light on flat items is computed,
-    as many as `subpixels` unless told. samples: light paths for each of them; more than one matters to
-    bounced light alone. bounces: between surfaces. device: what Cycles computes on.
-    cache: keep tables of direct light on disk, for worlds that are met again.
-    """
+    """How pictures are rendered."""
 
     path: Literal["auto", "transport", "linear", "reference"] = "auto"
+    """`transport` (direct light, any pattern by look-up), `linear` (a basis of the loaded patterns is
+    rendered), `reference` (every pattern is rendered), or `auto`: transport where all light is direct,
+    otherwise linear."""
     subpixels: Subpixels = 2
+    """Points of a pixel along each side."""
     computed_subpixels: Subpixels | None = None
+    """The same where light on flat items is computed instead of rendered; None for `subpixels`."""
     samples: Annotated[int, Field(ge=1, le=4096)] = 1
+    """Light paths for each sub-pixel; more than one matters to indirect light only."""
     bounces: Annotated[int, Field(ge=0, le=16)] = 0
+    """Reflections between surfaces that are followed; 0 for direct light only."""
     device: Literal["CPU", "CUDA", "OPTIX", "HIP", "METAL", "ONEAPI"] = "CPU"
+    """What Cycles computes on."""
     cache: bool = True
+    """Whether tables of direct light are kept on disk, for worlds that are used again."""
 
 
 def shifts(subpixels: int) -> list[tuple[float, float]]:
-    """Where in a pixel to look, relative to its centre: the middles of equal squares, in px."""
+    """List the points of a pixel that are looked through: the middles of equal squares.
+
+    Parameters
+    ----------
+    subpixels : int
+        Points along each side of the pixel.
+
+    Returns
+    -------
+    list of (float, float)
+        (u, v) relative to the pixel's centre, in px, in reading order.
+    """
     steps = (np.arange(subpixels) + 0.5) / subpixels - 0.5
     return [(float(u), float(v)) for v in steps for u in steps]

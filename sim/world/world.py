@@ -1,4 +1,4 @@
-"""The whole simulated bench: the truth that a measurement on the twin is held against."""
+"""The simulated world as a whole: the ground truth that measurements on the twin are compared with."""
 
 from __future__ import annotations
 
@@ -17,55 +17,76 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from sim.world.camera import Binning, CameraWorld, has_rays
 from sim.world.items import BoardItem, Item, with_file_beside
-from sim.world.materials import Diffuse, Material, Translucent
+from sim.world.materials import Material, MaterialSection
+from sim.world.materials.diffuse import Diffuse
 from sim.world.numbers import NotNegative
 from sim.world.projector import ProjectorWorld
 from sim.world.render import LightPath, Render
 
 
 class StageWorld(Document):
-    """The stage that carries the projector along `axis`, a direction in the camera's frame."""
+    """The linear stage that carries the projector."""
 
     travel_mm: tuple[float, float] = (-60.0, 60.0)
+    """Least and greatest position, in mm; must contain 0."""
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Direction of travel in the camera's frame; of any length but zero."""
 
     @model_validator(mode="after")
     def _is_a_stage(self) -> StageWorld:
         if not self.travel_mm[0] <= 0 <= self.travel_mm[1]:
-            raise ValueError(f"'travel_mm' is {list(self.travel_mm)}: must hold 0, where homing ends")
+            raise ValueError(f"'travel_mm' is {list(self.travel_mm)}: must contain 0, where homing ends")
         if not np.any(self.axis):
             raise ValueError("'axis' is zero: must be a direction")
         return self
 
     def offset(self, position_mm: float) -> Floats:
-        """How far the stage carries the projector, (3,) in mm in the camera's frame."""
+        """Compute by how much the stage displaces the projector.
+
+        Parameters
+        ----------
+        position_mm : float
+            Position of the stage, in mm.
+
+        Returns
+        -------
+        Floats
+            Displacement (3,) in mm in the camera's frame.
+        """
         axis = np.array(self.axis)
         return position_mm * axis / np.linalg.norm(axis)
 
 
 class World(Document):
-    """The whole bench.
-
-    calibration: measured models of both devices and the pose between them with the stage at 0, in place of
-    the `focal_mm`, `centre_offset_px`, `throw_ratio`, `centre_px`, `distortion` and `T_camera_projector` of
-    `camera` and `projector`; a world file may name a calibration file. Apertures stay `focal_mm / f_number`.
-    items: what the fixture can hold, by name. mounted: what it holds at first. material: of items that name
-    none of `materials`. ambient: even light on everything in view, relative to the projector's white.
-    vibration_mm: standard deviation, along each axis, of where the item is from frame to frame.
-    """
+    """A world file: devices, items, light and how pictures are rendered."""
 
     seed: Annotated[int, Field(ge=0)] = 0
+    """Of noise, vibration and random poses."""
     camera: CameraWorld = CameraWorld()
+    """Sensor, shutter and lens."""
     projector: ProjectorWorld
+    """Mirrors, lamp and lens."""
     calibration: CalibrationFile | None = None
+    """Measured models of both devices and the pose between them with the stage at 0, in place of the
+    `focal_mm`, `centre_offset_px`, `throw_ratio`, `centre_px`, `distortion` and `T_camera_projector` of
+    `camera` and `projector`; a world file may name a calibration file. Apertures stay
+    `focal_mm / f_number`."""
     stage: StageWorld = StageWorld()
+    """The stage that carries the projector."""
     items: dict[str, Item]
+    """What the fixture can hold, by name."""
     mounted: str = "nothing"
-    material: Material = Diffuse()
-    materials: Annotated[dict[str, Material], Field(default_factory=dict)]
+    """Item that the fixture holds at first."""
+    material: MaterialSection = Diffuse()
+    """Material of items that name none of `materials`."""
+    materials: Annotated[dict[str, MaterialSection], Field(default_factory=dict)]
+    """Further materials, by name."""
     ambient: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Uniform ambient light on everything in view, relative to the projector's white."""
     vibration_mm: Annotated[NotNegative, Field(le=10)] = 0.0
+    """Standard deviation of the item's displacement along each axis from frame to frame, in mm."""
     render: Render = Render()
+    """How pictures are rendered."""
 
     @model_validator(mode="after")
     def _names_are_free(self) -> World:
@@ -90,7 +111,7 @@ class World(Document):
     def _path_can_serve(self) -> World:
         if self.render.path == "transport" and (effect := self.indirect):
             raise ValueError(
-                f"'render.path' is transport, which knows direct light alone, but there is {effect}: "
+                f"'render.path' is transport, which supports direct light only, but there is {effect}: "
                 "choose path auto, linear or reference"
             )
         return self
@@ -121,30 +142,56 @@ class World(Document):
 
     @property
     def indirect(self) -> str | None:
-        """What makes light arrive elsewhere than where it fell, if anything does."""
+        """What makes light indirect, in words: bounces or a translucent item; None where all is direct."""
         if self.render.bounces:
-            return f"light that bounces ('render.bounces' is {self.render.bounces})"
+            return f"interreflection ('render.bounces' is {self.render.bounces})"
         for name in self.items:
             if self.is_translucent(name):
                 return f"a translucent material (of 'items.{name}')"
         return None
 
     def is_translucent(self, name: str) -> bool:
-        """Whether light enters an item and leaves it elsewhere."""
-        return isinstance(self.material_of(name), Translucent)
+        """Tell whether light enters an item and leaves it elsewhere.
+
+        Parameters
+        ----------
+        name : str
+            Name of the item.
+
+        Returns
+        -------
+        bool
+            Whether its material scatters light below the surface.
+        """
+        return self.material_of(name).subsurface
 
     @property
     def path(self) -> LightPath:
-        """The way that serves: as chosen, or for `auto` the cheapest that is right."""
+        """The light path in use: the one chosen, or for `auto` the cheapest that is correct."""
         if self.render.path != "auto":
             return self.render.path
         return "linear" if self.indirect else "transport"
 
     @classmethod
     def load(cls, path: Path | str) -> World:
-        """Read a world file, by path or by the name of one that comes with fpplab. Raises `ConfigError`.
+        """Read a world file.
 
         A relative name of a mesh, target or calibration file is looked for beside the world file first.
+
+        Parameters
+        ----------
+        path : Path or str
+            Path, or the name of a world file that comes with fpplab.
+
+        Returns
+        -------
+        World
+            With absolute names of files that lie beside the world file.
+
+        Raises
+        ------
+        ConfigError
+            A file is missing or not valid; the message names the file, field and allowed values.
         """
         found = config.find_config(path)
         data = config.parse_yaml(config.read_text(found), found)
@@ -158,9 +205,26 @@ class World(Document):
         return world.model_copy(update={"items": items})
 
     def save(self, folder: Path, name: str = "world.yaml") -> Path:
-        """Write as a world file in `folder`, a calibration beside it as `calibration.yaml`; its path.
+        """Write the world file, with a calibration beside it as `calibration.yaml`.
 
-        Names of mesh and target files stay as they are. Raises `DataError` when the place cannot be written.
+        Names of mesh and target files stay as they are.
+
+        Parameters
+        ----------
+        folder : Path
+            Where to write.
+        name : str
+            Name of the world file.
+
+        Returns
+        -------
+        Path
+            Of the world file.
+
+        Raises
+        ------
+        DataError
+            The folder cannot be written to.
         """
         data = config.plain(self)
         if self.calibration is not None:
@@ -170,23 +234,61 @@ class World(Document):
         return folder / name
 
     def binned(self, binning: Binning) -> World:
-        """The same world, seen by its camera at another binning. Raises `ConfigError` when that cannot be."""
+        """Make the same world with another binning of its camera.
+
+        Parameters
+        ----------
+        binning : Binning
+            Pixels of the sensor along each side of a pixel of a frame.
+
+        Returns
+        -------
+        World
+            A changed copy.
+
+        Raises
+        ------
+        ConfigError
+            The binning does not divide the sensor's size.
+        """
         data = self.model_dump(mode="json")
         data["camera"]["binning"] = binning
         return config.validate(data, World, "world")
 
     def camera_model(self) -> Pinhole:
-        """The true camera."""
+        """Make the true camera model.
+
+        Returns
+        -------
+        Pinhole
+            From `calibration` where there is one, otherwise from `camera`.
+        """
         return self.calibration.camera.model() if self.calibration else self.camera.model()
 
     def projector_model(self) -> Pinhole:
-        """The true projector."""
+        """Make the true projector model.
+
+        Returns
+        -------
+        Pinhole
+            From `calibration` where there is one, otherwise from `projector`.
+        """
         return self.calibration.projector.model() if self.calibration else self.projector.model()
 
     def T_projector_camera(self, stage_mm: float = 0.0, convergence_deg: float = 0.0) -> RigidTransform:
-        """The true pose of the camera in the projector's frame, with the stage at `stage_mm`.
+        """Compute the true pose of the camera in the projector's frame.
 
-        convergence_deg: turn of the projector there towards the camera, see `turned_towards`.
+        Parameters
+        ----------
+        stage_mm : float
+            Position of the stage, in mm.
+        convergence_deg : float
+            Turn of the projector towards the camera at that position, in degrees, see `turned_towards`.
+
+        Returns
+        -------
+        RigidTransform
+            From the camera's frame to the projector's, in mm.
         """
         if self.calibration:
             pose = self.calibration.T_projector_camera.transform().inverse()
@@ -196,14 +298,41 @@ class World(Document):
         return turned_towards(moved, np.radians(convergence_deg)) if convergence_deg else moved
 
     def item(self, name: str) -> Item:
-        """One item. Raises `ConfigError` that lists them."""
+        """Look up an item.
+
+        Parameters
+        ----------
+        name : str
+            Name of the item.
+
+        Returns
+        -------
+        Item
+            The item's section.
+
+        Raises
+        ------
+        ConfigError
+            There is no such item; the message lists those that there are.
+        """
         if name not in self.items:
             raise ConfigError(f"world: there is no item '{name}'; there are {', '.join(self.items)}")
         return self.items[name]
 
     def material_of(self, name: str) -> Material:
-        """What an item is made of; the white of a board's print for a board."""
+        """Look up what an item is made of.
+
+        Parameters
+        ----------
+        name : str
+            Name of the item.
+
+        Returns
+        -------
+        Material
+            For a board white matt paint, because its print has its own reflectance.
+        """
         item = self.item(name)
         if isinstance(item, BoardItem):
-            return Diffuse(reflectance=1.0)  # a print has its own reflectance
+            return Diffuse(reflectance=1.0)  # the print has its own reflectance
         return self.material if item.material is None else self.materials[item.material]

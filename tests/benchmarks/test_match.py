@@ -158,7 +158,7 @@ def test_the_truth_is_the_worlds_with_the_lamp_by_the_nominal_twins(tmp_path: Pa
         nominal_world: World = bench.simulation.world
         bright = nominal_world.model_dump(mode="json")
         bright["projector"]["leds"]["green"]["lumens"] *= 2
-        bench.simulation.become(config.validate(bright, World, "a bright world"))
+        bench.simulation.replace_world(config.validate(bright, World, "a bright world"))
         truth = truth_of(bench, nominal_world)
     assert truth.white == pytest.approx(2)
     assert len(truth.poses) == 20

@@ -121,7 +121,7 @@ def test_a_part_of_ones_own_is_scanned_from_another_folder(fpplab: Command, tmp_
     (rig.parent / "cache").write_text("no folder")
     done = scan(fpplab, rig)
     assert done.code == 0, done.err
-    assert "light is not kept in" in done.err
+    assert "a table of light cannot be stored in" in done.err
     assert done.json["images"] == 6
     # The box covers 60 x 50 of a field of 172 x 115 mm, nearly all of it lit.
     assert 0.8 < done.json["points"] / (192 * 128 * 60 * 50 / (172 * 115)) < 1.1

@@ -31,7 +31,7 @@ fixture: {backend: "sim.devices:SimFixture"}
 
 
 def plain(**changes: Any) -> dict[str, Any]:
-    """The demonstration's bench with few pixels, as plain data; `changes` replace whole sections' fields."""
+    """The demonstration's world with few pixels, as plain data; `changes` replace fields of sections."""
     data: dict[str, Any] = {
         "seed": 7,
         "camera": {
@@ -108,7 +108,7 @@ class Bench:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Nothing that an earlier run left, and nothing left for a later one."""
+    """An empty cache directory of this run's own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
@@ -124,7 +124,7 @@ def blender() -> Iterator[Blender]:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """One bench for the tests of a module, of the world `plain`."""
+    """One virtual bench for the tests of a module, of the world `plain`."""
     rig = Bench(write_world(tmp_path_factory.mktemp("world"), plain()))
     rig.open()
     yield rig

@@ -1,4 +1,4 @@
-"""A second opinion on the twin: rays, analytic shapes and a point light, written from the mathematics.
+"""An independent ray caster: rays, analytic shapes and a point light, written from the mathematics.
 
 Of the product it uses the pinhole model alone. Everything is in the camera's frame, in mm.
 """
@@ -31,7 +31,7 @@ class Shape(Protocol):
 
 @dataclass(frozen=True)
 class Plane:
-    """An endless plane through a point, seen from the side its normal points to."""
+    """An infinite plane through a point, seen from the side its normal points to."""
 
     point: Floats
     normal: Floats

@@ -1,4 +1,4 @@
-"""Tables of direct light on disk: found again, never wrong, and never in the way."""
+"""Tables of direct light on disk: reused, never wrong, and failures of the disk never stop a measurement."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def cache(tmp_path: Path) -> TableCache:
 
 @pytest.fixture(scope="module")
 def kept(blender: Blender, tmp_path_factory: pytest.TempPathFactory) -> TableCache:
-    """A cache that has met the pillars and the card."""
+    """A cache that holds the tables of the pillars and the card."""
     store = TableCache(tmp_path_factory.mktemp("kept"))
     for setup in (PILLARS, CARD):
         Light(world(), blender, store).table(setup)
@@ -81,7 +81,7 @@ def kept(blender: Blender, tmp_path_factory: pytest.TempPathFactory) -> TableCac
 
 
 def needs_render(of: World, store: TableCache, setup: Setup = PILLARS) -> bool:
-    """Whether another bench that is this world has to render what it sees."""
+    """Whether a new virtual bench of this world has to render."""
     try:
         picture(of, NoBlender(), store, setup)
     except Rendering:
@@ -92,7 +92,7 @@ def needs_render(of: World, store: TableCache, setup: Setup = PILLARS) -> bool:
 # What is found again ---------------------------------------------------------------------------------
 
 
-def test_a_world_met_again_is_the_same_to_the_last_bit_without_a_render(
+def test_a_cached_world_gives_identical_pictures_without_a_render(
     blender: Blender, cache: TableCache
 ) -> None:
     first = picture(world(), blender, cache)
@@ -101,7 +101,7 @@ def test_a_world_met_again_is_the_same_to_the_last_bit_without_a_render(
     np.testing.assert_array_equal(first, again)
 
 
-def test_blender_does_not_even_start_for_what_is_kept(kept: TableCache) -> None:
+def test_blender_does_not_start_where_the_table_is_cached(kept: TableCache) -> None:
     idle = Blender("idle")
     try:
         assert picture(world(), idle, kept).max() > 0.5
@@ -138,7 +138,7 @@ FREE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("change", FREE.values(), ids=FREE.keys())
-def test_what_does_not_move_light_needs_no_render(kept: TableCache, change: dict[str, Any]) -> None:
+def test_changes_that_do_not_affect_light_need_no_render(kept: TableCache, change: dict[str, Any]) -> None:
     assert not needs_render(world(**change), kept)
 
 
@@ -182,7 +182,7 @@ BOUND: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("change", BOUND.values(), ids=BOUND.keys())
-def test_what_moves_light_is_rendered_again(kept: TableCache, change: dict[str, Any]) -> None:
+def test_changes_that_affect_light_are_rendered_again(kept: TableCache, change: dict[str, Any]) -> None:
     assert needs_render(world(**change), kept)
 
 
@@ -191,10 +191,10 @@ def test_another_place_of_the_stage_is_rendered_again(kept: TableCache) -> None:
     assert needs_render(world(), kept, dataclasses.replace(PILLARS, stage_mm=0.5))
 
 
-def test_what_shakes_is_neither_looked_for_nor_kept(blender: Blender, tmp_path: Path) -> None:
-    """It never comes back: it would push out what does."""
+def test_tables_of_displaced_items_are_neither_looked_up_nor_stored(blender: Blender, tmp_path: Path) -> None:
+    """A displaced item is never seen again: its table would displace useful ones."""
     store = TableCache(tmp_path / "light")
-    assert picture(world(), blender, store, Setup("pillars", shake_mm=(0.1, 0.0, 0.0))).max() > 0.5
+    assert picture(world(), blender, store, Setup("pillars", vibration_mm=(0.1, 0.0, 0.0))).max() > 0.5
     assert not (tmp_path / "light").exists()
 
 
@@ -210,7 +210,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def discarded(folder: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> str:
-    """Have a file of that content refused and removed; why."""
+    """Load a file of that content, which is refused and removed; return the reason."""
     file = folder / "k.table"
     file.write_bytes(content)
     caplog.clear()
@@ -230,13 +230,13 @@ def test_what_is_written_is_read(tmp_path: Path, written: bytes) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0, 1, exclude_max=True))
-def test_a_file_cut_short_anywhere_is_discarded(
+def test_a_truncated_file_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture, share: float
 ) -> None:
     discarded(tmp_path, written[: int(share * len(written))], caplog)
 
 
-def test_a_file_cut_short_at_every_place_of_its_head_or_end_is_discarded(
+def test_a_file_truncated_anywhere_in_its_header_or_end_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     head = written.index(b"}\n") + 3
@@ -276,15 +276,15 @@ def test_a_file_of_another_format_is_discarded(
               b'{"renderer": "VERSION", "samples": ["x"], "albedo": [1]}',
               b'{"renderer": "VERSION", "samples": [99999999, 99999999], "albedo": [1]}'],
 )  # fmt: skip
-def test_a_head_of_other_content_is_discarded(
+def test_a_header_of_other_content_is_discarded(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, about: bytes
 ) -> None:
-    """Nor is memory asked for that the file does not fill."""
+    """Memory is not allocated for more than the file holds."""
     head = about.replace(b"VERSION", module.renderer().encode())
     discarded(tmp_path, f"{module.FORMAT}\n".encode() + head + b"\n" + bytes(200), caplog)
 
 
-def test_more_than_was_written_is_discarded(
+def test_a_file_with_trailing_bytes_is_discarded(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert "checksum" in discarded(tmp_path, written + b"\0", caplog)
@@ -328,19 +328,19 @@ def test_a_full_disk_only_warns(
 
     monkeypatch.setattr(module, "_write", full)
     assert picture(world(), blender, TableCache(tmp_path / "light")).max() > 0.5
-    assert "light is not kept in" in caplog.text
+    assert "a table of light cannot be stored in" in caplog.text
     assert "No space left on device" in caplog.text
     assert not list((tmp_path / "light").iterdir()), "half a file is left"
 
 
-def test_a_directory_that_cannot_be_only_warns(
+def test_a_directory_that_cannot_be_made_only_warns(
     blender: Blender, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A file stands where the directory would be."""
     (tmp_path / "taken").write_text("mine")
     right = picture(world(), blender, TableCache(tmp_path / "light"))
     np.testing.assert_array_equal(picture(world(), blender, TableCache(tmp_path / "taken")), right)
-    assert "light is not kept in" in caplog.text
+    assert "a table of light cannot be stored in" in caplog.text
     assert (tmp_path / "taken").read_text() == "mine"
 
 
@@ -356,10 +356,10 @@ def test_a_directory_of_another_user_only_warns(
     assert "Permission denied" in caplog.text
 
 
-def test_what_may_only_be_read_serves_all_the_same(
+def test_read_only_tables_are_used(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither its time can be set nor can it be removed."""
+    """Its time cannot be set and it cannot be removed."""
     TableCache(tmp_path).store("k", small_table())
     TableCache(tmp_path).store("broken", small_table())
     (tmp_path / "broken.table").write_bytes(b"what")
@@ -379,7 +379,7 @@ def test_a_directory_in_the_place_of_a_file_only_warns(
     assert store.load("k") is None
     store.store("k", small_table())
     assert "is discarded" in caplog.text
-    assert "light is not kept" in caplog.text
+    assert "a table of light cannot be stored" in caplog.text
 
 
 def test_without_a_cache_nothing_is_written(
@@ -401,13 +401,13 @@ def names(folder: Path) -> set[str]:
 
 
 def aged(folder: Path, name: str, seconds: float) -> None:
-    """As if it was last used so long ago."""
+    """Set the time of last use to so long ago."""
     path = folder / name
     now = path.stat().st_mtime
     os.utime(path, (now - seconds, now - seconds))
 
 
-def test_the_longest_unused_go_first(tmp_path: Path, written: bytes) -> None:
+def test_the_least_recently_used_are_removed_first(tmp_path: Path, written: bytes) -> None:
     store = TableCache(tmp_path, limit=3 * len(written))
     for age, key in ((300, "a"), (200, "b"), (100, "c")):
         store.store(key, small_table())
@@ -419,17 +419,17 @@ def test_the_longest_unused_go_first(tmp_path: Path, written: bytes) -> None:
     assert names(tmp_path) == {"a", "d", "e"}
 
 
-def test_a_table_greater_than_the_limit_is_not_kept(
+def test_a_table_greater_than_the_limit_is_not_stored(
     tmp_path: Path, written: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = TableCache(tmp_path, limit=len(written))
     store.store("small", small_table())
     store.store("great", small_table(shape=(60, 50)))
     assert names(tmp_path) == {"small"}
-    assert "more than the cache holds" in caplog.text
+    assert "exceed the cache" in caplog.text
 
 
-def test_drafts_of_killed_processes_go_too(tmp_path: Path, written: bytes) -> None:
+def test_temporary_files_of_killed_processes_are_removed_too(tmp_path: Path, written: bytes) -> None:
     (tmp_path / ".k.table.x8f3").write_bytes(bytes(10 * len(written)))
     aged(tmp_path, ".k.table.x8f3", 1000)
     (tmp_path / "notes.txt").write_text("somebody's own")
@@ -437,7 +437,7 @@ def test_drafts_of_killed_processes_go_too(tmp_path: Path, written: bytes) -> No
     assert {path.name for path in tmp_path.iterdir()} == {"a.table", "notes.txt"}
 
 
-def test_a_file_that_another_process_removed_is_no_matter(
+def test_a_file_that_another_process_removed_is_ignored(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, written: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = TableCache(tmp_path, limit=len(written))
@@ -451,8 +451,10 @@ def test_a_file_that_another_process_removed_is_no_matter(
     assert names(tmp_path) == {"b"}
 
 
-def test_many_at_once_never_see_half_a_table(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Two writers and two readers of one key: what is read is one of the two tables, whole."""
+def test_concurrent_readers_never_see_part_of_a_table(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Two writers and two readers of one key: every read gives one of the two tables, complete."""
     tables = [small_table(seed, (120, 100)) for seed in (1, 2)]
     TableCache(tmp_path).store("k", tables[0])
     wrong: list[str] = []

@@ -1,4 +1,4 @@
-"""The name of a table on disk: every number that light depends on, and nothing else."""
+"""The key of a table on disk depends on every number that light depends on, and on nothing else."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ KNOWN = digest(SCENE, SHIFTED)
 
 
 def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The place of every number, or array of them."""
+    """The place of every number or name, or array of numbers."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             yield from numbers(getattr(value, field.name), (*path, field.name))
@@ -44,7 +44,7 @@ def numbers(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ..
 
 
 def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
-    """The same with the least change of the number at a place; of an array's, the one at a share `which`."""
+    """The same with the least change of the number at a place; in an array at the fraction `which`."""
     if path:
         first, rest = path[0], path[1:]
         if isinstance(first, str):
@@ -57,13 +57,15 @@ def altered(value: Any, path: tuple[Any, ...], which: float) -> Any:
         return changed
     if isinstance(value, bool):
         return not value
+    if isinstance(value, str):
+        return f"{value}x"
     return value ^ 1 if isinstance(value, int) else float(np.nextafter(value, np.inf))
 
 
 PLACES = list(numbers((SCENE, SHIFTED)))
 
 
-def test_a_scene_has_the_numbers_that_it_is_thought_to_have() -> None:
+def test_the_scene_has_the_expected_fields() -> None:
     named = {str(p[-1] if isinstance(p[-1], str) else p[-2]) for p in PLACES}
     assert {"vertices", "faces", "uv", "picture", "T_camera_item", "distortion", "circles", "window"} < named
     assert {"reflectance", "slope", "depth_mm", "diameter_mm", "exact", "fill", "shift", "lens"} < named
@@ -71,7 +73,7 @@ def test_a_scene_has_the_numbers_that_it_is_thought_to_have() -> None:
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: ".".join(map(str, place)))
 def test_any_one_number_changes_the_name(place: tuple[Any, ...]) -> None:
-    """By the least that a number can change, at the ends and within of arrays."""
+    """By the least change of the number; in arrays at both ends and in the middle."""
     for which in (0.0, 0.37, 0.999999):
         assert digest(*altered((SCENE, SHIFTED), place, which)) != KNOWN
 

@@ -1,4 +1,4 @@
-"""Data sets: their labels against exact truth, their samples against interruption, and the loader."""
+"""Data sets: labels against the ground truth, resumption after interruption, and the loader."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
 
 
 def test_labels_of_a_plate_from_behind_are_dark() -> None:
-    """Camera and lamp on opposite sides of a flat thing: it is seen, and not lit."""
+    """Camera and lamp on opposite sides of a flat item: it is seen but not illuminated."""
     plate = trimesh.Trimesh(
         [[-30, -30, 450], [30, -30, 450], [30, 30, 450], [-30, 30, 450]],
         [[0, 1, 2], [0, 2, 3]],
@@ -191,7 +191,7 @@ def test_boards_agree_with_their_labels(boards: Dataset) -> None:
         check_sample(boards[k], edges_px=2)
 
 
-def test_artefacts_agree_with_their_labels_whatever_came_before(tmp_path: Path) -> None:
+def test_artefacts_agree_with_their_labels_in_any_order_of_scenes(tmp_path: Path) -> None:
     """Rendered by Blender; each sample is the same by itself as after others."""
     scenes = ALL.model_copy(update={"targets": (), "gloss": (0.0, 0.0)})
     with opened(tmp_path, scenes) as maker:
@@ -240,7 +240,7 @@ def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     assert visible.mean() >= 0.5
 
 
-def test_a_draft_of_a_killed_process_is_begun_anew(boards: Dataset, tmp_path: Path) -> None:
+def test_an_unfinished_shard_of_a_killed_process_is_made_anew(boards: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "set"
     copied(boards, out)
     half = out / f".{shard_name(1)}"
@@ -274,7 +274,7 @@ def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset)
     assert contents(out) == contents(boards.folder)
 
 
-def test_who_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_failing_process_leaves_no_files(tmp_path: Path) -> None:
     def fail() -> None:
         with claimed(tmp_path, 0) as draft:
             assert draft is not None
@@ -329,7 +329,7 @@ def test_splits_share_no_scene(boards: Dataset) -> None:
 
 
 def test_a_sample_s_world_is_a_world_file(boards: Dataset, tmp_path: Path) -> None:
-    """What was drawn is all there is to it: the recorded world shows the recorded frames."""
+    """The recorded world reproduces the recorded frames."""
     record, recorded = boards.scene(2), boards[2]
     (tmp_path / "world.yaml").write_text(config.to_yaml(record["world"]))
     (tmp_path / "rig.yaml").write_text(RIG_OF_BOARDS)
@@ -379,7 +379,7 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
         ({"scenes": BOARDS.model_copy(update={"tilt_deg": 20.0})}, "another 'scenes'; name another output"),
     ],
 )
-def test_another_data_set_is_not_gone_on_with(
+def test_another_data_set_is_not_resumed(
     boards: Dataset, tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     copied(boards, tmp_path / "set")

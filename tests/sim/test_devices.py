@@ -98,7 +98,7 @@ def test_stage_carries_the_projector_along_the_baseline(bench: Bench) -> None:
         bench.stage.move_to(1000.0)
 
 
-def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
+def test_another_world_keeps_the_pictures_that_are_still_valid(bench: Bench) -> None:
     """A changed response or sensor needs no render; a changed pose does."""
     bench.fixture.mount("card")
     bench.projector.show(1)
@@ -106,15 +106,15 @@ def test_another_world_keeps_the_pictures_that_still_hold(bench: Bench) -> None:
     original, blender = bench.shared.world, bench.shared.blender
     samples = bench.shared.light.table(bench.shared.setup)
     bent = world(projector={**plain()["projector"], "response": {"a": 1.0, "b": 0.0, "g": 2.0}})
-    bench.shared.become(bent)
+    bench.shared.replace_world(bent)
     assert bench.shared.light.table(bench.shared.setup) is samples
     black = 0.01 * 4095
     ratio = (bench.camera.snap().image.mean() - black) / (before.mean() - black)
     assert abs(ratio - 128 / 255) < 0.002
     moved = world(projector={**plain()["projector"], "centre_px": [440.0, 1110.0]})
-    bench.shared.become(moved)
+    bench.shared.replace_world(moved)
     assert bench.shared.light.table(bench.shared.setup) is not samples
-    bench.shared.become(original)
+    bench.shared.replace_world(original)
     assert bench.shared.blender is blender
 
 
@@ -141,7 +141,9 @@ def test_fixture_lists_items_and_refuses_others(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("still", [False, True])
-def test_a_bench_may_see_its_world_at_rest_and_with_fewer_rays(still: bool, tmp_path: Path) -> None:
+def test_a_virtual_bench_can_switch_vibration_off_and_use_fewer_subpixels(
+    still: bool, tmp_path: Path
+) -> None:
     file = write_world(tmp_path, plain(vibration_mm=0.05, render={"subpixels": 3}))
     bench = VirtualBench({"world": file, "analytic": True, "subpixels": 2, "still": still})
     assert bench.world.render.subpixels == 2

@@ -1,4 +1,4 @@
-"""What an operator meets on the twin: vibration, shutters, colours, indirect light, through the devices."""
+"""Effects of the twin through its devices: vibration, shutters, colours, indirect light."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ BRIGHT, QUIET = 1e4, {"full_well_e": 1e9, "read_noise_e": 0.0}
 
 
 def stand(bench: Bench, exposure_s: float = EXPOSURE_S, gain_db: float = 0.0, **changes: Any) -> World:
-    """Let the bench be that world with its card up, and count frames from 0."""
+    """Give the virtual bench that world with its card mounted, and count frames from 0."""
     of = world(**changes)
-    bench.shared.become(of)
+    bench.shared.replace_world(of)
     bench.fixture.mount("card")
     bench.camera.close()
     bench.camera.open()
@@ -124,7 +124,7 @@ def test_phase_errors_of_vibration_are_those_of_theory(bench: Bench, steps: int)
 
 
 def test_phase_errors_grow_with_the_vibration(bench: Bench) -> None:
-    """The same seed shakes the same way, so that errors are in proportion."""
+    """The same seed gives the same vibration, so that errors are in proportion."""
     fringes = fringe(4)
     of = stand(bench, **quiet())
     still = phase(taken(bench, of, fringes), fringes)
@@ -163,7 +163,7 @@ def test_without_vibration_frames_differ_by_their_noise_alone(bench: Bench) -> N
     np.testing.assert_array_equal(first, second)
 
 
-def test_every_frame_shakes_its_own_way_and_again_the_same_way(bench: Bench) -> None:
+def test_every_frame_has_its_own_reproducible_vibration(bench: Bench) -> None:
     def run(seed: int) -> list[Image]:
         of = stand(bench, seed=seed, vibration_mm=0.5)
         bench.projector.load(
@@ -188,7 +188,7 @@ MIRRORS = {"period_s": PERIOD_S}
 
 
 def share_of_steady(bench: Bench, grey: int, exposure_s: float, shutter: dict[str, Any]) -> Floats:
-    """What reaches the sensor of one grey level over what steady light would bring, (height, width)."""
+    """Irradiance of one grey level relative to steady light, (height, width)."""
     pictures = []
     for mirrors in (MIRRORS, {}):
         of = stand(bench, exposure_s, **quiet(camera=shutter, projector=mirrors))
@@ -210,12 +210,12 @@ def test_whole_periods_are_steady_light(
 
 
 def test_nearly_whole_periods_are_nearly_steady_light(bench: Bench) -> None:
-    """The sum of the binary planes is the pattern: no jump where the planes begin to be counted apart."""
+    """The sum of the binary planes is the pattern: no jump where planes begin to be weighted separately."""
     share = share_of_steady(bench, 100, 2 * PERIOD_S * (1 + 1e-7), ROLLING)
     np.testing.assert_allclose(share, 1.0, atol=1e-5)
 
 
-def test_broken_periods_make_bands_that_repeat_with_the_mirrors(bench: Bench) -> None:
+def test_exposures_of_fractional_periods_make_bands_that_repeat_with_the_mirrors(bench: Bench) -> None:
     share = share_of_steady(bench, 128, 1.5 * PERIOD_S, ROLLING)
     assert np.ptp(share, axis=1).max() < 1e-5, "a band is a whole row"
     rows = share.mean(axis=1)
@@ -244,7 +244,9 @@ def test_a_global_shutter_gets_a_wrong_level_but_no_rows(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("shutter", [ROLLING, {}], ids=["rolling", "global"])
-def test_broken_periods_spoil_the_phase_and_whole_ones_do_not(bench: Bench, shutter: dict[str, Any]) -> None:
+def test_fractional_periods_disturb_the_phase_and_whole_ones_do_not(
+    bench: Bench, shutter: dict[str, Any]
+) -> None:
     fringes = fringe(4)
 
     def found(periods: float, mirrors: dict[str, Any]) -> Floats:
@@ -395,7 +397,9 @@ SOFT = {"kind": "translucent", "radius_mm": 1.0}
         ({"render": {"path": "linear"}}, "linear", None),
     ],
 )
-def test_the_way_is_chosen_by_the_light(changes: dict[str, Any], path: str, why: str | None) -> None:
+def test_the_light_path_is_chosen_by_the_materials_and_bounces(
+    changes: dict[str, Any], path: str, why: str | None
+) -> None:
     of = world(**changes)
     assert of.path == path
     assert (why or "None") in str(of.indirect)
@@ -408,7 +412,7 @@ def test_one_translucent_item_makes_the_world_linear() -> None:
     assert "'items.soft'" in str(of.indirect)
 
 
-def test_a_groove_is_linear_by_itself_and_right(
+def test_a_groove_takes_the_linear_path_and_is_correct(
     blender: Blender, groove: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     """Four bounces: what one basis gives is what rendering the pattern gives, to 0.2 grey levels."""
@@ -420,7 +424,7 @@ def test_a_groove_is_linear_by_itself_and_right(
         of = world(items={"groove": groove}, render={**effort, "path": path})
         patterns = make_patterns(Plan(fringes=(fringes,)), of.projector.size, of.projector.lattice)
         pictures.append(Light(of, blender).irradiance(Setup("groove"), Show(tuple(patterns), 1)))
-    assert "takes the light path 'linear', because there is light that bounces" in caplog.text
+    assert "takes the light path 'linear', because there is interreflection" in caplog.text
     direct = Light(world(items={"groove": groove}), blender).irradiance(
         Setup("groove"), Show(tuple(patterns), 1)
     )
@@ -429,8 +433,8 @@ def test_a_groove_is_linear_by_itself_and_right(
 
 
 @pytest.mark.parametrize("path", ["transport", "linear", "reference"])
-def test_ambient_light_is_the_same_by_any_way(bench: Bench, path: str) -> None:
-    """It is on the whole card, whether the projector is dark or not."""
+def test_ambient_light_is_the_same_by_any_light_path(bench: Bench, path: str) -> None:
+    """Ambient light is on the whole card, whether the projector is dark or not."""
     patterns = uniform_patterns([0, 255], world().projector.size)
     levels = {}
     for ambient in (0.0, 0.25):

@@ -1,4 +1,4 @@
-"""The response on the virtual bench: found as the world has it, and taken out of the patterns."""
+"""The response of the simulated projector is measured correctly and compensated in the patterns."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def data(response: dict[str, float], quiet: bool) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """One open bench that becomes one world after another."""
+    """One open virtual bench that is given one world after another."""
     folder = tmp_path_factory.mktemp("rig")
     write_world(folder, data(STRAIGHT, quiet=False))
     (folder / "rig.yaml").write_text(RIG)
@@ -54,7 +54,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 def become(rig: Rig, response: dict[str, float], quiet: bool = False) -> None:
     world = config.validate(data(response, quiet), World, "test world")
-    rig.projector._bench.become(world)  # type: ignore[attr-defined]
+    rig.projector._bench.replace_world(world)  # type: ignore[attr-defined]
     rig.need_fixture("the test").mount("card")
 
 
@@ -75,7 +75,7 @@ def rms(error: Floats) -> float:
 
 
 def test_precorrection_takes_the_response_out_of_three_steps(rig: Rig) -> None:
-    """At g = 2.2, with the response as measured by the bench itself.
+    """At g = 2.2, with the response as measured on the virtual bench itself.
 
     Against thirty steps, which neither the response nor the rounding of greys disturbs noticeably. What is
     left is the rounding to 256 greys, which blur and pixels average a little: it cannot exceed what is
@@ -121,7 +121,7 @@ def test_a_hidden_response_is_recovered(rig: Rig) -> None:
     assert found.region_spread < 2 * found.region_sigma
 
 
-def test_where_white_is_full_scale_the_projectors_own_figures_are_seen(rig: Rig) -> None:
+def test_where_white_is_full_scale_the_fit_gives_the_projectors_own_parameters(rig: Rig) -> None:
     """Without black level, and exposed so that irradiance 1 is full scale, a and b are the projector's."""
     become(rig, STRAIGHT)
     white = uniform_patterns([255], rig.projector.caps.size)
@@ -134,7 +134,7 @@ def test_where_white_is_full_scale_the_projectors_own_figures_are_seen(rig: Rig)
     assert (found.a / 0.99, (found.b - 0.01) / 0.99, found.g) == pytest.approx((0.65, 0.056, 1.033), rel=0.01)
 
 
-def test_the_judgement_is_what_the_bench_shows(rig: Rig, tmp_path: Path) -> None:
+def test_the_assessment_of_the_response_agrees_with_the_frames(rig: Rig, tmp_path: Path) -> None:
     become(rig, {"a": 1.0, "b": 0.0, "g": 2.2}, quiet=True)
     response, _ = measure_response(rig, EXPOSURE_S)
     response.save(tmp_path / "response.yaml")

@@ -1,4 +1,4 @@
-"""Points of the lens that few samples of a pixel pass."""
+"""Sample points on the lens for few samples of a pixel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.world.render import shifts
 
 
 @pytest.mark.parametrize("side", [2, 3, 4, 5, 8])
-def test_points_spread_as_the_disc_does(side: int) -> None:
+def test_points_have_the_variance_of_the_disc(side: int) -> None:
     points = np.array(lens_points(side**2))
     assert np.linalg.norm(points, axis=1).max() < 1.2
     pairs = len(points) // 2
@@ -20,7 +20,7 @@ def test_points_spread_as_the_disc_does(side: int) -> None:
 
 
 @pytest.mark.parametrize("side", [3, 4, 5])
-def test_opposite_places_look_through_opposite_points_and_neither_follows_the_other(side: int) -> None:
+def test_opposite_subpixels_have_opposite_lens_points_without_correlation(side: int) -> None:
     places, points = np.array(shifts(side)), np.array(lens_points(side**2))
     np.testing.assert_allclose(places, -places[::-1])
     np.testing.assert_allclose(points, -points[::-1])
@@ -28,5 +28,5 @@ def test_opposite_places_look_through_opposite_points_and_neither_follows_the_ot
     assert common.max() < 0.3 * np.sqrt(np.mean(places**2) * np.mean(points**2))
 
 
-def test_a_single_sample_looks_through_the_middle() -> None:
+def test_a_single_sample_passes_the_centre_of_the_lens() -> None:
     assert lens_points(1) == ((0.0, 0.0),)

@@ -40,7 +40,7 @@ def test_fringe_sets_need_one_channel_and_two_each(stripes: tuple[float, ...], c
     assert np.sqrt((error**2).mean(axis=(1, 2))).max() <= ROUNDING * 1.001
 
 
-def test_bent_response_needs_its_harmonics_and_is_still_right() -> None:
+def test_nonlinear_response_needs_its_harmonics_and_is_represented() -> None:
     plan = Plan(fringes=(Sinusoid(axis="y", stripes=3, steps=8),))
     levels = stack(plan, 2.2)
     basis = smallest_basis(levels, 2.2 * ROUNDING)
@@ -56,7 +56,7 @@ def test_uniform_patterns_need_white_alone() -> None:
     np.testing.assert_allclose(basis.weights[:, 0], np.array([0, 77, 255]) / 255, atol=1e-6)
 
 
-def test_unrelated_patterns_come_back_exactly() -> None:
+def test_unrelated_patterns_are_represented_exactly() -> None:
     levels = (np.random.default_rng(3).random((5, *SIZE[::-1])) > 0.5).astype(np.float32)
     basis = smallest_basis(levels, ROUNDING)
     assert len(basis.channels) == 6
@@ -124,7 +124,7 @@ def test_sharp_mirrors_are_looked_up_whole_and_samples_averaged() -> None:
     np.testing.assert_array_equal(seen(both, texture, fill=1.0), [(11.5 + 17.0) / 2])
 
 
-def test_between_sharp_mirrors_it_is_dark_and_they_are_brighter_for_it() -> None:
+def test_gaps_between_sharp_mirrors_are_dark_and_the_mirrors_brighter() -> None:
     places = np.array([[3.0, 2.0], [3.39, 2.39], [3.41, 2.0], [3.0, 2.41]])
     found = seen(table(places, 0.5), np.ones((8, 10)), fill=0.8)
     np.testing.assert_allclose(found, [0.5 / 0.64, 0.5 / 0.64, 0, 0], rtol=1e-6)
@@ -147,7 +147,7 @@ def test_sharp_mirrors_are_divided_out_alike() -> None:
 
 @pytest.mark.parametrize("fill", [None, 1.0, 0.8])
 def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> None:
-    """Under the part of a texture that it looks at, too; beside the window it is dark."""
+    """A part of the texture gives the same; outside the window it is dark."""
     random = np.random.default_rng(7)
     samples = np.zeros((2, 12, 15, 4), np.float32)
     samples[:, 3:9, 4:11, :2] = random.uniform(8, 20, (2, 6, 7, 2))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +13,16 @@ from scipy.optimize import brentq
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.core.kinds import members_by_kind
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light import Light, Setup, Show
 from sim.worker import Blender
-from sim.world import World
+from sim.world import World, materials
+from sim.world.materials import Material
 from tests.sim.conftest import card_points, grid, levels, plain, seen, world
 
+ROOT = Path(__file__).parents[2]
 CARD, PILLARS = Setup("card"), Setup("pillars")
 RIDGES = {"axis": [3.0, 4.0, 0.0], "period_mm": 20.0, "depth_mm": 3.0}
 ROUGH = {"kind": "diffuse", "reflectance": 0.6, "roughness": 1.0}
@@ -269,7 +274,7 @@ def test_translucent_body_reflects_about_as_much_as_paint(blender: Blender, refl
 
 
 def test_linear_light_through_a_translucent_body(blender: Blender) -> None:
-    """A basis serves it as every pattern rendered does, and that is what is chosen by itself."""
+    """A basis gives what rendering every pattern gives, and `auto` chooses it."""
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4),))
     chosen = translucent(2.0, path="auto", samples=2)
     assert chosen.path == "linear"
@@ -290,7 +295,7 @@ def test_ambient_light_meets_the_whole_reflectance(
 
 
 def test_items_have_materials_of_their_own(blender: Blender) -> None:
-    """Two cards in one place, one of a named material, one of the bench's."""
+    """Two cards in one place, one of a named material, one of the world's default material."""
     card = plain()["items"]["card"]
     of = world(
         items={"card": card, "black": {**card, "material": "soot"}},
@@ -331,3 +336,16 @@ def test_unknown_name_is_refused_with_the_known_ones() -> None:
 def test_values_that_cannot_be_are_refused(material: dict[str, Any], field: str) -> None:
     with pytest.raises(ConfigError, match=field):
         world(material=material)
+
+
+def test_every_kind_of_material_is_found_and_drawn_by_a_shader_that_blender_has() -> None:
+    """The modules of the package are the kinds; the shaders are a table in the code that runs in Blender."""
+    kinds = members_by_kind(Material)
+    modules = {module.name for module in iter_modules(materials.__path__)} - {"base", "relief"}
+    assert list(kinds) == sorted(modules)
+    shaders = (ROOT / "sim/blender/materials.py").read_text().partition("BASE_SHADERS = {")[2]
+    for member in kinds.values():
+        of = member()
+        assert isinstance(of, Material)
+        assert f'"{of.paint().base.shader}": BaseShader(' in shaders
+        assert pickle.loads(pickle.dumps(of)) == of

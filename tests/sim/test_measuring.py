@@ -68,7 +68,7 @@ def measured(folder: Path, *asked: tuple[Candidate, int]) -> list[tuple[Score, .
 
 
 @pytest.mark.slow
-def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: Path) -> None:
+def test_a_score_does_not_depend_on_the_process_or_the_order(folder: Path) -> None:
     coarse, fine = candidate(1, 8, 32, stage_mm=0.0), candidate(1, 8, 64, stage_mm=0.0)
     moved = candidate(1, 8, 64, steps=6, stage_mm=10.0)
     asked = [(coarse, 1), (fine, 1), (moved, 1), (fine, 2)]
@@ -84,7 +84,7 @@ def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: P
 
 @pytest.mark.slow
 def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Path) -> None:
-    """The noise is another draw, and the scan's is all that differs."""
+    """Only the noise differs, by another draw."""
     plan = candidate_of(START).plan(START).model_copy(update={"stage_mm": 0.0})
     score = measured(folder, (candidate_of(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
@@ -101,8 +101,8 @@ def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a bench, where an operator puts it up."""
+def test_an_artefact_of_unknown_pose_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a real bench, where an operator mounts it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1
     known = measured(folder, asked)[0][0]
     monkeypatch.setattr("sim.devices.SimFixture._pose", lambda self, item, pose: None)

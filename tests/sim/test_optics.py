@@ -133,7 +133,7 @@ SHARP_MM, LENS_MM = 475.0, 25.0
 
 
 def _facing(depth: float, subpixels: int = 2, **projector: Any) -> World:
-    """A large card square to the projector's axis, seen through a long lens: 4 pixels a column."""
+    """A large card perpendicular to the projector's axis, seen through a long lens: 4 pixels a column."""
     pose = world().T_projector_camera().inverse()
     turned = np.degrees(pose.rotation_vector).tolist()
     centre = pose.apply(np.array([0.0, -100.0, SHARP_MM]) * depth / SHARP_MM)

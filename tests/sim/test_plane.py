@@ -1,4 +1,4 @@
-"""Light on flat items by formula: against Blender, against rays of our own, and where it must not serve."""
+"""Computed light on flat items: against Blender, against the ray caster, and which items are refused."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _world(subpixels: int, focus_mm: float | None, projector_focus_mm: float | N
 @pytest.mark.parametrize(
     "setup", [Setup("card"), Setup("board", 1), Setup("board", 3, stage_mm=7.0)], ids=str
 )
-def test_light_by_formula_is_blender_s(
+def test_computed_light_agrees_with_blender(
     monkeypatch: pytest.MonkeyPatch,
     blender: Blender,
     setup: Setup,
@@ -88,8 +88,8 @@ def test_light_by_formula_is_blender_s(
 
 @pytest.mark.parametrize("focus_mm", [None, 445.0, 500.0], ids=["sharp", "nearer", "farther"])
 @pytest.mark.parametrize("pose", range(2))
-def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -> None:
-    """Nearer to 400 points of pixel and lens than so many points are, and not beside their places."""
+def test_few_spots_agree_with_many_points(pose: int, focus_mm: float | None) -> None:
+    """Closer to 400 points of pixel and lens than as many independent points are, and without an offset."""
 
     def seen(subpixels: int, spots: bool) -> NDArray[np.float32]:
         places = shifts(subpixels)
@@ -106,7 +106,7 @@ def test_few_spots_see_what_many_points_see(pose: int, focus_mm: float | None) -
 
 
 @pytest.mark.parametrize("turned", [[8, -5, 0], [0, 60, 0], [0, -75, 20], [180, 12, 0]])
-def test_light_by_formula_is_that_of_rays(turned: list[float]) -> None:
+def test_computed_light_agrees_with_the_ray_caster(turned: list[float]) -> None:
     """Also on a card that turns its back to the projector, or shows its back to both."""
     pose = {"rotation_deg": turned, "translation_mm": [0, 0, 450]}
     of = world(items={"card": {"card_mm": [2000, 2000], "pose": pose}}, material={"reflectance": 0.7})

@@ -34,8 +34,11 @@ RAY_PX = 1e-3
 
 @dataclass(frozen=True)
 class Bench:
-    """The same bench twice. facets: greatest distance of the mesh's surface from the shape, in mm, and angle
-    between their normals, in rad."""
+    """The same scene by Blender and by the ray caster.
+
+    facets: greatest distance of the mesh's surface from the shape, in mm, and angle between their normals, in
+    rad.
+    """
 
     world: World
     setup: Setup
@@ -106,7 +109,7 @@ def test_irradiance_under_white(blender: Blender, bench: Bench, path: str) -> No
 
 
 def test_edges_and_shadows_lie_where_they_should(blender: Blender, bench: Bench) -> None:
-    """Hardly a sample is lit in one and dark in the other, edges included."""
+    """Hardly a sample is illuminated in one and dark in the other, edges included."""
     lit = samples_of_image(Light(bench.world, blender).table(bench.setup))[..., 3] > 0
     wrong = lit != (bench.seen.shade > 0)
     # An edge of a ball of facets is out by the facets' sag, and its terminator by their tilt.
@@ -176,7 +179,7 @@ RATIONAL = [0.5, 0.1, 0.01, -0.008, 0.02, 0.9, 0.3, 0.05]
 
 
 def _distorting(lattice: Lattice, lens: list[float] = PROJECTOR) -> World:
-    """Both lenses strongly distorted, the camera with the pixels of a bench."""
+    """Both lenses strongly distorted, the camera with as many pixels as on a real bench."""
     camera = {**plain()["camera"], "sensor_size": LARGE, "pixel_um": 13132.8 / LARGE[0], "distortion": CAMERA}
     projector = {**plain()["projector"], "distortion": lens, "lattice": lattice.value}
     return world(camera=camera, projector=projector)

@@ -1,4 +1,4 @@
-"""Worlds that cannot be: refused before any picture, with field, value and what is allowed."""
+"""Impossible worlds are refused before any picture, with field, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ AWAY = {"rotation_deg": [180, 0, 0], "translation_mm": [900, 0, 460]}
 
 
 def sentence(error: BaseException) -> str:
-    """What was said, which is one sentence."""
+    """The message, which is one sentence."""
     said = str(error)
     assert "\n" not in said
     assert len(said) < 500
@@ -74,7 +74,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "transport with bounces": (
         {"render": {"path": "transport", "bounces": 2}},
-        "'render.path' is transport, which knows direct light alone, but there is light that bounces "
+        "'render.path' is transport, which supports direct light only, but there is interreflection "
         "('render.bounces' is 2): choose path auto, linear or reference",
     ),
     "transport through wax": (
@@ -150,7 +150,7 @@ def test_a_wrong_field_is_named_with_what_is_allowed(changes: dict[str, Any], sa
 
 
 def opened(folder: Path, **changes: Any) -> ConfigError:
-    """What the bench says to a world, without a process left."""
+    """The virtual bench's message about a world; no process is left."""
     bench = VirtualBench({"world": write_world(folder, plain(**changes))})
     with pytest.raises(ConfigError) as caught:
         bench.open()
@@ -159,7 +159,7 @@ def opened(folder: Path, **changes: Any) -> ConfigError:
 
 
 def checked(folder: Path, item: str, **changes: Any) -> ConfigError:
-    """What the fixture says to an item that it shall put up."""
+    """The fixture's message about an item that it shall mount."""
     bench = VirtualBench({"world": write_world(folder, plain(**changes))})
     bench.open()
     with SimFixture("fixture", {}, bench) as fixture, pytest.raises(ConfigError) as caught:
@@ -176,7 +176,7 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
     assert "set it to CPU, or install" in said
 
 
-def test_what_the_camera_sees_nothing_of(tmp_path: Path) -> None:
+def test_an_item_out_of_the_camera_s_view(tmp_path: Path) -> None:
     items = {"pillars": {"artefact": "pillars", "pose": AWAY}}
     expected = (
         "world: the camera sees nothing of the projector's light on 'pillars' (pose 0, stage at 0 mm); "
@@ -213,8 +213,8 @@ PARTS: dict[str, tuple[bytes | None, str]] = {
 
 
 @pytest.mark.parametrize(("content", "why"), PARTS.values(), ids=PARTS.keys())
-def test_a_part_that_is_none(tmp_path: Path, content: bytes | None, why: str) -> None:
-    """When it is mounted, and when it shall be; always naming the item's field and the file."""
+def test_a_file_that_is_no_part(tmp_path: Path, content: bytes | None, why: str) -> None:
+    """At the start and on mounting; the message names the item's field and the file."""
     file = tmp_path / "part.stl"
     if content is not None:
         file.write_bytes(content)
@@ -259,7 +259,7 @@ def moved_away(folder: Path, **items: Any) -> Path:
 
 
 def test_files_are_found_beside_the_world_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the working directory, and whatever it has of that name."""
+    """Independent of the working directory and of files of that name in it."""
     part, board = {"mesh": "parts/box.stl", "pose": POSE}, {"target": "mine.yaml", "poses": [POSE]}
     path = moved_away(tmp_path / "bench", part=part, board=board)
     (tmp_path / "parts").mkdir()

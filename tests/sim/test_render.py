@@ -181,7 +181,7 @@ def test_bounced_light_is_linear_too(blender: Blender) -> None:
         pictures[path, bounces] = Light(of, blender).irradiance(PILLARS, Show(patterns, 1))
     assert np.abs(pictures["linear", 2] - pictures["reference", 2]).max() < 2 / 255
     shadow = (pictures["linear", 0] == 0) & (np.abs(pictures["linear", 2]) > 0)
-    assert shadow.sum() > 20, "light that bounces must reach into shadows"
+    assert shadow.sum() > 20, "interreflections must reach into shadows"
 
 
 def test_picture_does_not_depend_on_the_window(blender: Blender) -> None:

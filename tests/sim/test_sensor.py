@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fpplab.devices import CameraSettings
-from sim.sensor import MANY, SensorModel
+from sim.sensor import MANY_ELECTRONS, SensorModel
 from sim.world import Sensor
 
 SHAPE = (400, 500)
@@ -35,7 +35,7 @@ def test_variance_is_that_of_photon_transfer(level: float, binning: int, gain_db
 
 def test_both_kinds_of_shot_noise_are_exercised() -> None:
     model = SensorModel(Sensor(), 1, PHOTONS_PER_S, 1)
-    assert model.electrons(0.05, 0.02) < MANY < model.electrons(0.1, 0.02)
+    assert model.electrons(0.05, 0.02) < MANY_ELECTRONS < model.electrons(0.1, 0.02)
 
 
 @pytest.mark.parametrize(("bits", "dtype", "top"), [(8, np.uint8, 255), (12, np.uint16, 4095)])

@@ -1,4 +1,4 @@
-"""Fringe sets: acquired once, shared by steps, and with noise that does not know who asked first."""
+"""Fringe sets: acquired once, shared between steps, with noise independent of the order of requests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 
 Sets = Callable[..., FringeSets]
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "shaking"])
+@pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "vibrating"])
 def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A card, lit by formula."""
     folder = tmp_path_factory.mktemp("rig")
@@ -42,7 +42,7 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def sets(rig: Rig) -> Sets:
-    """New sets on the rig, which know of nothing before."""
+    """New sets on the rig, without earlier acquisitions."""
     return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
 
 
@@ -57,7 +57,7 @@ def fewer(fringes: Fringes, steps: int) -> Fringes:
 
 
 @pytest.mark.parametrize("steps", [6, 4, 3])
-def test_a_set_of_every_so_manyth_image_is_the_set_acquired(sets: Sets, steps: int) -> None:
+def test_a_subsampled_set_is_the_set_acquired(sets: Sets, steps: int) -> None:
     of_twelve, alone = sets(), sets()
     stack(of_twelve, BASE, FINE)
     taken = stack(of_twelve, fewer(BASE, steps), fewer(FINE, steps))
@@ -73,7 +73,7 @@ def test_five_steps_are_not_in_twelve(sets: Sets) -> None:
     assert store.acquired == 17
 
 
-def test_nothing_depends_on_who_was_measured_before(sets: Sets) -> None:
+def test_results_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     one, other = sets(), sets()
     first = stack(one, BASE, MIDDLE, FINE)
     stack(other, fewer(BASE, 5), fewer(MIDDLE, 3), seed=4)
@@ -89,7 +89,7 @@ def test_a_plan_with_one_other_frequency_takes_one_set(sets: Sets) -> None:
 
 
 def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
-    """And not only another number here and there."""
+    """In most pixels, not only in a few."""
     store = sets()
     one, again, elsewhere = stack(store, BASE), stack(store, BASE, seed=2), stack(store, FINE, BASE)[12:]
     assert (one != again).mean() > 0.3
@@ -98,15 +98,15 @@ def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
     assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
 
 
-def test_near_candidates_have_the_same_noise(sets: Sets) -> None:
-    """So a difference between them is a difference between them."""
+def test_similar_candidates_have_the_same_noise(sets: Sets) -> None:
+    """Differences between candidates are then not due to noise."""
     near = Fringes("x", 7.3001, 12)
     frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
     other = stack(sets(), BASE, near, seed=2)[12:].astype(float)
     assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)
 
 
-def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None:
+def test_sets_dropped_from_memory_are_acquired_again_identically(sets: Sets) -> None:
     store = sets(keep_bytes=1)
     before = stack(store, BASE)
     stack(store, FINE)
@@ -114,7 +114,7 @@ def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None
     assert store.acquired == 36
 
 
-def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
+def test_nothing_moves_for_sets_in_memory(rig: Rig) -> None:
     stood: list[MeasuringSetup] = []
     store = FringeSets(rig, LIKE, stood.append)
     rig.fixture.mount("card")  # type: ignore[union-attr]
@@ -126,8 +126,8 @@ def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
     assert stood == [CARD, brighter]
 
 
-def test_where_noise_is_not_told_what_to_follow_from_it_goes_on_as_before(rig: Rig) -> None:
-    """The bench uses each number once, and counts frames again then."""
+def test_without_given_numbers_noise_follows_the_frame_count(rig: Rig) -> None:
+    """The virtual bench uses each number once, and then counts frames again."""
     rig.fixture.mount("card")  # type: ignore[union-attr]
     camera, projector = rig.camera, rig.projector
     camera.configure(CameraSettings(0.02))

@@ -71,8 +71,8 @@ def test_out_of_focus_a_disc_s_variance_comes_on_top(lattice: Lattice, circle: f
         assert variance == pytest.approx(0.6**2 + 0.9 / 12 + circle**2 / 16, rel=0.01)
 
 
-def test_a_wide_circle_is_a_disc_and_no_bell() -> None:
-    """Even light as far as the radius, none beyond."""
+def test_a_wide_circle_is_a_disc_and_not_a_gaussian() -> None:
+    """Uniform light within the radius, none beyond."""
     texture = MirrorTexture((81, 81), Lattice.SQUARE, least_blur(1.0), widest=30.0)
     light = np.zeros((81, 81), np.float32)
     light[40, 40] = 1

@@ -1,4 +1,4 @@
-"""Rows of a camera under the binary planes of a projector, against plain integrals over time."""
+"""Rows of a camera under the binary planes of a projector, against numerical integrals over time."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_whole_periods_have_no_bands(bits: int, period: float, whole: int, line:
 
 
 @given(bits=bit_depths, period=periods, turns=st.floats(0.01, 20), line=line_times, start=starts)
-def test_white_is_collected_wholly_and_light_is_never_negative(
+def test_white_is_collected_completely_and_light_is_never_negative(
     bits: int, period: float, turns: float, line: float, start: float
 ) -> None:
     weights = plane_weights(40, bits, period, turns * period, line, start)
@@ -124,7 +124,7 @@ def test_is_whole(exposure: float, period: float, whole: bool) -> None:
 
 
 @given(bits=bit_depths, start=st.floats(0, 1), beyond=st.floats(-1e-9, 1e-9), whole=st.integers(1, 20))
-def test_what_counts_as_whole_has_no_bands_to_speak_of(
+def test_exposures_that_count_as_whole_periods_have_negligible_bands(
     bits: int, start: float, beyond: float, whole: int
 ) -> None:
     exposure = whole * (1 + beyond)

@@ -1,4 +1,4 @@
-"""The twin as matching drives it: what it says first, what it becomes, and what it leaves behind."""
+"""The twin as matching uses it: its initial parameters, changes of them, and the files it writes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXACT = {"subpixels": 2, "cache": False}
 
 
 def _bent() -> World:
-    """The bench of which the plain world is the data sheet: everything that can be matched is different."""
+    """The reference whose data sheet is the plain world: every parameter that can be matched is different."""
     data = plain(ambient=0.05, vibration_mm=0.02, render=EXACT)
     data["camera"] |= {"focus_mm": 440.0, "f_number": 4.0, "vignetting": 5.0, "centre_offset_px": [4, 3]}
     data["camera"]["sensor"] = {"black_level": 0.02, "full_well_e": 12000.0, "read_noise_e": 4.0}
@@ -69,7 +69,7 @@ def twin() -> SimTwin:
     return _twin(_nominal())
 
 
-def test_at_first_it_is_what_its_file_says() -> None:
+def test_the_twin_starts_with_the_parameters_of_its_file() -> None:
     of = _bent()
     parameters = _twin(of).parameters
     assert parameters.white == 1
@@ -82,7 +82,7 @@ def test_at_first_it_is_what_its_file_says() -> None:
 
 
 def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
-    """The world itself, through the bench's own way: the twin adds nothing and leaves nothing out."""
+    """The same world through the virtual bench's devices: the twin gives the same."""
     of = _bent()
     twin = _twin(of)
     patterns = _patterns(twin)
@@ -99,7 +99,7 @@ def test_expected_levels_are_the_mean_of_the_bench_s_frames() -> None:
 
 
 @pytest.mark.parametrize("ambient", [0.05, 0.0])
-def test_at_some_pixels_it_sees_what_it_sees_there(ambient: float) -> None:
+def test_expected_at_some_pixels_agrees_with_the_whole_image(ambient: float) -> None:
     """Also at pixels that see nothing, and not in the image's order."""
     twin = _twin(_bent())
     twin.become(replace(twin.parameters, ambient=ambient))
@@ -111,7 +111,7 @@ def test_at_some_pixels_it_sees_what_it_sees_there(ambient: float) -> None:
     assert np.count_nonzero(whole == whole.min()) > 100
 
 
-def test_light_that_is_rendered_is_the_same_at_some_pixels(blender: Blender) -> None:
+def test_rendered_light_at_some_pixels_agrees_with_the_whole_image(blender: Blender) -> None:
     of = _bent()
     light, size = Light(of, blender, analytic=True), of.projector.size
     patterns = tuple(uniform_patterns([255, 64], size))
@@ -122,7 +122,7 @@ def test_light_that_is_rendered_is_the_same_at_some_pixels(blender: Blender) -> 
     assert found[0].min() > 2 * found[1].max() > 0
 
 
-def test_given_another_bench_s_parameters_it_sees_what_that_sees(twin: SimTwin) -> None:
+def test_with_another_world_s_parameters_the_twin_gives_its_pictures(twin: SimTwin) -> None:
     """Brightness too: what the lamps differ by is in `white`."""
     bench = _twin(_bent())
     patterns = _patterns(bench)
@@ -146,9 +146,7 @@ def _changed(twin: SimTwin, **fields: Any) -> np.ndarray[Any, np.dtype[np.float3
 
 
 @pytest.mark.parametrize("fields", [{"f_number": 5.6}, {"full_well_e": 9000.0}])
-def test_white_is_what_it_says_whatever_the_lens_and_the_sensor(
-    twin: SimTwin, fields: dict[str, Any]
-) -> None:
+def test_the_white_level_does_not_depend_on_lens_and_sensor(twin: SimTwin, fields: dict[str, Any]) -> None:
     before = _changed(twin)
     np.testing.assert_allclose(_changed(twin, **fields), before, rtol=1e-5)
 
@@ -206,7 +204,7 @@ def test_vibration_is_that_of_a_moved_item(twin: SimTwin) -> None:
     assert frames.var(axis=0)[strong].sum() == pytest.approx(variance[strong].sum(), rel=0.35)
 
 
-def test_what_it_saves_is_a_rig_that_sees_the_same(twin: SimTwin, tmp_path: Path) -> None:
+def test_a_saved_twin_is_a_rig_that_gives_the_same_pictures(twin: SimTwin, tmp_path: Path) -> None:
     bench = _twin(_bent()).parameters
     twin.become(replace(bench, vibration_mm=0.0, calibration=_unequal(bench.calibration)))
     patterns = _patterns(twin)
@@ -224,14 +222,14 @@ def test_what_it_saves_is_a_rig_that_sees_the_same(twin: SimTwin, tmp_path: Path
 
 
 def _unequal(calibration: Calibration) -> Calibration:
-    """What no world can say of itself: unequal focal lengths, eight coefficients."""
+    """What only a calibration can hold: unequal focal lengths, eight coefficients."""
     camera = calibration.camera
     matrix = camera.matrix * np.array([[1.0, 1, 1], [1, 1.003, 1], [1, 1, 1]])
     lens = camera.distortion + np.array([0, 0, 0, 0, 0, 0.05, 0.01, 0.001])
     return replace(calibration, camera=replace(camera, matrix=matrix, distortion=lens))
 
 
-def test_a_body_is_scanned_where_it_is_said_to_be(blender: Blender) -> None:
+def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     of = _nominal()
     twin = SimTwin(of, "board", blender)
     patterns = _patterns(twin)
@@ -255,7 +253,7 @@ WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG)
-def test_what_no_world_can_have_is_refused(
+def test_impossible_parameters_are_refused(
     twin: SimTwin, change: Callable[[Parameters], Parameters], said: str
 ) -> None:
     before = twin.parameters

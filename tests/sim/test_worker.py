@@ -1,4 +1,4 @@
-"""The Blender process: it dies, hangs or is interrupted, and nothing is left behind."""
+"""The Blender process dies, hangs or is interrupted: no process and no shared memory is left."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MIDDLE = [SubpixelView((0.0, 0.0))]
 
 
 def soon(condition: Callable[[], bool]) -> bool:
-    """Whether a condition comes true; the limit only ends a test that has failed."""
+    """Whether a condition becomes true within a time limit."""
     for _ in range(400):
         if condition():
             return True
@@ -55,7 +55,7 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_it(tmp_path: Path) -> None:
+def test_death_in_the_middle_of_a_render_faults_the_camera_until_it_is_reopened(tmp_path: Path) -> None:
     data = plain(render={"subpixels": 8, "samples": 64, "bounces": 4})
     before = shared_memory()
     bench = VirtualBench({"world": write_world(tmp_path, data)})
@@ -78,7 +78,7 @@ def test_death_in_the_middle_of_a_render_faults_the_camera_and_reopening_mends_i
         with pytest.raises(StateError):
             camera.snap()
         camera.close()
-        bench.become(world())  # a lighter load, for time's sake
+        bench.replace_world(world())  # a lighter load, for time's sake
         with camera:
             camera.configure(CameraSettings(0.02))
             assert camera.snap().image.max() > 100
@@ -140,14 +140,14 @@ def test_blender_ends_with_the_process_that_started_it() -> None:
     script = """
 import sys
 from sim.build import Setup, build_scene
-from sim.scene import Effort, View
+from sim.scene import Effort, SubpixelView
 from sim.worker import Blender
 from tests.sim.conftest import world
 blender, of = Blender("bench"), world(render={"subpixels": 8})
 scene, _ = build_scene(of, Setup("pillars"))
 blender.start()
 print(blender.pid, flush=True)
-blender.render(scene, None, [View((0.0, 0.0))], Effort(4096, 8), 600)
+blender.render(scene, None, [SubpixelView((0.0, 0.0))], Effort(4096, 8), 600)
 """
     before = shared_memory()
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""The world file and what follows from it without a picture."""
+"""The world file and what follows from it without rendering."""
 
 from __future__ import annotations
 
@@ -125,8 +125,8 @@ def test_a_board_that_does_not_fit_is_refused() -> None:
         ("camera", {"binning": 8, "sensor_size": [100, 100]}, "must divide"),
         ("projector", {"blur": 0.1}, "must be 0 .ideal mirrors. or at least 0.289"),
         ("projector", {"response": {"a": 0.9, "b": 0.2, "g": 1.0}}, "at most 1"),
-        ("render", {"path": "transport", "bounces": 1}, "knows direct light alone"),
-        ("stage", {"travel_mm": [5.0, 10.0]}, "must hold 0"),
+        ("render", {"path": "transport", "bounces": 1}, "supports direct light only"),
+        ("stage", {"travel_mm": [5.0, 10.0]}, "must contain 0"),
         ("stage", {"axis": [0.0, 0.0, 0.0]}, "must be a direction"),
         ("items", {"nothing": plain()["items"]["card"]}, "empty fixture"),
         ("items", {"cup": {"colour": "red"}}, r"'items\.cup' .*must name a 'target'"),
@@ -243,7 +243,7 @@ def test_a_board_has_its_own_reflectances_or_its_target_s() -> None:
 
 
 @pytest.mark.parametrize("name", ["hidden", "twin"])
-def test_the_hidden_bench_and_its_twin_are_alike_to_a_session(name: str) -> None:
+def test_the_hidden_reference_and_its_twin_look_alike_to_a_session(name: str) -> None:
     """Same sizes, items and number of poses; nothing else need agree."""
     of = World.load(f"world_{name}.yaml")
     assert (of.camera.size, of.projector.size) == ((1368, 912), (912, 1140))

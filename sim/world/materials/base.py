@@ -1,0 +1,34 @@
+"""The base class of all materials."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+from fpplab.core.config import Document
+from sim.scene import Paint
+
+
+class Material(Document):
+    """What a surface is made of: base class of the kinds of material that a world file can name.
+
+    A subclass lies in a module of its own in this package and sets ``kind: Literal["name"] = "name"``.
+    """
+
+    subsurface: ClassVar[bool] = False
+    """Whether light enters the surface and leaves it elsewhere, so that direct light alone is not enough."""
+
+    kind: str
+    """Name of the kind of material."""
+
+    @abstractmethod
+    def paint(self) -> Paint:
+        """Translate the material into what the Blender process is told of it.
+
+        Called for every scene that is built with an item of this material.
+
+        Returns
+        -------
+        Paint
+            Plain numbers: base layer, gloss coat, ridges and grain.
+        """
