@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from fpplab.core.version import __version__
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.study import Study
 

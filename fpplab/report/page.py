@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fpplab.core.version import __version__
 from fpplab.characterisation import Characterisation
 from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Floats, Image, Map
 from fpplab.core.files import write_text
+from fpplab.core.version import __version__
 from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.filtering import removal
