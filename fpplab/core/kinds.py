@@ -1,0 +1,134 @@
+"""Families of configuration models that a new member joins by being defined, with no list of them anywhere.
+
+A family is an abstract `Document`; each member is a subclass with a field ``kind``, whose only value names
+it::
+
+    class Material(Document):
+        kind: str
+
+        @abstractmethod
+        def paint(self) -> Paint: ...
+
+    class Diffuse(Material):
+        kind: Literal["diffuse"] = "diffuse"
+        reflectance: float = 0.9
+
+    class World(Document):
+        material: Annotated[Material, ByKind(default="diffuse")] = Diffuse()
+
+The static type stays the base class. Members have to be defined before the first model that refers to the
+family is; where each has a module of its own in one package, that package's ``__init__`` calls
+`import_members`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from inspect import isabstract
+from pkgutil import iter_modules
+from typing import Any
+
+from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic_core import core_schema
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Pydantic annotation: one of the concrete subclasses of the annotated base class, chosen by `kind`.
+
+    Used as ``Annotated[Base, ByKind(default="diffuse")]``. Subclasses of subclasses count too; abstract ones
+    do not. The kinds are collected when the model that holds the annotation is built. Anything that is not
+    of a known kind is refused with ``must have a 'kind' of diffuse, glossy, translucent``.
+
+    Attributes
+    ----------
+    default : str or None
+        Kind of a mapping without the key ``kind``; None where the key must be given.
+    """
+
+    default: str | None = None
+
+    def __get_pydantic_core_schema__(
+        self, source: type[BaseModel], handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        members = members_by_kind(source)
+        if not members:
+            raise TypeError(f"{source.__name__} has no concrete subclass to choose by 'kind'")
+        if self.default is not None and self.default not in members:
+            raise TypeError(
+                f"the default kind of {source.__name__} is '{self.default}': must be of {', '.join(members)}"
+            )
+
+        def kind_of(value: Any) -> str | None:
+            kind = (
+                value.get("kind", self.default) if isinstance(value, dict) else getattr(value, "kind", None)
+            )
+            return kind if isinstance(kind, str) and kind in members else None
+
+        return core_schema.tagged_union_schema(
+            {kind: handler.generate_schema(member) for kind, member in members.items()},
+            kind_of,
+            custom_error_type="kind",
+            custom_error_message=f"must have a 'kind' of {', '.join(members)}",
+        )
+
+
+def members_by_kind(base: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """Collect the concrete subclasses of a family's base class that are defined so far.
+
+    Parameters
+    ----------
+    base : type of BaseModel
+        Base class of the family, itself no member.
+
+    Returns
+    -------
+    dict of str to type of BaseModel
+        Members by their kind, the default of the field ``kind``, in alphabetical order.
+
+    Raises
+    ------
+    TypeError
+        A member has no ``kind`` with a default, or the kind of another.
+    """
+    members: dict[str, type[BaseModel]] = {}
+    for member in _subclasses(base):
+        if isabstract(member):
+            continue
+        field = member.model_fields.get("kind")
+        kind = None if field is None else field.default
+        if not isinstance(kind, str):
+            raise TypeError(f"{member.__name__} needs a field kind: Literal['name'] = 'name'")
+        if members.setdefault(kind, member) is not member:
+            raise TypeError(f"{members[kind].__name__} and {member.__name__} are both of kind '{kind}'")
+    return dict(sorted(members.items()))
+
+
+def _subclasses(base: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    """Direct and indirect ones, each once."""
+    found: dict[type[BaseModel], None] = {}
+    waiting = [base]
+    while waiting:
+        new = [cls for cls in waiting.pop().__subclasses__() if cls not in found]
+        found.update(dict.fromkeys(new))
+        waiting.extend(new)
+    return iter(found)
+
+
+def import_members(package_name: str, package_path: Iterable[str]) -> None:
+    """Import every module of a package, so that the classes in them are defined.
+
+    Called in the package's ``__init__`` as ``import_members(__name__, __path__)``. Packages inside it are
+    imported too, but not searched further.
+
+    Parameters
+    ----------
+    package_name : str
+        Full name of the package, its ``__name__``.
+    package_path : iterable of str
+        Directories in which its modules lie, its ``__path__``.
+    """
+    for module in sorted(iter_modules(package_path), key=lambda found: found.name):
+        import_module(f"{package_name}.{module.name}")
