@@ -14,7 +14,7 @@ from fpplab.phase import decode, wrapped_phase
 from fpplab.simulation.arrangeable import SceneTruth
 
 
-def arrays_of(
+def sample_arrays(
     frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
 ) -> Arrays:
     """Every field of a sample from its frames and what is true of it."""

@@ -19,7 +19,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
 from fpplab.dataset.fields import FIELDS, FRAMES, FieldSpec
-from fpplab.dataset.shard import CHECKSUMS, SCENES, file_of, shard_name
+from fpplab.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"
@@ -47,17 +47,17 @@ def split_of(index: int) -> str:
     return SPLITS[index % len(SPLITS)]
 
 
-def fields_of(bits: int) -> dict[str, FieldSpec]:
+def dataset_fields(bits: int) -> dict[str, FieldSpec]:
     """The fields by name, for frames of so many bits."""
     frames = "|u1" if bits <= 8 else "<u2"
     return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
 
 
 def make_card(
-    asked: dict[str, Any], fields: dict[str, FieldSpec], letters: dict[str, int], licence: str
+    asked: dict[str, Any], fields: dict[str, FieldSpec], dimensions: dict[str, int], licence: str
 ) -> dict[str, Any]:
     """The card of a data set. asked: all that its samples follow from, with `samples` and `shard_size`."""
-    described = [{**asdict(f), "shape": list(f.extent(letters)), "axes": f.shape} for f in fields.values()]
+    described = [{**asdict(f), "shape": list(f.extent(dimensions)), "axes": f.shape} for f in fields.values()]
     size = sum(np.dtype(f["dtype"]).itemsize * math.prod(f["shape"]) for f in described)
     samples = asked["samples"]
     return {
@@ -77,7 +77,7 @@ def make_card(
     }
 
 
-def begin(folder: Path, card: dict[str, Any]) -> None:
+def prepare_folder(folder: Path, card: dict[str, Any]) -> None:
     """Make the folder with its card, or go on in the one that has the same card.
 
     Raises `ConfigError` when the folder is something else, and names what differs; `DataError`.
@@ -133,7 +133,7 @@ def _readme(card: dict[str, Any]) -> str:
     rule = ", ".join(f"{k} is {name}" for k, name in enumerate(SPLITS) if name != SPLITS[0])
     made = ", ".join(f"{name} {number}" for name, number in card["made_with"].items())
     size, total = card["bytes_per_sample"] / 1e6, card["bytes"] / 1e9
-    first, depth = shard_name(0), file_of("depth")
+    first, depth = shard_name(0), array_file("depth")
     limits = [f"* {limit}" for limit in card["limits"]]
     return f"""# {card["what"]}
 

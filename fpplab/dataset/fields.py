@@ -30,9 +30,9 @@ class FieldSpec:
     unit: str
     meaning: str
 
-    def extent(self, letters: dict[str, int]) -> tuple[int, ...]:
+    def extent(self, dimensions: dict[str, int]) -> tuple[int, ...]:
         """The shape in numbers."""
-        return tuple(letters[side] if side in letters else int(side) for side in self.shape.split())
+        return tuple(dimensions[side] if side in dimensions else int(side) for side in self.shape.split())
 
 
 FRAMES = "frames"
@@ -67,6 +67,6 @@ FIELDS = (
 )  # fmt: skip
 
 
-def letters_of(plan: Plan, size: tuple[int, int]) -> dict[str, int]:
+def dimension_sizes(plan: Plan, size: tuple[int, int]) -> dict[str, int]:
     """What the letters of shapes stand for; size: (width, height) of the camera."""
     return {"N": plan.images, "S": len(plan.fringes), "h": size[1], "w": size[0]}

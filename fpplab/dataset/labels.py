@@ -32,7 +32,7 @@ class Labels:
     v: Map
 
 
-def labels_of(truth: SceneTruth) -> Labels:
+def trace_labels(truth: SceneTruth) -> Labels:
     """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
     devices, shape = truth.calibration, RayTracedShape(truth.mesh)
     rays = camera_rays(devices.camera)

@@ -15,7 +15,7 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
 from fpplab.dataset.fields import Arrays
-from fpplab.dataset.shard import SCENES, check_shard, file_of, shard_name
+from fpplab.dataset.shard import SCENES, array_file, check_shard, shard_name
 from fpplab.patterns.plan import Plan
 
 
@@ -59,7 +59,7 @@ class Dataset:
         Raises `IndexError`, `DataError` when a file is missing or damaged.
         """
         shard, row = self._place(k)
-        return {name: _read(shard / file_of(name), row) for name in self.fields}
+        return {name: _read(shard / array_file(name), row) for name in self.fields}
 
     def scene(self, k: int) -> dict[str, Any]:
         """What was drawn for sample `k`: its `index`, `split`, `scene`, and the whole `world`."""

@@ -13,12 +13,12 @@ from fpplab.core import config
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.dataset.arrays import arrays_of
-from fpplab.dataset.card import begin, fields_of, make_card, split_of
-from fpplab.dataset.fields import Arrays, letters_of
-from fpplab.dataset.labels import labels_of
-from fpplab.dataset.scenes import Scenes, draw, draw_stage
-from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
+from fpplab.dataset.arrays import sample_arrays
+from fpplab.dataset.card import dataset_fields, make_card, prepare_folder, split_of
+from fpplab.dataset.fields import Arrays, dimension_sizes
+from fpplab.dataset.labels import trace_labels
+from fpplab.dataset.scenes import SceneRanges, draw_scene, draw_stage
+from fpplab.dataset.shard import ShardWriter, check_shard, claim_shard, shard_name
 from fpplab.devices.rig import Rig, load_backend
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
@@ -35,7 +35,7 @@ class DatasetRequest:
     """
 
     plan: Plan
-    scenes: Scenes
+    scenes: SceneRanges
     samples: int
     seed: int = 0
     shard_size: int = 8
@@ -45,7 +45,7 @@ class DatasetRequest:
         return range(number * self.shard_size, min((number + 1) * self.shard_size, self.samples))
 
 
-class Maker:
+class DatasetMaker:
     """Makes the samples of a data set on an open rig that is a simulation, in any order.
 
     Raises `ConfigError` for a plan or for scenes that the rig cannot have.
@@ -58,8 +58,8 @@ class Maker:
         _check_ranges(rig, wanted.scenes)
         self._rig, self._wanted = rig, wanted
         self._studio = _arrangeable(rig).studio()
-        self._fields = fields_of(rig.file.camera.bits)
-        self._letters = letters_of(wanted.plan, rig.camera.caps.size)
+        self._fields = dataset_fields(rig.file.camera.bits)
+        self._dimensions = dimension_sizes(wanted.plan, rig.camera.caps.size)
         if rig.stage is not None:
             rig.stage.home()
 
@@ -75,7 +75,7 @@ class Maker:
             "rig": self._rig.described(),
             "world": self._studio.nominal(),
         }
-        return make_card(asked, self._fields, self._letters, wanted.scenes.licence)
+        return make_card(asked, self._fields, self._dimensions, wanted.scenes.licence)
 
     def make(self, folder: Path, progress: Progress = no_progress) -> dict[str, Any]:
         """Make every shard that is missing in `folder`, and return the card.
@@ -86,7 +86,7 @@ class Maker:
         disk is full, `DeviceError`.
         """
         card, wanted = self.card(), self._wanted
-        begin(folder, card)
+        prepare_folder(folder, card)
         for number in range(card["shards"]):
             if (folder / shard_name(number)).exists():
                 check_shard(folder / shard_name(number))
@@ -97,10 +97,10 @@ class Maker:
 
     def _shard(self, folder: Path, number: int, begun: Callable[[int], None]) -> None:
         samples = self._wanted.shard(number)
-        with claimed(folder, number) as draft:
+        with claim_shard(folder, number) as draft:
             if draft is None:
                 return
-            with ShardWriter(draft, self._fields, len(samples), self._letters) as shard:
+            with ShardWriter(draft, self._fields, len(samples), self._dimensions) as shard:
                 for index in samples:
                     begun(index)
                     shard.add(*self.sample(index))
@@ -113,7 +113,7 @@ class Maker:
         frames = self._frames(scene)
         truth = studio.truth()
         bits = self._rig.file.camera.bits
-        arrays = arrays_of(frames, wanted.plan, scene.exposure_s, bits, truth, labels_of(truth))
+        arrays = sample_arrays(frames, wanted.plan, scene.exposure_s, bits, truth, trace_labels(truth))
         record = {
             "index": index,
             "split": split_of(index),
@@ -125,7 +125,7 @@ class Maker:
     def _scene(self, index: int) -> DatasetScene:
         wanted = self._wanted
         stage_mm = draw_stage(wanted.scenes, wanted.seed, index)
-        return draw(wanted.scenes, wanted.seed, index, self._studio.calibration(stage_mm), stage_mm)
+        return draw_scene(wanted.scenes, wanted.seed, index, self._studio.calibration(stage_mm), stage_mm)
 
     def _frames(self, scene: DatasetScene) -> list[Image]:
         rig, plan = self._rig, self._wanted.plan
@@ -138,7 +138,7 @@ class Maker:
             return [shot.image for shot in shots]
 
 
-def _check_ranges(rig: Rig, scenes: Scenes) -> None:
+def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
     """Refuse what the devices cannot do, before the first scene: `ConfigError`."""
     travel = rig.stage.caps.travel_mm if rig.stage is not None else (0.0, 0.0)
     limits = {

@@ -27,11 +27,11 @@ TRIES = 2000
 LEAST_IN_VIEW = 0.5
 """So much of an item's box must lie in the camera's image and in the projector's, shadows aside."""
 
-Ends = tuple[float, float]
+Interval = tuple[float, float]
 
 
 def _within(low: float, high: float) -> AfterValidator:
-    def check(ends: Ends) -> Ends:
+    def check(ends: Interval) -> Interval:
         if not low <= ends[0] <= ends[1] <= high:
             raise ValueError(f"must be the least and the greatest, within {low:g} to {high:g}")
         return ends
@@ -39,10 +39,10 @@ def _within(low: float, high: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-Shares = Annotated[Ends, _within(0.0, 1.0)]
+Shares = Annotated[Interval, _within(0.0, 1.0)]
 
 
-class Scenes(Document):
+class SceneRanges(Document):
     """What scenes are drawn from; a range is [least, greatest], drawn from evenly.
 
     artefacts: by name; targets: boards, by file. Each is as likely as any other. variation: how far each
@@ -62,7 +62,7 @@ class Scenes(Document):
     artefacts: tuple[str, ...]
     targets: tuple[str, ...]
     variation: Annotated[float, Field(ge=0, lt=1)]
-    distance_mm: Annotated[Ends, _within(1.0, 1e5)]
+    distance_mm: Annotated[Interval, _within(1.0, 1e5)]
     off_centre: Annotated[float, Field(ge=0, le=1)]
     tilt_deg: Annotated[float, Field(ge=0, le=80)]
     turn_deg: Annotated[float, Field(ge=0, le=180)]
@@ -70,18 +70,18 @@ class Scenes(Document):
     ink: Shares
     roughness: Shares
     gloss: Shares
-    gloss_roughness: Annotated[Ends, _within(0.02, 1.0)]
-    ambient: Annotated[Ends, _within(0.0, 10.0)]
-    charge: Annotated[Ends, _within(1e-3, 1.0)]
-    read_noise_e: Annotated[Ends, _within(0.0, 1e4)]
-    exposure_s: Annotated[Ends, _within(1e-6, 60.0)]
-    projector_blur: Annotated[Ends, _within(0.4, 20.0)]
-    projector_focus_mm: Annotated[Ends, _within(1.0, 1e5)]
-    stage_mm: Annotated[Ends, _within(-1e4, 1e4)]
+    gloss_roughness: Annotated[Interval, _within(0.02, 1.0)]
+    ambient: Annotated[Interval, _within(0.0, 10.0)]
+    charge: Annotated[Interval, _within(1e-3, 1.0)]
+    read_noise_e: Annotated[Interval, _within(0.0, 1e4)]
+    exposure_s: Annotated[Interval, _within(1e-6, 60.0)]
+    projector_blur: Annotated[Interval, _within(0.4, 20.0)]
+    projector_focus_mm: Annotated[Interval, _within(1.0, 1e5)]
+    stage_mm: Annotated[Interval, _within(-1e4, 1e4)]
     licence: Annotated[str, Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _there_is_something(self) -> Scenes:
+    def _there_is_something(self) -> SceneRanges:
         if not self.artefacts and not self.targets:
             raise ValueError("'artefacts' and 'targets' are both empty: name at least one item")
         if self.targets and self.ink[1] >= self.reflectance[0]:
@@ -92,7 +92,7 @@ class Scenes(Document):
         return self
 
     @classmethod
-    def load(cls, path: Path | str) -> Scenes:
+    def load(cls, path: Path | str) -> SceneRanges:
         """Read a file of ranges, by path or by the name of one that comes with fpplab.
 
         Boards are looked for beside it first. Raises `ConfigError`, also for items that are not there.
@@ -126,7 +126,9 @@ _DRAWN = (
 """Numbers that are drawn evenly from the range of the same name."""
 
 
-def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: float) -> DatasetScene:
+def draw_scene(
+    scenes: SceneRanges, seed: int, index: int, devices: Calibration, stage_mm: float
+) -> DatasetScene:
     """Scene `index` of a data set.
 
     devices: where they stand with the stage at `stage_mm`, see `draw_stage`.
@@ -158,7 +160,7 @@ def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: 
 _SCENE, _STAGE = range(2)
 
 
-def draw_stage(scenes: Scenes, seed: int, index: int) -> float:
+def draw_stage(scenes: SceneRanges, seed: int, index: int) -> float:
     """Where the stage stands in scene `index`, in mm."""
     return float(_random(seed, index, _STAGE).uniform(*scenes.stage_mm))
 
@@ -202,7 +204,7 @@ def _box(bounds: Floats) -> Floats:
 
 
 def _pose(
-    scenes: Scenes, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
+    scenes: SceneRanges, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> PoseFile:
     """T_camera_item with enough of the item's box in view. upright: its z axis points to the camera."""
     for _ in range(TRIES):
@@ -218,7 +220,7 @@ def _pose(
 
 
 def _random_pose(
-    scenes: Scenes, upright: bool, devices: Calibration, random: np.random.Generator
+    scenes: SceneRanges, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> RigidTransform:
     middle = 0.5 * (np.array(devices.camera.size) - 1)
     pixel = middle * (1 + scenes.off_centre * random.uniform(-1, 1, 2))

@@ -34,7 +34,7 @@ def shard_name(number: int) -> str:
 
 
 @contextmanager
-def claimed(folder: Path, number: int) -> Iterator[Path | None]:
+def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
     """An empty draft of a shard, which takes its name at the end, or None if it is another's business.
 
     That is when it is whole already, or another process is at it. Raises `DataError` when it cannot be
@@ -75,15 +75,19 @@ class ShardWriter:
     """Writes samples one behind the other; `with` ends with everything on disk, checksums last."""
 
     def __init__(
-        self, draft: Path, fields: dict[str, FieldSpec], samples: int, letters: dict[str, int]
+        self, draft: Path, fields: dict[str, FieldSpec], samples: int, dimensions: dict[str, int]
     ) -> None:
         self._draft, self._stack = draft, ExitStack()
         self._files = {SCENES: self._open(SCENES)}
         for name, field in fields.items():
-            head = {"descr": field.dtype, "fortran_order": False, "shape": (samples, *field.extent(letters))}
-            self._files[file_of(name)] = self._open(file_of(name))
-            np.lib.format.write_array_header_2_0(self._files[file_of(name)], head)  # type: ignore[no-untyped-call]
-        self._fields, self._letters = fields, letters
+            head = {
+                "descr": field.dtype,
+                "fortran_order": False,
+                "shape": (samples, *field.extent(dimensions)),
+            }
+            self._files[array_file(name)] = self._open(array_file(name))
+            np.lib.format.write_array_header_2_0(self._files[array_file(name)], head)  # type: ignore[no-untyped-call]
+        self._fields, self._dimensions = fields, dimensions
 
     def _open(self, name: str) -> _Hashed:
         return self._stack.enter_context(_Hashed(self._draft / name))
@@ -92,8 +96,8 @@ class ShardWriter:
         """The next sample."""
         for name, field in self._fields.items():
             array = np.asarray(arrays[name], order="C")
-            assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._letters)), name
-            self._files[file_of(name)].write(array.reshape(-1).view(np.uint8).data)
+            assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._dimensions)), name
+            self._files[array_file(name)].write(array.reshape(-1).view(np.uint8).data)
         self._files[SCENES].write(json.dumps(scene).encode() + b"\n")
 
     def __enter__(self) -> Self:
@@ -109,7 +113,7 @@ class ShardWriter:
                 file.write(json.dumps(sums, indent=1).encode() + b"\n")
 
 
-def file_of(field: str) -> str:
+def array_file(field: str) -> str:
     """The file of a field in a shard."""
     return f"{field}.npy"
 

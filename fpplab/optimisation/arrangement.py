@@ -20,7 +20,7 @@ from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.sets import MeasuringSetup
+from fpplab.optimisation.fringe_cache import MeasuringSetup
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
 from fpplab.simulation.turnable import Turnable
@@ -30,22 +30,22 @@ TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
 """How far the projector's measured way may be from the stage's own, as a share of it and besides."""
 
 
-class Arrangement:
+class RigArranger:
     """Brings an open rig to views, moving only what has to move."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._stands = MeasuringSetup("", 0.0)
+        self._current = MeasuringSetup("", 0.0)
 
-    def __call__(self, view: MeasuringSetup) -> None:
-        """Stage, projector and item as the view says. Raises `ConfigError`, `DeviceError`."""
-        if view.stage_mm is not None and view.stage_mm != self._stands.stage_mm:
-            self._rig.place_stage(view.stage_mm)
-        if view.convergence_deg is not None and view.convergence_deg != self._stands.convergence_deg:
-            self._turn(view.convergence_deg)
-        if view.item != self._stands.item:
-            self._rig.need_fixture(f"mounting the {view.item}").mount(view.item)
-        self._stands = view
+    def __call__(self, setup: MeasuringSetup) -> None:
+        """Stage, projector and item as the setup says. Raises `ConfigError`, `DeviceError`."""
+        if setup.stage_mm is not None and setup.stage_mm != self._current.stage_mm:
+            self._rig.place_stage(setup.stage_mm)
+        if setup.convergence_deg is not None and setup.convergence_deg != self._current.convergence_deg:
+            self._turn(setup.convergence_deg)
+        if setup.item != self._current.item:
+            self._rig.need_fixture(f"mounting the {setup.item}").mount(setup.item)
+        self._current = setup
 
     def _turn(self, convergence_deg: float) -> None:
         if not isinstance(self._rig.simulation, Turnable):
@@ -56,7 +56,7 @@ class Arrangement:
         self._rig.simulation.turn(convergence_deg)
 
 
-class Calibrations:
+class StageCalibrations:
     """Calibrations of a rig with its stage at one or more positions in mm, or one as it stands (None).
 
     Raises `CalibrationError` when they are of different devices, or the projector has not moved as the
@@ -84,18 +84,18 @@ class Calibrations:
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
             found = self._at_stage(stage_mm)
-            self._made[where] = turned(found, convergence_deg) if convergence_deg else found
+            self._made[where] = turn_projector(found, convergence_deg) if convergence_deg else found
         return self._made[where]
 
     @property
-    def exact(self) -> bool:
+    def is_exact(self) -> bool:
         """Whether none of them has a covariance, as a simulation's own has not."""
         return all(known.uncertainty is None for known in self._known)
 
-    def drawn(self, random: np.random.Generator) -> Calibrations:
+    def sample(self, random: np.random.Generator) -> StageCalibrations:
         """Others that could as well have been found, each drawn from its own covariance."""
-        others = [drawn(known, random) for known in self._known]
-        return Calibrations(dict(zip(self._positions or (None,), others, strict=True)))
+        others = [sample_calibration(known, random) for known in self._known]
+        return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
     def _at_stage(self, stage_mm: float | None) -> Calibration:
         if len(self._known) == 1 and stage_mm in (None, *self._positions):
@@ -114,7 +114,9 @@ class Calibrations:
             return self._known[self._positions.index(stage_mm)]
         after = bisect_right(self._positions, stage_mm)
         low, high = self._positions[after - 1], self._positions[after]
-        return between(self._known[after - 1], self._known[after], (stage_mm - low) / (high - low))
+        return interpolate_calibrations(
+            self._known[after - 1], self._known[after], (stage_mm - low) / (high - low)
+        )
 
     def _check_travel(self) -> None:
         origin, start = self._known[0].projector_centre, next(iter(self._positions), 0.0)
@@ -127,13 +129,13 @@ class Calibrations:
                 )
 
 
-def turned(calibration: Calibration, convergence_deg: float) -> Calibration:
+def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibration:
     """The same with the projector turned towards the camera where it stands."""
     pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
     return replace(calibration, T_projector_camera=pose, uncertainty=None)
 
 
-def drawn(calibration: Calibration, random: np.random.Generator) -> Calibration:
+def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
     """One that measuring could as well have found, drawn from the covariance; itself if there is none."""
     known = calibration.uncertainty
     if known is None:
@@ -158,7 +160,7 @@ def _changed(device: Pinhole, change: Sequence[float]) -> Pinhole:
     return replace(device, matrix=matrix, distortion=device.distortion + change[4:])
 
 
-def between(low: Calibration, high: Calibration, share: float) -> Calibration:
+def interpolate_calibrations(low: Calibration, high: Calibration, share: float) -> Calibration:
     """The calibration at a share of the way from one to another, every parameter on the straight line."""
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     whole = RigidTransform(turn, np.zeros(3)).rotation_vector

@@ -10,9 +10,9 @@ from functools import cached_property
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
 from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.objectives import Judge, MeasuredCandidate
+from fpplab.optimisation.objectives import CandidateRanking, MeasuredCandidate
 from fpplab.optimisation.scheduling import Task, Workers
-from fpplab.optimisation.space import Point, Space
+from fpplab.optimisation.space import Point, SearchSpace
 from fpplab.optimisation.storage import Journal, ScoresOrReason
 
 
@@ -44,7 +44,7 @@ class CandidateRunner:
     """
 
     def __init__(
-        self, space: Space, workers: Workers, journal: Journal, observe: CandidateObserver = ignore
+        self, space: SearchSpace, workers: Workers, journal: Journal, observe: CandidateObserver = ignore
     ) -> None:
         self.space = space
         self._workers, self._journal, self._observe = workers, journal, observe
@@ -67,21 +67,21 @@ class CandidateRunner:
         return trial
 
     @cached_property
-    def judge(self) -> Judge:
+    def ranking(self) -> CandidateRanking:
         """What the study makes of trials."""
-        return Judge(self.space.study, self.start.figures)
+        return CandidateRanking(self.space.study, self.start.figures)
 
     @property
     def best(self) -> MeasuredCandidate:
         """The best of all until now."""
-        return min(self.trials, key=self.judge.rank)
+        return min(self.trials, key=self.ranking.rank)
 
     @property
     def front(self) -> list[MeasuredCandidate]:
         """Of all until now those that no other is better than in everything."""
-        return self.judge.front(self.trials)
+        return self.ranking.front(self.trials)
 
-    def admits(self, point: Point) -> bool:
+    def is_feasible(self, point: Point) -> bool:
         """Whether a point can be shown; where not, its refusal is counted."""
         refused = self._asked(point).refused
         if refused:
@@ -104,7 +104,7 @@ class CandidateRunner:
         self._observe(epoch)
         return epoch
 
-    def again(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
+    def rescore(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
         """Scores of candidates with other seeds than the study's; empty where nothing came of it."""
         found = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
         scores = []

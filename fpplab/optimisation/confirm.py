@@ -17,8 +17,8 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.optimisation.arrangement import Calibrations
-from fpplab.optimisation.measuring import RigEvaluator, candidate_of
+from fpplab.optimisation.arrangement import StageCalibrations
+from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
@@ -120,7 +120,7 @@ def confirm(
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
     _check_alike(before, after)
     evaluator = RigEvaluator(rig, study.model_copy(update={"start": before}), SAMPLES)
-    plans = candidate_of(before), candidate_of(after)
+    plans = candidate_from_plan(before), candidate_from_plan(after)
     found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
@@ -140,15 +140,15 @@ def confirm(
     return Confirmation(old, new, float(np.std(gains, ddof=1)) if others else 0.0)
 
 
-def _others(known: Calibrations) -> list[Calibrations]:
+def _others(known: StageCalibrations) -> list[StageCalibrations]:
     """Calibrations that could as well have been found."""
     random = np.random.default_rng(0)
-    return [] if known.exact else [known.drawn(random) for _ in range(DRAWS)]
+    return [] if known.is_exact else [known.sample(random) for _ in range(DRAWS)]
 
 
 def _check_alike(before: Plan, after: Plan) -> None:
     """Refuse plans that differ in more than a candidate can: `ConfigError`."""
-    other = candidate_of(after).plan(before)
+    other = candidate_from_plan(after).plan(before)
     for name in type(before).model_fields:
         if name != "fringes" and getattr(other, name) != getattr(after, name):
             raise ConfigError(

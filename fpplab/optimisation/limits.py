@@ -22,7 +22,7 @@ class RigLimits:
     """Limits of a rig.
 
     name: the rig's own. size: the projector's (width, height). patterns: how many it holds. exposure_s:
-    (least, most) of projector and camera together. dead_s: between exposures. stage_mm: travel of its stage,
+    (least, most) of projector and camera together. dead_time_s: between exposures. stage_mm: travel of its stage,
     None without. turns: whether the projector can be turned, which only a simulation's can. items: what its
     fixture holds, None where that is anything. copies: whether several processes can have one each, which
     only a simulation can be.
@@ -30,13 +30,13 @@ class RigLimits:
 
     name: str
     size: tuple[int, int]
-    patterns: int
+    max_patterns: int
     exposure_s: tuple[float, float]
-    dead_s: float
+    dead_time_s: float
     stage_mm: tuple[float, float] | None
-    turns: bool
+    can_turn_projector: bool
     items: frozenset[str] | None
-    copies: bool = False
+    allows_copies: bool = False
 
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
@@ -51,44 +51,44 @@ class RigLimits:
         return cls(
             name=rig.file.name,
             size=projector.size,
-            patterns=projector.max_patterns,
+            max_patterns=projector.max_patterns,
             exposure_s=(max(least, projector.bit_depths[BITS]), most),
-            dead_s=camera.readout_s + camera.dark_s,
+            dead_time_s=camera.readout_s + camera.dark_s,
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
-            turns=isinstance(rig.simulation, Turnable),
+            can_turn_projector=isinstance(rig.simulation, Turnable),
             items=None if held is None else frozenset(held),
-            copies=isinstance(rig.simulation, Seeded),
+            allows_copies=isinstance(rig.simulation, Seeded),
         )
 
     @property
-    def images_per_second(self) -> float:
+    def max_images_per_second(self) -> float:
         """The most."""
-        return 1.0 / (self.exposure_s[0] + self.dead_s)
+        return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
-    def most_stripes(self, axis: Axis, pixels_per_period: float) -> float:
+    def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
         """The most along an axis, of periods at least so many projector pixels long."""
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
         """Every limit that the candidate is outside of, in words."""
         for i, fringe in enumerate(candidate.fringes):
-            most = self.most_stripes(fringe.axis, pixels_per_period)
+            most = self.max_stripes(fringe.axis, pixels_per_period)
             if fringe.stripes > most:
                 yield (
                     f"'fringes[{i}].stripes' is {fringe.stripes:g}: at {pixels_per_period:g} projector "
                     f"pixels per period at most {most:g} along {fringe.axis}"
                 )
-        if candidate.images > self.patterns:
-            yield f"{candidate.images} images: the projector holds at most {self.patterns} patterns"
+        if candidate.images > self.max_patterns:
+            yield f"{candidate.images} images: the projector holds at most {self.max_patterns} patterns"
         least, longest = self.exposure_s
         if not least <= candidate.exposure_s <= longest:
             yield (
                 f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {least:g} s, which is "
-                f"{self.images_per_second:.4g} images per second, to {longest:g} s"
+                f"{self.max_images_per_second:.4g} images per second, to {longest:g} s"
             )
         if candidate.stage_mm is not None:
             yield from self._stage_refusals(candidate.stage_mm)
-        if candidate.convergence_deg and not self.turns:
+        if candidate.convergence_deg and not self.can_turn_projector:
             yield f"'convergence_deg' is {candidate.convergence_deg:g}: its projector cannot be turned"
 
     def _stage_refusals(self, mm: float) -> Iterator[str]:

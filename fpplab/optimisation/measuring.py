@@ -19,11 +19,11 @@ from fpplab.comparison.alignment import align_mesh
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.arrangement import Arrangement, Calibrations
+from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
-from fpplab.optimisation.sets import FringeSets, MeasuringSetup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, decode
@@ -33,7 +33,7 @@ TRUTHS = 6
 """True shapes that are kept ready."""
 
 
-def candidate_of(plan: Plan) -> Candidate:
+def candidate_from_plan(plan: Plan) -> Candidate:
     """The arrangement that a plan is."""
     sets = tuple(Fringes(one.axis, one.stripes, one.steps) for one in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
@@ -48,7 +48,7 @@ class RigEvaluator:
 
     def __init__(self, rig: str, study: Study, samples: int | None = SAMPLES) -> None:
         self._file, self._study, self._samples = rig, study, samples
-        self._first, self._stack = candidate_of(study.start), ExitStack()
+        self._first, self._stack = candidate_from_plan(study.start), ExitStack()
         self._truths: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
         self._standing: dict[str, trimesh.Trimesh] = {}
 
@@ -62,7 +62,7 @@ class RigEvaluator:
         return tuple(self._score(name, candidate, seed) for name in self._study.artefacts)
 
     def figures(
-        self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
+        self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
         """One artefact compared; what was acquired before is not acquired again. Raises as `measure`.
 
@@ -81,7 +81,7 @@ class RigEvaluator:
         _, cloud = points_of(self._decoded(name, candidate, seed), calibration, plan)
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
-    def angle_deg(self, candidate: Candidate) -> float:
+    def triangulation_angle_deg(self, candidate: Candidate) -> float:
         """Of triangulation: how far apart an artefact's middle sees camera and projector, the mean over all.
 
         Raises as `measure`.
@@ -103,23 +103,23 @@ class RigEvaluator:
         return self._stack.enter_context(Rig.load(self._file))
 
     @cached_property
-    def _sets(self) -> FringeSets:
-        return FringeSets(self._rig, self._study.start, Arrangement(self._rig))
+    def _sets(self) -> FringeSetCache:
+        return FringeSetCache(self._rig, self._study.start, RigArranger(self._rig))
 
     @cached_property
-    def calibrations(self) -> Calibrations:
+    def calibrations(self) -> StageCalibrations:
         """Those that the study names. Raises `CalibrationError` when it names none."""
         files = self._study.calibrations
         if not files:
             raise CalibrationError(
                 f"study '{self._study.name}': 'calibrations' names none; characterise the rig first"
             )
-        return Calibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
+        return StageCalibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
 
     @cached_property
     def _image_s(self) -> float:
         """What an image takes beside its exposure, by what the devices say of themselves."""
-        return RigLimits.of(self._rig).dead_s + self._study.start.settle_s
+        return RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
 
     def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
         found = asdict(self.figures(name, candidate, seed))

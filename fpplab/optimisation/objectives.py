@@ -120,7 +120,7 @@ Rank = tuple[float, tuple[float, ...], float]
 
 
 @dataclass(frozen=True)
-class Judge:
+class CandidateRanking:
     """What a study makes of trials, given what its start came to."""
 
     study: Study
@@ -163,12 +163,12 @@ class Judge:
         distance = trial.figures.surface_smcd_um if trial.measured else math.inf
         return self.violation(trial), self.values(trial), distance
 
-    def by_distance(self, trial: MeasuredCandidate) -> Rank:
+    def rank_by_distance(self, trial: MeasuredCandidate) -> Rank:
         """Feasible before infeasible, then by the mean distance alone, whatever the objectives."""
         violation, _, distance = self.rank(trial)
         return violation, (distance,), distance
 
-    def wanted(self, trial: MeasuredCandidate) -> bool:
+    def is_acceptable(self, trial: MeasuredCandidate) -> bool:
         """Whether it keeps every limit."""
         return self.violation(trial) == 0.0
 
@@ -177,7 +177,7 @@ class Judge:
 
         Of several with the same figures the first.
         """
-        wanted = [trial for trial in trials if self.wanted(trial)]
+        wanted = [trial for trial in trials if self.is_acceptable(trial)]
         values = {trial.candidate: self.values(trial) for trial in wanted}
         kept: dict[tuple[float, ...], MeasuredCandidate] = {}
         for trial in wanted:

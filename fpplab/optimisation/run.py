@@ -26,18 +26,14 @@ from fpplab.optimisation.candidate_runner import (
     SearchEpoch,
 )
 from fpplab.optimisation.confirm import Confirmation, confirm
-from fpplab.optimisation.goal import Goal
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.measuring import RigEvaluator
-from fpplab.optimisation.methods.bayesian import bayes
-from fpplab.optimisation.methods.coordinate import coordinates
-from fpplab.optimisation.methods.gradient import descend
-from fpplab.optimisation.methods.pareto import pareto
-from fpplab.optimisation.objectives import CandidateFigures, Judge, MeasuredCandidate, seed_means
-from fpplab.optimisation.scheduling import Opener, OpenRig, workers_of
-from fpplab.optimisation.space import Space
+from fpplab.optimisation.objectives import CandidateFigures, CandidateRanking, MeasuredCandidate, seed_means
+from fpplab.optimisation.scheduling import EvaluatorFactory, RigEvaluatorFactory, make_workers
+from fpplab.optimisation.scope import SearchScope
+from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
-from fpplab.optimisation.study import Bayesian, CalibrationAt, Coordinate, Gradient, Study
+from fpplab.optimisation.study import CalibrationAt, Study
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, REPORT
 from fpplab.targets import Target
@@ -70,7 +66,7 @@ class SearchResult:
 
     study: Study
     rig: str
-    space: Space
+    space: SearchSpace
     start: MeasuredCandidate
     optimum: MeasuredCandidate
     front: tuple[MeasuredCandidate, ...]
@@ -83,9 +79,9 @@ class SearchResult:
     planned: tuple[MeasuredCandidate, ...]
 
     @property
-    def judge(self) -> Judge:
+    def ranking(self) -> CandidateRanking:
         """What the study makes of trials."""
-        return Judge(self.study, self.start.figures)
+        return CandidateRanking(self.study, self.start.figures)
 
     @property
     def gain(self) -> Gain | None:
@@ -138,7 +134,7 @@ def _gain(before: Sequence[Score], after: Sequence[Score]) -> Gain | None:
 
 
 def run_search(
-    what: Goal,
+    what: SearchScope,
     rig: str,
     study: Study,
     out: Path,
@@ -146,13 +142,13 @@ def run_search(
     *,
     workers: int | None = 1,
     scheduler: str | None = None,
-    opener: Opener | None = None,
+    factory: EvaluatorFactory | None = None,
     observe: CandidateObserver = ignore,
     progress: Progress = no_progress,
 ) -> SearchResult:
     """Search, and leave the plan in `out`, or a front's plans in the folder `out`.
 
-    Goes on where a journal beside them ends. source: names the study in complaints. opener: of the rig to
+    Goes on where a journal beside them ends. source: names the study in complaints. factory: of the rig to
     measure on, by default `rig` itself. workers: processes, None for as many as help. Raises `ConfigError`
     for a study that fits neither `what` nor the rig, and for several workers of a rig that is not a
     simulation; `DataError` when no plan keeps the limits.
@@ -161,36 +157,36 @@ def run_search(
         limits, file = RigLimits.of(opened), opened.file.model_dump(mode="json")
         study.check_rig(limits.name, source)
         _check_artefacts(study, limits, source)
-        space = Space.of(study, limits, source)
+        space = SearchSpace.of(study, limits, source)
         _check_what(what, space, source)
-        count = processes(limits, workers)
+        count = worker_count(limits, workers)
         if scheduler is not None:  # told before the rig is characterised, which takes its time
-            workers_of(OpenRig(_absolute(rig), study), count, scheduler).close()
-        if opener is None and not study.calibrations:
-            study = calibrated(opened, study, folder_of(out), progress)
-    journal = Journal(journal_of(what, out), study, file)
-    measuring = workers_of(opener or OpenRig(_absolute(rig), study), count, scheduler)
+            make_workers(RigEvaluatorFactory(_absolute(rig), study), count, scheduler).close()
+        if factory is None and not study.calibrations:
+            study = with_calibrations(opened, study, work_folder(out), progress)
+    journal = Journal(journal_path(what, out), study, file)
+    measuring = make_workers(factory or RigEvaluatorFactory(_absolute(rig), study), count, scheduler)
     try:
-        lab = CandidateRunner(space, measuring, journal, observe)
-        ended = _searched(lab)
-        optimum = lab.best
-        _check_wanted(lab, optimum)
-        front = tuple(lab.front)
-        chosen = list(dict.fromkeys(t.candidate for t in (lab.start, optimum, *front)))
-        again = dict(zip(chosen, lab.again(chosen, _other_seeds(study)), strict=True))
+        runner = CandidateRunner(space, measuring, journal, observe)
+        ended = _search(runner)
+        optimum = runner.best
+        _check_wanted(runner, optimum)
+        front = tuple(runner.front)
+        chosen = list(dict.fromkeys(t.candidate for t in (runner.start, optimum, *front)))
+        again = dict(zip(chosen, runner.rescore(chosen, _other_seeds(study)), strict=True))
     finally:
         measuring.close()
-    planned = front if what is Goal.PARETO else (optimum,)
+    planned = front if what is SearchScope.PARETO else (optimum,)
     return SearchResult(
         study=study,
         rig=limits.name,
         space=space,
-        start=lab.start,
+        start=runner.start,
         optimum=optimum,
         front=front,
-        epochs=tuple(lab.epochs),
-        trials=tuple(lab.trials),
-        refused=dict(lab.refused),
+        epochs=tuple(runner.epochs),
+        trials=tuple(runner.trials),
+        refused=dict(runner.refused),
         again=again,
         ended=ended,
         plans=_save(what, out, study, limits, rig, planned),
@@ -199,7 +195,7 @@ def run_search(
 
 
 @dataclass(frozen=True, eq=False)
-class Confirmed:
+class ConfirmedPlan:
     """A plan found, and the plan of the start, measured on a rig."""
 
     rig: str
@@ -223,9 +219,9 @@ def check_confirmable(rig: str, study: Study, source: str) -> None:
         _check_artefacts(study, RigLimits.of(opened), source)
 
 
-def confirm_found(
+def confirm_result(
     rig: str, found: SearchResult, folder: Path, progress: Progress = no_progress
-) -> tuple[Confirmed, ...]:
+) -> tuple[ConfirmedPlan, ...]:
     """Measure the artefacts on a rig with the plan of the start and with what was found.
 
     Of a front the two ends and the middle. The rig is characterised in `folder` unless it is the one
@@ -240,9 +236,9 @@ def confirm_found(
             limits.check(trial.candidate, str(path))
         if limits.name != found.rig:
             stands = [mm for _, trial in trials if (mm := trial.candidate.stage_mm) is not None]
-            study = calibrated(opened, study, folder, progress, stands)
+            study = with_calibrations(opened, study, folder, progress, stands)
     return tuple(
-        Confirmed(
+        ConfirmedPlan(
             rig=limits.name,
             plan=path,
             images=trial.candidate.images,
@@ -252,12 +248,12 @@ def confirm_found(
     )
 
 
-def processes(limits: RigLimits, wanted: int | None) -> int:
+def worker_count(limits: RigLimits, wanted: int | None) -> int:
     """How many measure: as wanted, or one for every core where the rig is a simulation and memory allows."""
     if wanted is None:
         fit = psutil.virtual_memory().available // WORKER_BYTES
-        return max(1, min(os.cpu_count() or 1, fit)) if limits.copies else 1
-    if wanted > 1 and not limits.copies:
+        return max(1, min(os.cpu_count() or 1, fit)) if limits.allows_copies else 1
+    if wanted > 1 and not limits.allows_copies:
         raise ConfigError(
             f"--workers {wanted}: rig '{limits.name}' is no simulation, and instruments serve one process; "
             "leave --workers out"
@@ -270,7 +266,7 @@ def _absolute(rig: str) -> str:
     return str(Path(rig).resolve()) if Path(rig).exists() else rig
 
 
-def calibrated(
+def with_calibrations(
     rig: Rig,
     study: Study,
     folder: Path,
@@ -302,40 +298,33 @@ def calibrated(
     return study.model_copy(update={"calibrations": known})
 
 
-def folder_of(out: Path) -> Path:
+def work_folder(out: Path) -> Path:
     """Where what belongs to a search is kept: the folder of a front, or one named as the plan."""
     return out.with_suffix("")
 
 
-def journal_of(what: Goal, out: Path) -> Path:
+def journal_path(what: SearchScope, out: Path) -> Path:
     """Where the measurements of a search are kept."""
-    return out / JOURNAL if what is Goal.PARETO else out.with_suffix(".jsonl")
+    return out / JOURNAL if what is SearchScope.PARETO else out.with_suffix(".jsonl")
 
 
-def page_of(what: Goal, out: Path) -> Path:
+def report_path(what: SearchScope, out: Path) -> Path:
     """Where the report of a search goes."""
-    return out / REPORT if what is Goal.PARETO else out.with_suffix(".html")
+    return out / REPORT if what is SearchScope.PARETO else out.with_suffix(".html")
 
 
-def plans_of(what: Goal, out: Path) -> list[Path]:
+def plan_paths(what: SearchScope, out: Path) -> list[Path]:
     """The plans that a search has left, each of which says that it ended."""
-    return sorted(out.glob("plan_*.yaml")) if what is Goal.PARETO else [out] if out.exists() else []
+    return sorted(out.glob("plan_*.yaml")) if what is SearchScope.PARETO else [out] if out.exists() else []
 
 
-def _searched(lab: CandidateRunner) -> str:
-    method = lab.space.study.method
-    lab.epoch("start", [lab.start])
+def _search(runner: CandidateRunner) -> str:
+    """Run the study's method; returns why it ended."""
+    runner.epoch("start", [runner.start])
     try:
-        match method:
-            case Gradient():
-                return descend(lab, method)
-            case Coordinate():
-                return coordinates(lab, method)
-            case Bayesian():
-                return bayes(lab, method)
-        return pareto(lab, method)
+        return runner.space.study.method.search(runner)
     except BudgetExhausted:
-        return f"the budget of {lab.space.study.budget} candidates is used up"
+        return f"the budget of {runner.space.study.budget} candidates is used up"
 
 
 def _other_seeds(study: Study) -> list[int]:
@@ -353,7 +342,7 @@ def _check_artefacts(study: Study, limits: RigLimits, source: str) -> None:
             )
 
 
-def _check_what(what: Goal, space: Space, source: str) -> None:
+def _check_what(what: SearchScope, space: SearchSpace, source: str) -> None:
     """Refuse a study that searches something else than is asked for."""
     foreign = [p.name for p in space.parameters if p.group not in what.groups]
     if foreign:
@@ -361,29 +350,34 @@ def _check_what(what: Goal, space: Space, source: str) -> None:
             f"{source}: 'space' searches {', '.join(foreign)}, which `optimise {what}` does not; use "
             "`optimise pareto`, or leave them out"
         )
-    if (what is Goal.PARETO) != (len(space.study.objectives) > 1):
-        wanted = "several" if what is Goal.PARETO else "one"
+    if (what is SearchScope.PARETO) != (len(space.study.objectives) > 1):
+        wanted = "several" if what is SearchScope.PARETO else "one"
         raise ConfigError(f"{source}: 'objectives' must name {wanted} for `optimise {what}`")
 
 
-def _check_wanted(lab: CandidateRunner, optimum: MeasuredCandidate) -> None:
-    broken = {name: by for name, by in lab.judge.violations(optimum).items() if by > 0}
+def _check_wanted(runner: CandidateRunner, optimum: MeasuredCandidate) -> None:
+    broken = {name: by for name, by in runner.ranking.violations(optimum).items() if by > 0}
     if broken:
         words = ", ".join(f"{name} by {by:.3g}" for name, by in broken.items())
         raise DataError(
-            f"no plan of {len(lab.trials)} measured keeps the study's limits; the best breaks {words}"
+            f"no plan of {len(runner.trials)} measured keeps the study's limits; the best breaks {words}"
         )
 
 
 def _save(
-    what: Goal, out: Path, study: Study, limits: RigLimits, rig: str, planned: Sequence[MeasuredCandidate]
+    what: SearchScope,
+    out: Path,
+    study: Study,
+    limits: RigLimits,
+    rig: str,
+    planned: Sequence[MeasuredCandidate],
 ) -> tuple[Path, ...]:
     """Write the plans, and the calibration that holds where the stage puts the projector."""
     paths = []
     with closing(RigEvaluator(rig, study)) as evaluator:
         for number, trial in enumerate(planned, 1):
             name = f"plan_{number:02d}_{trial.candidate.images}images.yaml"
-            path = out / name if what is Goal.PARETO else out
+            path = out / name if what is SearchScope.PARETO else out
             if study.space.stage_mm is not None and study.calibrations:
                 calibration = evaluator.calibrations.at(trial.candidate.stage_mm)
                 calibration.save(path.with_name(f"{path.stem}_{CALIBRATION}"))

@@ -19,9 +19,9 @@ from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
 from fpplab.optimisation.study import Study
 
-PATIENCE_S = 10.0
+CONNECT_TIMEOUT_S = 10.0
 """How long a scheduler may take to answer."""
-DEATHS = 10
+MAX_WORKER_DEATHS = 10
 """How many workers may die of one measurement before it is given up."""
 ALLOCATION = {
     "MALLOC_ARENA_MAX": 1,
@@ -40,7 +40,7 @@ Done = Callable[[int, ScoresOrReason], None]
 """Told the place of a task and what came of it."""
 
 
-class Opener(Protocol):
+class EvaluatorFactory(Protocol):
     """Opens a rig to measure on; it is sent to every worker, where it is told from others by its equality."""
 
     def __call__(self) -> Evaluator: ...
@@ -49,7 +49,7 @@ class Opener(Protocol):
 
 
 @dataclass(frozen=True)
-class OpenRig:
+class RigEvaluatorFactory:
     """Opens the rig of a study."""
 
     rig: str
@@ -73,7 +73,7 @@ class Workers(Protocol):
         ...
 
 
-def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
+def measure_outcome(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
     """Scores, or why nothing came of measuring: what the candidate is to blame for is no fault of the rig."""
     try:
         scores = evaluator.measure(candidate, seed)
@@ -85,33 +85,33 @@ def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresO
     return scores
 
 
-class Here:
+class InProcessWorkers:
     """This process, one measurement after another."""
 
-    def __init__(self, opener: Opener) -> None:
-        self._opener = opener
+    def __init__(self, factory: EvaluatorFactory) -> None:
+        self._factory = factory
         self._evaluator: Evaluator | None = None
 
     def measure(self, tasks: Sequence[Task], done: Done) -> None:
         for place, (candidate, seed) in enumerate(tasks):
             if self._evaluator is None:
-                self._evaluator = self._opener()
-            done(place, outcome_of(self._evaluator, candidate, seed))
+                self._evaluator = self._factory()
+            done(place, measure_outcome(self._evaluator, candidate, seed))
 
     def close(self) -> None:
         if self._evaluator is not None:
             self._evaluator.close()
 
 
-_opened: dict[Opener, Evaluator] = {}
+_opened: dict[EvaluatorFactory, Evaluator] = {}
 """Rigs that this worker process has open, by who opened them."""
 
 
-def _measure_there(opener: Opener, candidate: Candidate, seed: int) -> ScoresOrReason:
-    if opener not in _opened:
+def _measure_there(factory: EvaluatorFactory, candidate: Candidate, seed: int) -> ScoresOrReason:
+    if factory not in _opened:
         _close_there()  # one rig at a time: the devices of two may be the same
-        _opened[opener] = opener()
-    return outcome_of(_opened[opener], candidate, seed)
+        _opened[factory] = factory()
+    return measure_outcome(_opened[factory], candidate, seed)
 
 
 def _close_there() -> None:
@@ -120,27 +120,27 @@ def _close_there() -> None:
         evaluator.close()
 
 
-class Cluster:
+class DaskWorkers:
     """Workers of a `dask` scheduler: at `address`, or `workers` processes of one's own.
 
     Raises `DeviceError` when nothing answers at the address.
     """
 
-    def __init__(self, opener: Opener, workers: int = 1, address: str | None = None) -> None:
+    def __init__(self, factory: EvaluatorFactory, workers: int = 1, address: str | None = None) -> None:
         import dask
         import distributed
 
         library: Any = distributed
-        self._opener = opener
+        self._factory = factory
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with ExitStack() as opening:
             spawned = "distributed.nanny.pre-spawn-environ"  # what must be there as a process begins
             settings = {f"{spawned}.{name}": value for name, value in ALLOCATION.items()}
-            settings["distributed.scheduler.allowed-failures"] = DEATHS
+            settings["distributed.scheduler.allowed-failures"] = MAX_WORKER_DEATHS
             opening.enter_context(dask.config.set(settings))
             where: Any = address or opening.enter_context(_processes(library, workers))
             try:
-                self._client: Any = opening.enter_context(library.Client(where, timeout=PATIENCE_S))
+                self._client: Any = opening.enter_context(library.Client(where, timeout=CONNECT_TIMEOUT_S))
             except (OSError, ValueError, ImportError) as error:
                 raise DeviceError(
                     "scheduler",
@@ -157,7 +157,7 @@ class Cluster:
         from distributed import TimeoutError as NoneCame
 
         try:
-            self._client.wait_for_workers(1, timeout=PATIENCE_S)
+            self._client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         except NoneCame as error:
             raise DeviceError(
                 "scheduler",
@@ -171,7 +171,7 @@ class Cluster:
 
         ended: Any = as_completed
         futures = [
-            self._client.submit(_measure_there, self._opener, candidate, seed, pure=False)
+            self._client.submit(_measure_there, self._factory, candidate, seed, pure=False)
             for candidate, seed in tasks
         ]
         places = {future.key: place for place, future in enumerate(futures)}
@@ -187,7 +187,7 @@ class Cluster:
             raise DeviceError(
                 "scheduler",
                 "measure",
-                f"{DEATHS} workers died of one measurement",
+                f"{MAX_WORKER_DEATHS} workers died of one measurement",
                 "see to their memory and their logs, and run the same command again",
             ) from error
         return found
@@ -211,8 +211,8 @@ def _processes(library: Any, workers: int) -> Any:
     )
 
 
-def workers_of(opener: Opener, count: int, address: str | None) -> Workers:
+def make_workers(factory: EvaluatorFactory, count: int, address: str | None) -> Workers:
     """This process for one worker, processes beside it for more, or those of the scheduler at an address."""
     if count == 1 and address is None:
-        return Here(opener)
-    return Cluster(opener, count, address)
+        return InProcessWorkers(factory)
+    return DaskWorkers(factory, count, address)

@@ -12,8 +12,8 @@ from itertools import pairwise
 
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.candidate import Candidate, Fringes
-from fpplab.optimisation.goal import Group
 from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.scope import ParameterGroup
 from fpplab.optimisation.study import Study
 from fpplab.phase import check_unwrapping
 
@@ -33,76 +33,76 @@ class Parameter:
     """
 
     name: str
-    group: Group
-    least: float
-    most: float
-    whole: bool = False
-    ratio: bool = False
-    every: float | None = None
+    group: ParameterGroup
+    lower: float
+    upper: float
+    is_integer: bool = False
+    is_logarithmic: bool = False
+    grid_step: float | None = None
 
-    def share(self, value: float) -> float:
+    def fraction(self, value: float) -> float:
         """Where in its range a value lies, 0 … 1."""
-        if self.most == self.least:
+        if self.upper == self.lower:
             return 0.0
-        if self.ratio:
-            return math.log(value / self.least) / math.log(self.most / self.least)
-        return (value - self.least) / (self.most - self.least)
+        if self.is_logarithmic:
+            return math.log(value / self.lower) / math.log(self.upper / self.lower)
+        return (value - self.lower) / (self.upper - self.lower)
 
-    def at(self, share: float) -> float:
+    def value_at(self, fraction: float) -> float:
         """The value at a share of its range; whole or rounded."""
-        if self.ratio:
-            value = self.least * (self.most / self.least) ** share
+        if self.is_logarithmic:
+            value = self.lower * (self.upper / self.lower) ** fraction
         else:
-            value = self.least + share * (self.most - self.least)
-        return self.tidy(value)
+            value = self.lower + fraction * (self.upper - self.lower)
+        return self.rounded(value)
 
-    def tidy(self, value: float) -> float:
+    def rounded(self, value: float) -> float:
         """The value as a candidate has it."""
-        if self.whole:
+        if self.is_integer:
             return float(round(value))
-        if self.every is not None:
-            value = self.least + self.every * round((value - self.least) / self.every)
+        if self.grid_step is not None:
+            value = self.lower + self.grid_step * round((value - self.lower) / self.grid_step)
         tidy = round(value, DECIMALS[self.name.partition("[")[0]])
-        return min(max(tidy, self.least), self.most)  # rounding alone must not leave the range
+        return min(max(tidy, self.lower), self.upper)  # rounding alone must not leave the range
 
-    def holds(self, value: float) -> bool:
+    def contains(self, value: float) -> bool:
         """Whether a value lies in the range."""
-        return self.least <= value <= self.most
+        return self.lower <= value <= self.upper
 
 
 @dataclass(frozen=True)
-class Space:
+class SearchSpace:
     """The parameters of a study on a rig, and the point where the search starts."""
 
     study: Study
     limits: RigLimits
     parameters: tuple[Parameter, ...]
-    begin: Candidate
+    template: Candidate
     start: Point
 
     @classmethod
-    def of(cls, study: Study, limits: RigLimits, source: str) -> Space:
+    def of(cls, study: Study, limits: RigLimits, source: str) -> SearchSpace:
         """The space of a study on a rig. Raises `ConfigError` for one that is empty or contradictory."""
-        begin = _template(study, source)
-        parameters = tuple(p for p in _parameters(study) if p.least < p.most)
+        template = _template_candidate(study, source)
+        parameters = tuple(p for p in _parameters(study) if p.lower < p.upper)
         if not parameters:
             raise ConfigError(f"{source}: 'space' leaves nothing to search; name a parameter and its bounds")
-        start = tuple(_value(p.name, study, begin, source) for p in parameters)
-        space = cls(study, limits, parameters, begin, start)
+        start = tuple(_value(p.name, study, template, source) for p in parameters)
+        space = cls(study, limits, parameters, template, start)
         _check_bounds(space, source)
         return space
 
     def candidate(self, point: Point) -> Candidate:
         """What a point stands for."""
         values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
-        begin = self.begin
+        template = self.template
         fringes = [
             replace(
                 fringe,
                 steps=int(values.get(f"steps[{i}]", fringe.steps)),
                 stripes=values.get(f"stripes[{i}]", fringe.stripes),
             )
-            for i, fringe in enumerate(begin.fringes)
+            for i, fringe in enumerate(template.fringes)
         ]
         if "axis" in values:
             axis = self.study.space.axis[int(values["axis"])]
@@ -110,9 +110,9 @@ class Space:
         count = int(values.get("sets", len(fringes)))
         return Candidate(
             fringes=tuple(fringes[:1] + fringes[len(fringes) - count + 1 :]),
-            exposure_s=values.get("exposure_s", begin.exposure_s),
-            stage_mm=values.get("stage_mm", begin.stage_mm),
-            convergence_deg=values.get("convergence_deg", begin.convergence_deg),
+            exposure_s=values.get("exposure_s", template.exposure_s),
+            stage_mm=values.get("stage_mm", template.stage_mm),
+            convergence_deg=values.get("convergence_deg", template.convergence_deg),
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
@@ -129,12 +129,12 @@ class Space:
             yield f"more than {wanted.images} images"
         yield from self.limits.refusals(candidate, wanted.pixels_per_period)
 
-    def of_group(self, *groups: Group) -> tuple[int, ...]:
+    def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
         """Places of the parameters of some groups."""
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 
-def _template(study: Study, source: str) -> Candidate:
+def _template_candidate(study: Study, source: str) -> Candidate:
     """The start with as many sets as there may be. Raises `ConfigError` when it cannot start a search."""
     plan, space = study.start, study.space
     check_unwrapping(plan, source)
@@ -152,8 +152,8 @@ def _template(study: Study, source: str) -> Candidate:
             )
     for i in range(1, count - len(fringes) + 1):
         fringes.insert(i, _middle(study, i, source))
-    turned = 0.0 if space.convergence_deg is not None else None
-    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, turned)
+    convergence_deg = 0.0 if space.convergence_deg is not None else None
+    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
 
 
 def _middle(study: Study, i: int, source: str) -> Fringes:
@@ -170,52 +170,52 @@ def _middle(study: Study, i: int, source: str) -> Fringes:
 def _parameters(study: Study) -> Iterator[Parameter]:
     space = study.space
     if space.sets:
-        yield Parameter("sets", "steps", *space.sets, whole=True)
+        yield Parameter("sets", "steps", *space.sets, is_integer=True)
     for i, steps in enumerate(space.steps):
         if steps:
-            yield Parameter(f"steps[{i}]", "steps", *steps, whole=True)
+            yield Parameter(f"steps[{i}]", "steps", *steps, is_integer=True)
     for i, stripes in enumerate(space.stripes):
         if stripes:
-            yield Parameter(f"stripes[{i}]", "stripes", *stripes, ratio=True)
+            yield Parameter(f"stripes[{i}]", "stripes", *stripes, is_logarithmic=True)
     if space.axis:
-        yield Parameter("axis", "stripes", 0, len(space.axis) - 1, whole=True)
+        yield Parameter("axis", "stripes", 0, len(space.axis) - 1, is_integer=True)
     if space.exposure_s:
-        yield Parameter("exposure_s", "light", *space.exposure_s, ratio=True)
+        yield Parameter("exposure_s", "light", *space.exposure_s, is_logarithmic=True)
     if space.stage_mm:
-        yield Parameter("stage_mm", "geometry", *space.stage_mm, every=space.stage_every_mm)
+        yield Parameter("stage_mm", "geometry", *space.stage_mm, grid_step=space.stage_every_mm)
     if space.convergence_deg:
         yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
 
 
-def _value(name: str, study: Study, begin: Candidate, source: str) -> float:
+def _value(name: str, study: Study, template: Candidate, source: str) -> float:
     """A parameter's value at the start."""
     kind, _, index = name.rstrip("]").partition("[")
     if index:
-        return float(getattr(begin.fringes[int(index)], kind))
+        return float(getattr(template.fringes[int(index)], kind))
     if kind == "sets":
         return len(study.start.fringes)
     if kind == "axis":
-        axis, choice = begin.fringes[0].axis, study.space.axis
+        axis, choice = template.fringes[0].axis, study.space.axis
         return choice.index(axis) if axis in choice else -1
-    value = getattr(begin, kind)
+    value = getattr(template, kind)
     if value is None:
         raise ConfigError(f"{source}: 'space.{kind}' is searched, and 'start' has no {kind} to begin with")
     return float(value)
 
 
-def _check_bounds(space: Space, source: str) -> None:
+def _check_bounds(space: SearchSpace, source: str) -> None:
     """Refuse bounds that contradict the start, each other, or the rig."""
     study, start = space.study, space.start
     for parameter, value in zip(space.parameters, start, strict=True):
-        if not parameter.holds(value):
+        if not parameter.contains(value):
             raise ConfigError(
-                f"{source}: 'space.{parameter.name}' is [{parameter.least:g}, {parameter.most:g}]: it does "
+                f"{source}: 'space.{parameter.name}' is [{parameter.lower:g}, {parameter.upper:g}]: it does "
                 f"not hold the start's {value:g}"
             )
     _check_stripes(space, source)
     space.limits.check(space.candidate(start), f"{source}: 'start'")
     for i, parameter in enumerate(space.parameters):
-        for bound in (parameter.least, parameter.most):
+        for bound in (parameter.lower, parameter.upper):
             _check_reach(space, i, bound, source)
     fewest, most = _fewest_images(space), study.constraints.images
     if most is not None and fewest > most:
@@ -224,11 +224,11 @@ def _check_bounds(space: Space, source: str) -> None:
         )
 
 
-def _check_stripes(space: Space, source: str) -> None:
+def _check_stripes(space: SearchSpace, source: str) -> None:
     """Refuse a base that is searched, and bounds within which stripes cannot grow from set to set."""
     bounds = space.study.space.stripes
     reached: dict[str, float] = {}
-    for i, fringe in enumerate(space.begin.fringes):
+    for i, fringe in enumerate(space.template.fringes):
         given = bounds[i] if bounds else None
         if given and fringe.axis not in reached:
             raise ConfigError(f"{source}: 'space.stripes[{i}]' is the base, which is held: write null")
@@ -241,13 +241,13 @@ def _check_stripes(space: Space, source: str) -> None:
         reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
 
 
-def _check_reach(space: Space, i: int, bound: float, source: str) -> None:
+def _check_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
     """Refuse a bound that the rig cannot show, along whichever axis."""
     names = [p.name for p in space.parameters]
     point = list(space.start)
     point[i] = bound
     if "sets" in names:
-        point[names.index("sets")] = space.parameters[names.index("sets")].most
+        point[names.index("sets")] = space.parameters[names.index("sets")].upper
     for axis in range(len(space.study.space.axis) or 1):
         if "axis" in names:
             point[names.index("axis")] = axis
@@ -258,8 +258,8 @@ def _check_reach(space: Space, i: int, bound: float, source: str) -> None:
             )
 
 
-def _fewest_images(space: Space) -> int:
+def _fewest_images(space: SearchSpace) -> int:
     given, sets = space.study.space.steps, space.study.space.sets
-    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.begin.fringes)]
+    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.template.fringes)]
     count = sets[0] if sets else len(least)
     return sum(bounds[0] for bounds in (least[:1] + least[len(least) - count + 1 :]))

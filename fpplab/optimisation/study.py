@@ -22,6 +22,9 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
+from fpplab.core.kinds import ByKind, members_by_kind
+from fpplab.optimisation import methods  # noqa: F401 - defines the members of SearchMethod
+from fpplab.optimisation.search_method import SearchMethod
 from fpplab.patterns.plan import Plan
 
 ANY_RIG = "any"
@@ -89,49 +92,6 @@ class Constraints(Document):
     smcd_of_start: Positive | None = None
 
 
-class Gradient(Document):
-    """Gradient descent, for comparison with the paper.
-
-    rate: share of a parameter's range that it goes down a slope of one start's worth per range. difference:
-    to both sides that the slope is taken over, a share of the range. gain: over `patience` epochs, in the
-    objective's own unit, below which it stops.
-    """
-
-    kind: Literal["gradient"]
-    rate: Annotated[float, Field(gt=0, le=1)] = 0.05
-    difference: Annotated[float, Field(gt=0, le=0.5)] = 0.02
-    gain: Annotated[float, Field(ge=0)] = 1.0
-    patience: Annotated[int, Field(ge=1)] = 5
-
-
-class Coordinate(Document):
-    """Moves along one parameter at a time, and exchanges of steps, of lengths that halve down to `finest`.
-
-    first, finest: shares of a parameter's range.
-    """
-
-    kind: Literal["coordinate"]
-    first: Annotated[float, Field(gt=0, le=1)] = 0.25
-    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
-
-
-class Bayesian(Document):
-    """Tree-structured Parzen estimators, `batch` candidates at a time."""
-
-    kind: Literal["bayesian"]
-    batch: Annotated[int, Field(ge=1)] = 8
-
-
-class Nsga2(Document):
-    """NSGA-II over all parameters together, begun with what single-parameter searches find."""
-
-    kind: Literal["nsga2"]
-    population: Annotated[int, Field(ge=4)] = 24
-
-
-SearchMethod = Annotated[Gradient | Coordinate | Bayesian | Nsga2, Field(discriminator="kind")]
-
-
 class CalibrationAt(Document):
     """A characterisation with the stage at a position, or as it stands."""
 
@@ -168,7 +128,7 @@ class Study(Document):
     constraints: Constraints = Constraints()
     objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (1, 2, 3)
-    method: SearchMethod
+    method: Annotated[SearchMethod, ByKind()]
     budget: Annotated[int, Field(ge=1)] = 400
 
     @model_validator(mode="after")
@@ -182,11 +142,10 @@ class Study(Document):
     @model_validator(mode="after")
     def _method_fits(self) -> Study:
         several = len(self.objectives) > 1
-        if several != (self.method.kind == "nsga2"):
-            wanted = "nsga2" if several else "gradient, coordinate or bayesian"
+        if several != self.method.several_objectives:
             raise ValueError(
                 f"'method.kind' is '{self.method.kind}': with {len(self.objectives)} of 'objectives' it "
-                f"must be {wanted}"
+                f"must be {_kinds(several)}"
             )
         return self
 
@@ -205,6 +164,16 @@ class Study(Document):
             raise ConfigError(
                 f"{source}: 'rig' is '{self.rig}', but the rig given is '{name}'; name that one, or `any`"
             )
+
+
+def _kinds(several_objectives: bool) -> str:
+    """The search methods for one objective, or for several, listed in words."""
+    kinds = [
+        kind
+        for kind, member in members_by_kind(SearchMethod).items()
+        if issubclass(member, SearchMethod) and member.several_objectives is several_objectives
+    ]
+    return " or ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
 
 
 def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:

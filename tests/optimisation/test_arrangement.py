@@ -13,8 +13,8 @@ from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
-from fpplab.optimisation.arrangement import Arrangement, Calibrations, drawn
-from fpplab.optimisation.sets import MeasuringSetup
+from fpplab.optimisation.arrangement import RigArranger, StageCalibrations, sample_calibration
+from fpplab.optimisation.fringe_cache import MeasuringSetup
 from tests.support.rigs import CAMERA, DIAMOND, PAIR
 from tests.support.rigs import SQUARE as PROJECTOR
 
@@ -28,7 +28,7 @@ def at(stage_mm: float) -> Calibration:
     return Calibration(CAMERA, PROJECTOR, moved.inverse(), {})
 
 
-KNOWN = Calibrations({mm: at(mm) for mm in (-20.0, 0.0, 40.0)})
+KNOWN = StageCalibrations({mm: at(mm) for mm in (-20.0, 0.0, 40.0)})
 
 
 @given(st.floats(-20, 40))
@@ -43,7 +43,7 @@ def test_what_differs_between_two_characterisations_is_shared_by_distance() -> N
     turn = RigidTransform.from_vectors(np.array([2e-4, -1e-4, 3e-4]), np.zeros(3))
     longer = replace(PROJECTOR, matrix=PROJECTOR.matrix * np.array([[1.001], [1.001], [1.0]]))
     other = Calibration(CAMERA, longer, turn @ at(40.0).T_projector_camera, {})
-    known = Calibrations({0.0: at(0.0), 40.0: other})
+    known = StageCalibrations({0.0: at(0.0), 40.0: other})
     quarter = known.at(10.0)
     assert quarter.projector.matrix[0, 0] == pytest.approx(PROJECTOR.matrix[0, 0] * 1.00025, rel=1e-12)
     apart = (quarter.T_projector_camera.rotation @ PAIR.rotation.T).astype(float)
@@ -53,9 +53,9 @@ def test_what_differs_between_two_characterisations_is_shared_by_distance() -> N
 
 def test_the_positions_themselves_are_as_they_were_measured() -> None:
     single = at(0.0)
-    assert Calibrations({None: single}).at() is single
-    assert Calibrations({0.0: single}).at(0.0) is single
-    assert Calibrations({0.0: single, 40.0: at(40.0)}).at(0.0) is single
+    assert StageCalibrations({None: single}).at() is single
+    assert StageCalibrations({0.0: single}).at(0.0) is single
+    assert StageCalibrations({0.0: single, 40.0: at(40.0)}).at(0.0) is single
 
 
 @given(st.floats(-5, 5))
@@ -88,7 +88,7 @@ def test_what_was_not_characterised_is_refused(
     known: dict[float | None, Calibration], stage_mm: float | None, message: str
 ) -> None:
     with pytest.raises(CalibrationError, match=message):
-        Calibrations(known).at(stage_mm)
+        StageCalibrations(known).at(stage_mm)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_calibrations_that_do_not_belong_together_are_refused(
     known: dict[float | None, Calibration], message: str
 ) -> None:
     with pytest.raises(CalibrationError, match=message):
-        Calibrations(known)
+        StageCalibrations(known)
 
 
 def test_calibrations_drawn_scatter_as_the_covariance_says() -> None:
@@ -111,7 +111,7 @@ def test_calibrations_drawn_scatter_as_the_covariance_says() -> None:
     sigma, shared = np.array([0.5, 1e-3, 0.02]), np.array([[1, 0.8, -0.6], [0.8, 1, -0.3], [-0.6, -0.3, 1]])
     calibration = replace(at(0), uncertainty=Uncertainty(names, shared * np.outer(sigma, sigma)))
     random, draws = np.random.default_rng(0), 2000
-    found = [drawn(calibration, random) for _ in range(draws)]
+    found = [sample_calibration(calibration, random) for _ in range(draws)]
     values = np.array(
         [
             [c.camera.matrix[0, 0], c.projector.distortion[0], c.T_projector_camera.translation[0]]
@@ -127,8 +127,8 @@ def test_calibrations_drawn_scatter_as_the_covariance_says() -> None:
 
 def test_only_exact_calibrations_are_exact() -> None:
     known = replace(at(0), uncertainty=Uncertainty(("camera.fx",), np.array([[1.0]])))
-    assert Calibrations({0.0: at(0)}).exact
-    assert not Calibrations({0.0: at(0), 40.0: replace(at(40), uncertainty=known.uncertainty)}).exact
+    assert StageCalibrations({0.0: at(0)}).is_exact
+    assert not StageCalibrations({0.0: at(0), 40.0: replace(at(40), uncertainty=known.uncertainty)}).is_exact
 
 
 class Recorder:
@@ -154,14 +154,14 @@ class Recorder:
 def test_only_what_changes_moves() -> None:
     rig = Recorder()
     rig.simulation = rig
-    stand = Arrangement(rig)  # type: ignore[arg-type]
-    for view in (
+    arrange = RigArranger(rig)  # type: ignore[arg-type]
+    for setup in (
         MeasuringSetup("steps", 0.02, 5.0, 0.0),
         MeasuringSetup("steps", 0.01, 5.0, 0.0),
         MeasuringSetup("steps", 0.01, 6.0, 0.0),
         MeasuringSetup("pillars", 0.01, 6.0, 1.0),
     ):
-        stand(view)
+        arrange(setup)
     assert rig.told == [
         ("stage", 5.0), ("turn", 0.0), ("mount", "steps"), ("stage", 6.0), ("turn", 1.0), ("mount", "pillars")
     ]  # fmt: skip
@@ -169,11 +169,11 @@ def test_only_what_changes_moves() -> None:
 
 def test_a_real_projector_is_not_turned() -> None:
     with pytest.raises(ConfigError, match="'convergence_deg' is 2, but only a simulated projector"):
-        Arrangement(Recorder())(MeasuringSetup("steps", 0.02, None, 2.0))  # type: ignore[arg-type]
+        RigArranger(Recorder())(MeasuringSetup("steps", 0.02, None, 2.0))  # type: ignore[arg-type]
 
 
 def test_the_lattice_of_what_lies_between_is_the_projector_s() -> None:
     diamonds = {mm: replace(at(mm), projector=DIAMOND) for mm in (0.0, 40.0)}
-    found: Pinhole = Calibrations(diamonds).at(20.0).projector
+    found: Pinhole = StageCalibrations(diamonds).at(20.0).projector
     assert found.lattice is Lattice.DIAMOND
     assert found.size == DIAMOND.size

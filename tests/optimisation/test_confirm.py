@@ -12,7 +12,7 @@ from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation import confirm as module
-from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, confirm
 from fpplab.optimisation.scoring import ArtefactFigures
@@ -42,7 +42,7 @@ def study() -> Study:
 class Evaluator:
     """100 µm before and 40 µm after, with 5 and 1 µm of noise; each px of focal length adds 2 µm to both."""
 
-    known = Calibrations({None: EXACT})
+    known = StageCalibrations({None: EXACT})
     random = np.random.default_rng(3)
 
     def __init__(self, rig: str, study: Study, samples: int) -> None:
@@ -50,7 +50,7 @@ class Evaluator:
         Evaluator.last = self  # type: ignore[attr-defined]
 
     def figures(
-        self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
+        self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
         fine = candidate.fringes[1].stripes == 64
         if calibrations is None:
@@ -99,7 +99,7 @@ def test_the_sample_is_the_same_for_all_repeats() -> None:
 def test_a_calibration_that_is_not_exact_is_common_to_both(
     evaluator: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluator, "known", Calibrations({None: UNSURE}))
+    monkeypatch.setattr(evaluator, "known", StageCalibrations({None: UNSURE}))
     found = confirm("rig", study(), BEFORE, AFTER, repeats=2)
     # 2 µm per px on both, so the gain moves by 2 (0.4 - 1)/100 per px.
     expected = 2.0 * 0.6 / 100.0 * SIGMA_PX

@@ -13,8 +13,8 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.goal import Goal
-from fpplab.optimisation.run import SearchResult, calibrated, processes, run_search
+from fpplab.optimisation.run import SearchResult, run_search, with_calibrations, worker_count
+from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
@@ -34,13 +34,13 @@ FRONT: dict[str, Any] = {
 }
 
 
-def searched(what: Goal, wanted: Study, out: Path, **more: Any) -> SearchResult:
-    return run_search(what, "rig_demo", wanted, out, "study.yaml", opener=Formula(noise_um=1.0), **more)
+def searched(what: SearchScope, wanted: Study, out: Path, **more: Any) -> SearchResult:
+    return run_search(what, "rig_demo", wanted, out, "study.yaml", factory=Formula(noise_um=1.0), **more)
 
 
 def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
     seen: list[SearchEpoch] = []
-    found = searched(Goal.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
+    found = searched(SearchScope.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
     assert [p.name for p in found.plans] == [
         f"plan_{i:02d}_{n}images.yaml" for i, n in enumerate(range(19, 12, -1), 1)
     ]
@@ -60,7 +60,12 @@ def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> N
     log = tmp_path / "log"
     wanted = study(artefacts=ITEMS, seeds=[3, 7])
     found = run_search(
-        Goal.STRIPES, "rig_demo", wanted, tmp_path / "p.yaml", "s", opener=Formula(log=log, noise_um=1.0)
+        SearchScope.STRIPES,
+        "rig_demo",
+        wanted,
+        tmp_path / "p.yaml",
+        "s",
+        factory=Formula(log=log, noise_um=1.0),
     )
     seeds = [int(line.split()[1]) for line in log.read_text().splitlines()]
     assert set(seeds) == {3, 7, 8, 9}
@@ -76,7 +81,7 @@ def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> N
 def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
     wanted = study(artefacts=ITEMS, constraints={"smcd_of_start": 0.5}, budget=40)
     with pytest.raises(DataError, match="keeps the study's limits; the best breaks surface_smcd_um by"):
-        searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
+        searched(SearchScope.STRIPES, wanted, tmp_path / "p.yaml")
     assert not (tmp_path / "p.yaml").exists()
     assert (tmp_path / "p.jsonl").exists()
 
@@ -84,14 +89,18 @@ def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("what", "changes", "words"),
     [
-        (Goal.PHASES, {"artefacts": ITEMS}, r"searches stripes\[1\], stripes\[2\], which `optimise phases`"),
-        (Goal.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
-        (Goal.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
-        (Goal.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
+        (
+            SearchScope.PHASES,
+            {"artefacts": ITEMS},
+            r"searches stripes\[1\], stripes\[2\], which `optimise phases`",
+        ),
+        (SearchScope.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
+        (SearchScope.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
+        (SearchScope.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
     ],
 )
 def test_a_study_for_something_else_is_refused(
-    tmp_path: Path, what: Goal, changes: dict[str, Any], words: str
+    tmp_path: Path, what: SearchScope, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         searched(what, study(**changes), tmp_path / "p.yaml")
@@ -100,7 +109,7 @@ def test_a_study_for_something_else_is_refused(
 def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> None:
     start = {"fringes": FRINGES, "filter": None, "settle_s": 0.05, "masks": {"modulation_min": 7.0}}
     wanted = study(artefacts=ITEMS, start=start, constraints={"completeness_of_start": 0.9}, budget=12)
-    found = searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
+    found = searched(SearchScope.STRIPES, wanted, tmp_path / "p.yaml")
     written = Plan.load(tmp_path / "p.yaml")
     assert written == found.optimum.candidate.plan(wanted.start)
     assert written.filter is None
@@ -110,7 +119,7 @@ def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> 
 def test_a_search_shows_in_the_viewer(tmp_path: Path) -> None:
     with Viewer.open(tmp_path / "search.rrd") as viewer:
         searched(
-            Goal.BASELINE,
+            SearchScope.BASELINE,
             study(artefacts=ITEMS, space={"stage_mm": [-40, 40]}),
             tmp_path / "p.yaml",
             observe=viewer.search,
@@ -162,7 +171,7 @@ def test_a_rig_is_characterised_where_the_stage_will_stand(
 
     monkeypatch.setattr("fpplab.optimisation.run.characterise_positions", characterised)
     with Rig.load("rig_demo_quick") as rig:
-        known = calibrated(rig, study(**FRONT), tmp_path, stands=stands).calibrations
+        known = with_calibrations(rig, study(**FRONT), tmp_path, stands=stands).calibrations
     assert asked == [wanted]
     assert [(one.stage_mm, one.file) for one in known] == [
         (mm, str((tmp_path / f"{mm:g}.yaml").resolve())) for mm in wanted
@@ -185,10 +194,10 @@ def test_every_core_measures_on_a_simulation(
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 8)
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=gigabytes << 30))
-    assert processes(replace(LIMITS, copies=copies), wanted) == count
+    assert worker_count(replace(LIMITS, allows_copies=copies), wanted) == count
 
 
 def test_instruments_serve_one_process() -> None:
-    assert processes(LIMITS, 1) == 1
+    assert worker_count(LIMITS, 1) == 1
     with pytest.raises(ConfigError, match="--workers 2: rig 'Formula' is no simulation"):
-        processes(LIMITS, 2)
+        worker_count(LIMITS, 2)

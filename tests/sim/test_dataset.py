@@ -25,11 +25,11 @@ from fpplab.core.conventions import TWO_PI
 from fpplab.core.errors import ConfigError, DataError, DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.dataset import Dataset
-from fpplab.dataset.card import begin
-from fpplab.dataset.labels import labels_of
-from fpplab.dataset.making import DatasetRequest, Maker, need_simulation
-from fpplab.dataset.scenes import Scenes, draw
-from fpplab.dataset.shard import claimed, shard_name
+from fpplab.dataset.card import prepare_folder
+from fpplab.dataset.labels import trace_labels
+from fpplab.dataset.making import DatasetMaker, DatasetRequest, need_simulation
+from fpplab.dataset.scenes import SceneRanges, draw_scene
+from fpplab.dataset.shard import claim_shard, shard_name
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
@@ -49,7 +49,7 @@ PLAN = Plan(
         FringeSet(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (0.95, 6, 30)
     )
 )
-ALL = Scenes.load("dataset_demo.yaml")
+ALL = SceneRanges.load("dataset_demo.yaml")
 BOARDS = ALL.model_copy(
     update={"artefacts": (), "reflectance": (0.6, 0.65), "ink": (0.58, 0.59), "charge": (0.1, 0.3)}
 )
@@ -58,13 +58,15 @@ so little contrast and so much noise that print does not move the phase by as mu
 
 
 @contextmanager
-def opened(folder: Path, scenes: Scenes = BOARDS, samples: int = 5, **options: Any) -> Iterator[Maker]:
+def opened(
+    folder: Path, scenes: SceneRanges = BOARDS, samples: int = 5, **options: Any
+) -> Iterator[DatasetMaker]:
     """A maker of small samples, two to a shard."""
     write_world(folder, plain(render={"subpixels": 3}))
     (folder / "rig.yaml").write_text(RIG_OF_BOARDS)
     with Rig.load(folder / "rig.yaml") as rig:
         wanted = DatasetRequest(PLAN, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
-        yield Maker(rig, wanted)
+        yield DatasetMaker(rig, wanted)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +151,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     meshes = [trimesh.creation.box(bounds=np.array(bounds, float)) for bounds in corners]
     mesh = trimesh.util.concatenate(meshes).apply_transform(pose.matrix)
     devices = Calibration(of.camera_model(), of.projector_model(), of.T_projector_camera(), {})
-    labels = labels_of(SceneTruth(mesh, devices))
+    labels = trace_labels(SceneTruth(mesh, devices))
     caster = Caster(devices.camera, devices.projector, devices.T_projector_camera, 475.0, 1.0)
     seen = caster.look(boxes, 1)
     wide, high = devices.projector.size
@@ -177,12 +179,12 @@ def test_labels_of_a_plate_from_behind_are_dark() -> None:
     )
     camera = Pinhole.from_focal((64, 48), (400.0, 400.0), (31.5, 23.5))
     behind = RigidTransform.from_vectors(np.array([0.0, np.pi, 0.0]), np.array([0.0, 0.0, 900.0]))
-    labels = labels_of(SceneTruth(plate, Calibration(camera, camera, behind, {})))
+    labels = trace_labels(SceneTruth(plate, Calibration(camera, camera, behind, {})))
     assert np.isfinite(labels.depth).sum() > 1000
     assert not labels.mask.any()
     assert (labels.normals[2][np.isfinite(labels.depth)] == -1).all()
     beside = RigidTransform.from_vectors(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
-    assert labels_of(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
+    assert trace_labels(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
 
 
 def test_boards_agree_with_their_labels(boards: Dataset) -> None:
@@ -217,9 +219,9 @@ DEVICES = Calibration(
 
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6))
 def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
-    scene = draw(ALL, seed, index, DEVICES, 0.0)
-    assert scene == draw(ALL, seed, index, DEVICES, 0.0)
-    assert scene != draw(ALL, seed, index + 1, DEVICES, 0.0)
+    scene = draw_scene(ALL, seed, index, DEVICES, 0.0)
+    assert scene == draw_scene(ALL, seed, index, DEVICES, 0.0)
+    assert scene != draw_scene(ALL, seed, index + 1, DEVICES, 0.0)
     for name, drawn in scene.model_dump().items():
         if isinstance(ends := getattr(ALL, name, None), tuple) and isinstance(drawn, float):
             assert ends[0] <= drawn <= ends[1], name
@@ -259,14 +261,14 @@ def test_a_draft_of_a_killed_process_is_begun_anew(boards: Dataset, tmp_path: Pa
 def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:
-        begin(out, maker.card())
-        with claimed(out, 1) as draft:
+        prepare_folder(out, maker.card())
+        with claim_shard(out, 1) as draft:
             assert draft is not None
-            with claimed(out, 1) as again:
+            with claim_shard(out, 1) as again:
                 assert again is None
             maker.make(out)
             assert Dataset(out).indices == [0, 1, 4]
-        with claimed(out, 1) as done:
+        with claim_shard(out, 1) as done:
             assert done is None
         (out / shard_name(1)).rmdir()  # empty: nobody filled that draft
         maker.make(out)
@@ -275,7 +277,7 @@ def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset)
 
 def test_who_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     def fail() -> None:
-        with claimed(tmp_path, 0) as draft:
+        with claim_shard(tmp_path, 0) as draft:
             assert draft is not None
             (draft / "half").write_bytes(b"half")
             raise DeviceError("camera", "snap", "unplugged")
@@ -400,7 +402,7 @@ def test_a_full_disk_is_told_and_leaves_no_half_shard(
 ) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:
-        begin(out, maker.card())
+        prepare_folder(out, maker.card())
         for n in (1, 5):
             with monkeypatch.context() as patch:
                 patch.setattr(os, "fsync", FullAt(n, os.fsync))
@@ -441,9 +443,9 @@ def test_wrong_ranges_are_refused(tmp_path: Path, change: dict[str, Any], named:
     data = {**config.parse_yaml(config.read_text(config.find_config("dataset_demo.yaml")), ""), **change}
     (tmp_path / "ranges.yaml").write_text(config.to_yaml(data))
     with pytest.raises(ConfigError, match=named):
-        Scenes.load(tmp_path / "ranges.yaml")
+        SceneRanges.load(tmp_path / "ranges.yaml")
 
 
 def test_ranges_that_leave_no_pose_are_refused() -> None:
     with pytest.raises(ConfigError, match="hardly any item lies there in the camera's image and"):
-        draw(ALL.model_copy(update={"distance_mm": (20.0, 25.0)}), 0, 0, DEVICES, 0.0)
+        draw_scene(ALL.model_copy(update={"distance_mm": (20.0, 25.0)}), 0, 0, DEVICES, 0.0)

@@ -17,7 +17,7 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
-from fpplab.optimisation.measuring import RigEvaluator, candidate_of
+from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.pipeline import reconstruct, take
@@ -84,8 +84,8 @@ def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: P
 @pytest.mark.slow
 def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Path) -> None:
     """The noise is another draw, and the scan's is all that differs."""
-    plan = candidate_of(START).plan(START).model_copy(update={"stage_mm": 0.0})
-    score = measured(folder, (candidate_of(plan), 1))[0][0]
+    plan = candidate_from_plan(START).plan(START).model_copy(update={"stage_mm": 0.0})
+    score = measured(folder, (candidate_from_plan(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
         session = take(rig, plan, tmp_path / "scan", ("pillars", 0))
         true = artefacts.make("pillars")
@@ -120,7 +120,7 @@ def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> Non
             middle, projector = true.bounds.mean(axis=0), world.T_projector_camera(mm).inverse().translation
             a, b, c = (float(np.linalg.norm(side)) for side in (middle, middle - projector, projector))
             angle = math.degrees(math.acos((a**2 + b**2 - c**2) / (2 * a * b)))
-            assert evaluator.angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
+            assert evaluator.triangulation_angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
 
 
 def test_a_study_without_what_it_needs_is_refused(folder: Path) -> None:

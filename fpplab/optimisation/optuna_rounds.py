@@ -15,12 +15,12 @@ from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.space import Parameter, Point
 
-TRIES = 50
+MAX_REFUSED_PER_POINT = 50
 """Points refused in a row, for each of a round, after which the sampler is said to find no more."""
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def quiet_optuna() -> Iterator[None]:
     """Optuna keeps its remarks to itself."""
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -32,46 +32,48 @@ def quiet() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def study_of(lab: CandidateRunner, sampler: Any) -> Any:
+def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
     """An optuna study in memory: what it forgets, the journal answers again."""
-    return optuna.create_study(directions=["minimize"] * len(lab.space.study.objectives), sampler=sampler)
+    return optuna.create_study(directions=["minimize"] * len(runner.space.study.objectives), sampler=sampler)
 
 
-def enqueue(study: Any, lab: CandidateRunner, points: Sequence[Point]) -> None:
+def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
     """Have these asked first."""
     for point in points:
-        named = zip(lab.space.parameters, point, strict=True)
-        study.enqueue_trial({p.name: int(v) if p.whole else v for p, v in named})
+        named = zip(runner.space.parameters, point, strict=True)
+        study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
 
 
-def round_of(study: Any, lab: CandidateRunner, size: int) -> list[MeasuredCandidate]:
+def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[MeasuredCandidate]:
     """`size` points that can be shown, asked together, measured, and told in the order asked.
 
     What is refused is told as failed, and another asked in its place; empty when there is no other.
     """
     asked: list[tuple[Any, Point]] = []
-    for _ in range(TRIES * size):
+    for _ in range(MAX_REFUSED_PER_POINT * size):
         trial = study.ask()
-        point = tuple(_suggested(trial, parameter) for parameter in lab.space.parameters)
-        if lab.admits(point):
+        point = tuple(_suggested(trial, parameter) for parameter in runner.space.parameters)
+        if runner.is_feasible(point):
             asked.append((trial, point))
         else:
             study.tell(trial, state=TrialState.FAIL)
         if len(asked) == size:
             break
-    trials = lab.measure([point for _, point in asked])
+    trials = runner.measure([point for _, point in asked])
     for (trial, _), found in zip(asked, trials, strict=True):
         if found.measured:
-            for limit, broken in lab.judge.violations(found).items():
+            for limit, broken in runner.ranking.violations(found).items():
                 trial.set_constraint(limit, broken)
-            study.tell(trial, lab.judge.values(found))
+            study.tell(trial, runner.ranking.values(found))
         else:
             study.tell(trial, state=TrialState.FAIL)
     return trials
 
 
 def _suggested(trial: Any, parameter: Parameter) -> float:
-    if parameter.whole:
-        return float(trial.suggest_int(parameter.name, int(parameter.least), int(parameter.most)))
-    value = trial.suggest_float(parameter.name, parameter.least, parameter.most, log=parameter.ratio)
-    return parameter.tidy(value)
+    if parameter.is_integer:
+        return float(trial.suggest_int(parameter.name, int(parameter.lower), int(parameter.upper)))
+    value = trial.suggest_float(
+        parameter.name, parameter.lower, parameter.upper, log=parameter.is_logarithmic
+    )
+    return parameter.rounded(value)

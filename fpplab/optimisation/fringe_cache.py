@@ -48,7 +48,7 @@ class _Key:
     place: int
 
 
-class FringeSets:
+class FringeSetCache:
     """The frames of fringe sets on an open rig, acquired when they are asked for first.
 
     like: everything about a plan but its fringes and exposure. stand: brings the rig to a view before

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.candidate import Fringes
-from fpplab.optimisation.sets import FringeSets, MeasuringSetup
+from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from sim.build import Setup
@@ -25,7 +25,7 @@ LIKE = Plan(fringes=(FringeSet(axis="x", stripes=1, steps=3),))
 CARD = MeasuringSetup("card", 0.02)
 BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
 
-Sets = Callable[..., FringeSets]
+Sets = Callable[..., FringeSetCache]
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "shaking"])
@@ -42,11 +42,11 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture
 def sets(rig: Rig) -> Sets:
     """New sets on the rig, which know of nothing before."""
-    return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
+    return lambda **options: FringeSetCache(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
 
 
 def stack(
-    sets: FringeSets, *fringes: Fringes, seed: int = 1, view: MeasuringSetup = CARD
+    sets: FringeSetCache, *fringes: Fringes, seed: int = 1, view: MeasuringSetup = CARD
 ) -> NDArray[np.uint8]:
     return np.stack(sets.frames(view, fringes, seed))
 
@@ -115,7 +115,7 @@ def test_what_is_forgotten_is_acquired_again_and_is_the_same(sets: Sets) -> None
 
 def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
     stood: list[MeasuringSetup] = []
-    store = FringeSets(rig, LIKE, stood.append)
+    store = FringeSetCache(rig, LIKE, stood.append)
     rig.fixture.mount("card")  # type: ignore[union-attr]
     stack(store, BASE)
     stack(store, fewer(BASE, 6))
@@ -146,5 +146,5 @@ def test_a_projector_turned_towards_the_camera_is_where_the_calibration_says(tmp
     known = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(12.0), {})
     turned = Setup("card", stage_mm=12.0, convergence_deg=1.5).T_projector_camera(world)
     np.testing.assert_allclose(
-        turned.matrix, Calibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
+        turned.matrix, StageCalibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
     )

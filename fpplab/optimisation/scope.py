@@ -5,11 +5,11 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
-Group = Literal["steps", "stripes", "geometry", "light"]
+ParameterGroup = Literal["steps", "stripes", "geometry", "light"]
 """Parameters that belong together."""
 
 
-class Goal(StrEnum):
+class SearchScope(StrEnum):
     """A search."""
 
     PHASES = "phases"
@@ -18,14 +18,14 @@ class Goal(StrEnum):
     PARETO = "pareto"
 
     @property
-    def groups(self) -> tuple[Group, ...]:
+    def groups(self) -> tuple[ParameterGroup, ...]:
         """The parameters that it may have."""
         return _GROUPS[self]
 
 
-_GROUPS: dict[Goal, tuple[Group, ...]] = {
-    Goal.PHASES: ("steps",),
-    Goal.STRIPES: ("stripes",),
-    Goal.BASELINE: ("geometry",),
-    Goal.PARETO: ("steps", "stripes", "geometry", "light"),
+_GROUPS: dict[SearchScope, tuple[ParameterGroup, ...]] = {
+    SearchScope.PHASES: ("steps",),
+    SearchScope.STRIPES: ("stripes",),
+    SearchScope.BASELINE: ("geometry",),
+    SearchScope.PARETO: ("steps", "stripes", "geometry", "light"),
 }
