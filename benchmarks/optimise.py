@@ -39,9 +39,11 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation import objectives
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
+from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
 from fpplab.optimisation.measuring import candidate_from_plan
 from fpplab.optimisation.methods.gradient import Gradient
-from fpplab.optimisation.run import ConfirmedPlan, SearchResult, confirm_result, run_search, with_calibrations
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search, with_calibrations
 from fpplab.optimisation.scheduling import DaskWorkers, EvaluatorFactory, RigEvaluatorFactory, Task
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.storage import ScoresOrReason

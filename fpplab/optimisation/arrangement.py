@@ -1,8 +1,8 @@
-"""How a rig is arranged for a candidate (stage, turn of the projector, item), and how it is calibrated then.
+"""Brings a rig to a candidate's stage position, projector rotation and item, and finds its calibration there.
 
 What a stage does to the geometry is measured, not assumed: the rig is characterised with the stage at two or
-more positions, and between two of them every parameter of the calibration is taken on the straight line. So
-the parts of a calibration stay consistent with one another, which those of two different ones are not.
+more positions, and between two of them every parameter of the calibration is interpolated linearly, so that
+the parameters stay consistent with one another. Those taken from two different calibrations would not be.
 """
 
 from __future__ import annotations
@@ -31,14 +31,20 @@ TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
 
 
 class RigArranger:
-    """Brings an open rig to views, moving only what has to move."""
+    """Brings an open rig to a measuring setup, moving only what has to move.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._current = MeasuringSetup("", 0.0)
 
     def __call__(self, setup: MeasuringSetup) -> None:
-        """Stage, projector and item as the setup says. Raises `ConfigError`, `DeviceError`."""
+        """Move the stage, turn the projector and mount the item. Raises `ConfigError`, `DeviceError`."""
         if setup.stage_mm is not None and setup.stage_mm != self._current.stage_mm:
             self._rig.place_stage(setup.stage_mm)
         if setup.convergence_deg is not None and setup.convergence_deg != self._current.convergence_deg:
@@ -57,10 +63,18 @@ class RigArranger:
 
 
 class StageCalibrations:
-    """Calibrations of a rig with its stage at one or more positions in mm, or one as it stands (None).
+    """Calibrations of a rig by stage position.
 
-    Raises `CalibrationError` when they are of different devices, or the projector has not moved as the
-    stage has.
+    Parameters
+    ----------
+    by_position : mapping of float or None to Calibration
+        Calibrations by position of the stage in mm; or a single one under None, which holds for the stage
+        wherever it is.
+
+    Raises
+    ------
+    CalibrationError
+        The calibrations are of different devices, or the projector has not moved as far as the stage has.
     """
 
     def __init__(self, by_position: Mapping[float | None, Calibration]) -> None:
@@ -76,10 +90,24 @@ class StageCalibrations:
         self._check_travel()
 
     def at(self, stage_mm: float | None = None, convergence_deg: float | None = None) -> Calibration:
-        """The calibration with the stage at a position, and the projector turned towards the camera.
+        """Compute the calibration for a stage position and a rotation of the projector.
 
-        stage_mm: None is where it stands, which only a single calibration tells. Raises `CalibrationError`
-        outside what was characterised.
+        Parameters
+        ----------
+        stage_mm : float, optional
+            Position of the stage in mm; None is where it is, which only a single calibration can tell.
+        convergence_deg : float, optional
+            Rotation of the projector towards the camera in degrees.
+
+        Returns
+        -------
+        Calibration
+            A known calibration, or one interpolated between the two nearest positions.
+
+        Raises
+        ------
+        CalibrationError
+            The position lies outside what was characterised, or is missing.
         """
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
@@ -89,11 +117,22 @@ class StageCalibrations:
 
     @property
     def is_exact(self) -> bool:
-        """Whether none of them has a covariance, as a simulation's own has not."""
+        """Whether no calibration has a covariance, as those that a simulation states of itself."""
         return all(known.uncertainty is None for known in self._known)
 
     def sample(self, random: np.random.Generator) -> StageCalibrations:
-        """Others that could as well have been found, each drawn from its own covariance."""
+        """Draw calibrations that could as well have been found, each from its own covariance.
+
+        Parameters
+        ----------
+        random : numpy.random.Generator
+            Source of the random numbers.
+
+        Returns
+        -------
+        StageCalibrations
+            Other calibrations at the same positions.
+        """
         others = [sample_calibration(known, random) for known in self._known]
         return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
@@ -130,13 +169,39 @@ class StageCalibrations:
 
 
 def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibration:
-    """The same with the projector turned towards the camera where it stands."""
+    """Rotate the projector of a calibration towards the camera, about its own centre.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As it is before.
+    convergence_deg : float
+        Angle in degrees.
+
+    Returns
+    -------
+    Calibration
+        With the other pose, without uncertainty.
+    """
     pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
     return replace(calibration, T_projector_camera=pose, uncertainty=None)
 
 
 def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
-    """One that measuring could as well have found, drawn from the covariance; itself if there is none."""
+    """Draw a calibration from the covariance of a measured one.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The mean, with its covariance.
+    random : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    Calibration
+        One that could as well have been found; the same object if it has no covariance.
+    """
     known = calibration.uncertainty
     if known is None:
         return calibration
@@ -161,7 +226,24 @@ def _changed(device: Pinhole, change: Sequence[float]) -> Pinhole:
 
 
 def interpolate_calibrations(low: Calibration, high: Calibration, share: float) -> Calibration:
-    """The calibration at a share of the way from one to another, every parameter on the straight line."""
+    """Interpolate linearly between two calibrations of the same devices.
+
+    Rotations are interpolated about their common axis.
+
+    Parameters
+    ----------
+    low : Calibration
+        The calibration at share 0.
+    high : Calibration
+        The calibration at share 1.
+    share : float
+        Position between the two, 0 … 1.
+
+    Returns
+    -------
+    Calibration
+        The calibration there, without uncertainty.
+    """
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     whole = RigidTransform(turn, np.zeros(3)).rotation_vector
     part = RigidTransform.from_vectors(share * whole, np.zeros(3)).rotation
@@ -193,10 +275,40 @@ def characterise_positions(
     folder: Path,
     progress: Progress = no_progress,
 ) -> dict[float | None, Path]:
-    """Characterise an open rig with its stage at each of these positions; the calibration files by position.
+    """Characterise an open rig with its stage at several positions.
 
-    positions: in mm, None for where it stands. board: as the fixture calls it. Sessions and calibrations
-    stay in `folder`; what is there already is kept. Raises `CalibrationError`, `DeviceError`, `DataError`.
+    Sessions and calibrations are kept in `folder`; positions whose calibration is there already are skipped.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    positions : sequence of float or None
+        Positions of the stage in mm; None for where it is.
+    plan : Plan
+        Plan with which the board is measured.
+    board : str
+        Item of the fixture that is the calibration board.
+    target : Target
+        The calibration board.
+    poses : int
+        Number of poses of the board at each position.
+    folder : Path
+        Where sessions and calibrations are stored.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    dict of float or None to Path
+        Calibration file of each position.
+
+    Raises
+    ------
+    CalibrationError, DataError
+        From the characterisation.
+    DeviceError
+        From the rig.
     """
     files: dict[float | None, Path] = {}
     for done, mm in enumerate(positions):

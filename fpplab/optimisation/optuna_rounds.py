@@ -1,4 +1,4 @@
-"""optuna's samplers, asked for points and told what came of them, in rounds of fixed size."""
+"""Rounds of a fixed number of candidates that an optuna sampler proposes, shared by the methods that use optuna."""
 
 from __future__ import annotations
 
@@ -16,12 +16,18 @@ from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.space import Parameter, Point
 
 MAX_REFUSED_PER_POINT = 50
-"""Points refused in a row, for each of a round, after which the sampler is said to find no more."""
+"""Proposals for each point of a round after which the sampler counts as exhausted."""
 
 
 @contextmanager
 def quiet_optuna() -> Iterator[None]:
-    """Optuna keeps its remarks to itself."""
+    """Silence optuna's log messages and warnings.
+
+    Yields
+    ------
+    None
+        While they are silenced.
+    """
     before = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     try:
@@ -33,21 +39,63 @@ def quiet_optuna() -> Iterator[None]:
 
 
 def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
-    """An optuna study in memory: what it forgets, the journal answers again."""
+    """Make an optuna study in memory; the journal makes it unnecessary to store it.
+
+    Parameters
+    ----------
+    runner : CandidateRunner
+        Its study tells the number of objectives.
+    sampler : optuna.samplers.BaseSampler
+        Proposes points.
+
+    Returns
+    -------
+    optuna.Study
+        The study, which minimises every objective.
+    """
     return optuna.create_study(directions=["minimize"] * len(runner.space.study.objectives), sampler=sampler)
 
 
 def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
-    """Have these asked first."""
+    """Have points proposed before any that the sampler chooses.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The optuna study.
+    runner : CandidateRunner
+        Knows the parameters.
+    points : sequence of Point
+        Points of the space.
+    """
     for point in points:
         named = zip(runner.space.parameters, point, strict=True)
         study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
 
 
 def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[MeasuredCandidate]:
-    """`size` points that can be shown, asked together, measured, and told in the order asked.
+    """Ask the sampler for points, measure them together, and tell it the results in the order asked.
 
-    What is refused is told as failed, and another asked in its place; empty when there is no other.
+    A point that the rig or the study does not allow is told as failed, and another one is asked for.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The optuna study.
+    runner : CandidateRunner
+        Measures the points.
+    size : int
+        Number of points.
+
+    Returns
+    -------
+    list of MeasuredCandidate
+        The candidates in the order asked; fewer than `size`, or none, if the sampler finds no more.
+
+    Raises
+    ------
+    BudgetExhausted
+        From `CandidateRunner.measure`.
     """
     asked: list[tuple[Any, Point]] = []
     for _ in range(MAX_REFUSED_PER_POINT * size):

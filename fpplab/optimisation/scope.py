@@ -1,4 +1,4 @@
-"""What can be searched, by the names of the command line."""
+"""What `fpplab optimise` can search, by the names of the command line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from enum import StrEnum
 from typing import Literal
 
 ParameterGroup = Literal["steps", "stripes", "geometry", "light"]
-"""Parameters that belong together."""
+"""Groups of search parameters: phase steps, stripe counts, geometry of the rig, exposure."""
 
 
 class SearchScope(StrEnum):
-    """A search."""
+    """What a search varies, as named on the command line."""
 
     PHASES = "phases"
     STRIPES = "stripes"
@@ -19,7 +19,7 @@ class SearchScope(StrEnum):
 
     @property
     def groups(self) -> tuple[ParameterGroup, ...]:
-        """The parameters that it may have."""
+        """Groups of parameters that a study of this scope may search."""
         return _GROUPS[self]
 
 

@@ -1,6 +1,6 @@
-"""The search space: points of parameters, and the candidates that they stand for.
+"""The search space: parameters with their ranges, points, and the candidates that they stand for.
 
-A point that no rig can show is refused with its reason; it is never moved to one that can be shown.
+A point that the rig cannot show is refused with the reason; it is never moved to one that it can.
 """
 
 from __future__ import annotations
@@ -18,18 +18,32 @@ from fpplab.optimisation.study import Study
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]
-"""One value for each parameter of a space, in its own unit; of an axis its place among those to choose."""
+"""One value for each parameter of a space, in its own unit; for the axis its index among those to choose from."""
 
 DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
-"""To which values are rounded, so that a plan is read easily."""
+"""Decimals to which values are rounded, to keep plans readable."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One thing that is searched.
+    """One parameter of a search.
 
-    name: as in a study file. whole: integers alone. ratio: whether its ratios count and not its
-    differences. every: between two values that may be asked for, None for all.
+    Attributes
+    ----------
+    name : str
+        As in a study file, for example "stripes[1]".
+    group : ParameterGroup
+        What it belongs to.
+    lower : float
+        Least value, in the parameter's unit.
+    upper : float
+        Greatest value.
+    is_integer : bool
+        Whether only integers are allowed.
+    is_logarithmic : bool
+        Whether equal ratios of values count as equal distances.
+    grid_step : float or None
+        Distance between allowed values, counted from `lower`; None if all are allowed.
     """
 
     name: str
@@ -41,7 +55,18 @@ class Parameter:
     grid_step: float | None = None
 
     def fraction(self, value: float) -> float:
-        """Where in its range a value lies, 0 … 1."""
+        """Compute where in its range a value lies.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        float
+            0 at the lower end of the range, 1 at the upper.
+        """
         if self.upper == self.lower:
             return 0.0
         if self.is_logarithmic:
@@ -49,7 +74,18 @@ class Parameter:
         return (value - self.lower) / (self.upper - self.lower)
 
     def value_at(self, fraction: float) -> float:
-        """The value at a share of its range; whole or rounded."""
+        """Compute the value at a fraction of the range.
+
+        Parameters
+        ----------
+        fraction : float
+            0 at the lower end of the range, 1 at the upper.
+
+        Returns
+        -------
+        float
+            The value, rounded as by `rounded`.
+        """
         if self.is_logarithmic:
             value = self.lower * (self.upper / self.lower) ** fraction
         else:
@@ -57,7 +93,18 @@ class Parameter:
         return self.rounded(value)
 
     def rounded(self, value: float) -> float:
-        """The value as a candidate has it."""
+        """Round a value to an integer, to the grid, or to a few decimals, within the range.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        float
+            The value that a candidate gets.
+        """
         if self.is_integer:
             return float(round(value))
         if self.grid_step is not None:
@@ -66,13 +113,38 @@ class Parameter:
         return min(max(tidy, self.lower), self.upper)  # rounding alone must not leave the range
 
     def contains(self, value: float) -> bool:
-        """Whether a value lies in the range."""
+        """Check whether a value lies in the range.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        bool
+            Whether it is within the bounds, inclusive.
+        """
         return self.lower <= value <= self.upper
 
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """The parameters of a study on a rig, and the point where the search starts."""
+    """The parameters of a study on a rig.
+
+    Attributes
+    ----------
+    study : Study
+        What is searched.
+    limits : RigLimits
+        Limits of the rig.
+    parameters : tuple of Parameter
+        Those whose range is more than one value.
+    template : Candidate
+        The start with as many fringe sets as the study allows at most; what is not searched is taken from it.
+    start : Point
+        Where the search begins.
+    """
 
     study: Study
     limits: RigLimits
@@ -82,18 +154,49 @@ class SearchSpace:
 
     @classmethod
     def of(cls, study: Study, limits: RigLimits, source: str) -> SearchSpace:
-        """The space of a study on a rig. Raises `ConfigError` for one that is empty or contradictory."""
+        """Make the space of a study on a rig.
+
+        Parameters
+        ----------
+        study : Study
+            What is searched.
+        limits : RigLimits
+            Limits of the rig.
+        source : str
+            Name of the study in messages.
+
+        Returns
+        -------
+        SearchSpace
+            The space.
+
+        Raises
+        ------
+        ConfigError
+            The space is empty, contradicts itself or the start, or exceeds the limits of the rig.
+        """
         template = _template_candidate(study, source)
         parameters = tuple(p for p in _parameters(study) if p.lower < p.upper)
         if not parameters:
             raise ConfigError(f"{source}: 'space' leaves nothing to search; name a parameter and its bounds")
-        start = tuple(_value(p.name, study, template, source) for p in parameters)
+        start = tuple(_start_value(p.name, study, template, source) for p in parameters)
         space = cls(study, limits, parameters, template, start)
         _check_bounds(space, source)
         return space
 
     def candidate(self, point: Point) -> Candidate:
-        """What a point stands for."""
+        """Make the candidate that a point stands for.
+
+        Parameters
+        ----------
+        point : Point
+            Point of the space.
+
+        Returns
+        -------
+        Candidate
+            The candidate, whether it can be measured or not.
+        """
         values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
         template = self.template
         fringes = [
@@ -116,7 +219,18 @@ class SearchSpace:
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
-        """Why a candidate cannot be measured, or None."""
+        """Tell why a candidate cannot be measured.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            The candidate.
+
+        Returns
+        -------
+        str or None
+            The first reason; None if it can be measured.
+        """
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
@@ -130,12 +244,23 @@ class SearchSpace:
         yield from self.limits.refusals(candidate, wanted.pixels_per_period)
 
     def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
-        """Places of the parameters of some groups."""
+        """Find the parameters of some groups.
+
+        Parameters
+        ----------
+        *groups : ParameterGroup
+            Groups.
+
+        Returns
+        -------
+        tuple of int
+            Indices of the parameters.
+        """
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 
 def _template_candidate(study: Study, source: str) -> Candidate:
-    """The start with as many sets as there may be. Raises `ConfigError` when it cannot start a search."""
+    """Make the start with the greatest number of sets. Raises `ConfigError` when it cannot start a search."""
     plan, space = study.start, study.space
     check_unwrapping(plan, source)
     if any((f.shift_sign, f.phase_origin_rad, f.projector_size) != (1, 0.0, None) for f in plan.fringes):
@@ -151,13 +276,13 @@ def _template_candidate(study: Study, source: str) -> Candidate:
                 f"{source}: 'space.{name}' has {given} bounds for {count} sets; give each its own, or null"
             )
     for i in range(1, count - len(fringes) + 1):
-        fringes.insert(i, _middle(study, i, source))
+        fringes.insert(i, _additional_set(study, i, source))
     convergence_deg = 0.0 if space.convergence_deg is not None else None
     return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
 
 
-def _middle(study: Study, i: int, source: str) -> Fringes:
-    """A set that the start has not, in the middle of its bounds."""
+def _additional_set(study: Study, i: int, source: str) -> Fringes:
+    """Make a set that the start does not have, in the middle of its bounds."""
     steps, stripes = ((*getattr(study.space, name), None)[i] for name in ("steps", "stripes"))
     if steps is None or stripes is None:
         raise ConfigError(
@@ -187,8 +312,8 @@ def _parameters(study: Study) -> Iterator[Parameter]:
         yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
 
 
-def _value(name: str, study: Study, template: Candidate, source: str) -> float:
-    """A parameter's value at the start."""
+def _start_value(name: str, study: Study, template: Candidate, source: str) -> float:
+    """Look up a parameter's value at the start."""
     kind, _, index = name.rstrip("]").partition("[")
     if index:
         return float(getattr(template.fringes[int(index)], kind))
@@ -216,7 +341,7 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
     space.limits.check(space.candidate(start), f"{source}: 'start'")
     for i, parameter in enumerate(space.parameters):
         for bound in (parameter.lower, parameter.upper):
-            _check_reach(space, i, bound, source)
+            _check_rig_reach(space, i, bound, source)
     fewest, most = _fewest_images(space), study.constraints.images
     if most is not None and fewest > most:
         raise ConfigError(
@@ -225,7 +350,7 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
 
 
 def _check_stripes(space: SearchSpace, source: str) -> None:
-    """Refuse a base that is searched, and bounds within which stripes cannot grow from set to set."""
+    """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
     bounds = space.study.space.stripes
     reached: dict[str, float] = {}
     for i, fringe in enumerate(space.template.fringes):
@@ -241,8 +366,8 @@ def _check_stripes(space: SearchSpace, source: str) -> None:
         reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
 
 
-def _check_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
-    """Refuse a bound that the rig cannot show, along whichever axis."""
+def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
+    """Refuse a bound that the rig cannot show, along any axis."""
     names = [p.name for p in space.parameters]
     point = list(space.start)
     point[i] = bound

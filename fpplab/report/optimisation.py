@@ -14,9 +14,10 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
-from fpplab.optimisation.run import ConfirmedPlan, SearchResult
+from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
 from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, pair, picture, sheet
@@ -139,7 +140,7 @@ def _summary(found: SearchResult) -> list[ReportTable]:
 
 def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
-    again = found.again.get(candidate)
+    again = found.rescored.get(candidate)
     stage = candidate.stage_mm
     return (
         name,
@@ -268,7 +269,7 @@ def front(found: SearchResult) -> Sheet:
         markersize=4,
         label="front",
     )
-    again = [(n, found.again[t.candidate]) for n, t in zip(images, found.front, strict=True)]
+    again = [(n, found.rescored[t.candidate]) for n, t in zip(images, found.front, strict=True)]
     known = [(n, CandidateFigures.of(scores)) for n, scores in again if scores]
     axes.errorbar(
         [n for n, _ in known],

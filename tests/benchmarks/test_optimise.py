@@ -32,8 +32,10 @@ from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
 from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
+from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.objectives import seed_means
-from fpplab.optimisation.run import ConfirmedPlan, SearchResult, run_search
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
 from fpplab.pipeline import CALIBRATION
@@ -269,10 +271,10 @@ def test_a_front_is_held_against_plans_of_one_change(found: SearchResult) -> Non
 
 def test_the_gain_is_that_of_seeds_which_chose_nothing(found: SearchResult) -> None:
     before, after = (
-        seed_means(found.again[trial.candidate]).values() for trial in (found.start, found.optimum)
+        seed_means(found.rescored[trial.candidate]).values() for trial in (found.start, found.optimum)
     )
     assert gain_of(found) == pytest.approx(1 - sum(after) / sum(before))
-    nothing = replace(found, again={**found.again, found.optimum.candidate: ()})
+    nothing = replace(found, rescored={**found.rescored, found.optimum.candidate: ()})
     with pytest.raises(DataError, match="could not be measured with other seeds"):
         gain_of(nothing)
 

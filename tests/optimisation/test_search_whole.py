@@ -13,7 +13,8 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.run import SearchResult, run_search, with_calibrations, worker_count
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search, with_calibrations, worker_count
 from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
@@ -171,7 +172,7 @@ def test_a_rig_is_characterised_where_the_stage_will_stand(
 
     monkeypatch.setattr("fpplab.optimisation.run.characterise_positions", characterised)
     with Rig.load("rig_demo_quick") as rig:
-        known = with_calibrations(rig, study(**FRONT), tmp_path, stands=stands).calibrations
+        known = with_calibrations(rig, study(**FRONT), tmp_path, stage_positions=stands).calibrations
     assert asked == [wanted]
     assert [(one.stage_mm, one.file) for one in known] == [
         (mm, str((tmp_path / f"{mm:g}.yaml").resolve())) for mm in wanted

@@ -42,13 +42,13 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture
 def sets(rig: Rig) -> Sets:
     """New sets on the rig, which know of nothing before."""
-    return lambda **options: FringeSetCache(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
+    return lambda **options: FringeSetCache(rig, LIKE, lambda setup: rig.fixture.mount(setup.item), **options)  # type: ignore[union-attr]
 
 
 def stack(
-    sets: FringeSetCache, *fringes: Fringes, seed: int = 1, view: MeasuringSetup = CARD
+    sets: FringeSetCache, *fringes: Fringes, seed: int = 1, setup: MeasuringSetup = CARD
 ) -> NDArray[np.uint8]:
-    return np.stack(sets.frames(view, fringes, seed))
+    return np.stack(sets.frames(setup, fringes, seed))
 
 
 def fewer(fringes: Fringes, steps: int) -> Fringes:
@@ -121,7 +121,7 @@ def test_nothing_moves_for_what_is_there(rig: Rig) -> None:
     stack(store, fewer(BASE, 6))
     assert stood == [CARD]
     brighter = MeasuringSetup("card", 0.03)
-    assert stack(store, BASE, view=brighter).mean() > 1.2 * stack(store, BASE).mean()
+    assert stack(store, BASE, setup=brighter).mean() > 1.2 * stack(store, BASE).mean()
     assert stood == [CARD, brighter]
 
 

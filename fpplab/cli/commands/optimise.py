@@ -73,12 +73,12 @@ def optimise_command(
         )
     _make_way(what, out, force)
 
-    from fpplab.optimisation import run
+    from fpplab.optimisation import confirm_result, run
     from fpplab.report.optimisation import look, write_optimisation_report
     from fpplab.report.viewer import Viewer
 
     if confirm:
-        run.check_confirmable(confirm, wanted, name)
+        confirm_result.check_confirmable(confirm, wanted, name)
     with ExitStack() as stack, console.stopwatch() as elapsed:
         viewer = stack.enter_context(Viewer.open()) if view else None
         if viewer and viewer.fault is None:
@@ -101,10 +101,12 @@ def optimise_command(
                 observe=observe,
                 progress=report,
             )
-        confirmed: tuple[run.ConfirmedPlan, ...] = ()
+        confirmed: tuple[confirm_result.ConfirmedPlan, ...] = ()
         if confirm:
             with console.progress("Confirming") as report:
-                confirmed = run.confirm_result(confirm, found, run.work_folder(out) / "confirm", report)
+                confirmed = confirm_result.confirm_result(
+                    confirm, found, run.work_folder(out) / "confirm", report
+                )
         page = run.report_path(what, out)
         with console.progress("Comparing before and after"):
             write_optimisation_report(page, found, confirmed, look(rig, found))

@@ -141,7 +141,7 @@ def _changed(point: Point, values: dict[int, float]) -> Point:
 
 
 def _moved(parameter: Parameter, value: float, length: float) -> float | None:
-    """The value at a distance that is a share of the range; None where nothing in the range lies there."""
+    """Move a value by a share of its range; None where nothing in the range lies there."""
     if parameter.is_integer:
         moved = value + _integer_move(parameter, abs(length)) * (1 if length > 0 else -1)
         return moved if parameter.contains(moved) else None
@@ -151,7 +151,7 @@ def _moved(parameter: Parameter, value: float, length: float) -> float | None:
 
 
 def _doubled(runner: CandidateRunner, here: Point, there: Point) -> Iterator[Point]:
-    """The point at double the distance in the direction that improved, where it lies in the range."""
+    """Double a move that improved, where the range allows."""
     further = []
     for parameter, a, b in zip(runner.space.parameters, here, there, strict=True):
         if parameter.is_integer:

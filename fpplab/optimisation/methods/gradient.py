@@ -85,13 +85,13 @@ class Gradient(SearchMethod):
 
 
 def _objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
-    """The objective in its own unit, with a penalty where the plan exceeds a limit."""
+    """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
     value, own = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
     return value + PENALTY * own * runner.ranking.violation(trial)
 
 
 def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
-    """A point below and one above along each parameter; the point itself at the end of a range."""
+    """Choose a point below and one above along each parameter; the point itself at the end of a range."""
     pairs = []
     for i, parameter in enumerate(runner.space.parameters):
         beside = []
@@ -116,7 +116,7 @@ def _move(
     settings: Gradient,
     i: int,
 ) -> float:
-    """The step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
+    """Compute the step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
     known = [trial for trial in pair if trial.measured]
     if parameter.is_integer:
         best = min([here, *known], key=lambda trial: _objective(runner, trial))
@@ -134,7 +134,7 @@ def _move(
 
 
 def _measure_step(runner: CandidateRunner, point: Point, moves: Sequence[float]) -> MeasuredCandidate | None:
-    """The first that can be measured of the whole step, half of it, and so on; None if none can."""
+    """Measure the whole step, half of it, and so on, until one can be measured; None if none can."""
     for halving in range(HALVINGS):
         moved = runner.measure([_stepped(runner, point, moves, 0.5**halving)])[0]
         if moved.measured:

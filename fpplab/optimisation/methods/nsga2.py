@@ -109,7 +109,7 @@ def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
 
 
 def _single_optima(runner: CandidateRunner) -> list[Point]:
-    """The start, the single-parameter optima, and phase plans at the best stripes and geometry."""
+    """Find the start, the single-parameter optima, and phase plans at the best stripes and geometry."""
     space = runner.space
     phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
     grown = _grow_phase_plan(runner, runner.start.point, phases)
@@ -136,7 +136,7 @@ def _differs_only_in(trial: MeasuredCandidate, begin: MeasuredCandidate, places:
 
 
 def _grow_phase_plan(runner: CandidateRunner, point: Point, places: Sequence[int]) -> list[MeasuredCandidate]:
-    """Phase plans from the fewest images up, each image added to the set where it helps most."""
+    """Build phase plans from the fewest images up, adding each image to the set where it helps most."""
     parameters = runner.space.parameters
     steps = [i for i in places if parameters[i].name.startswith("steps")]
     if not steps:
