@@ -27,7 +27,7 @@ from fpplab.simulation.turnable import Turnable
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
-"""How far the projector's measured way may be from the stage's own, as a share of it and besides."""
+"""Allowed deviation of the projector's measured travel from the stage's: a share of it, plus mm."""
 
 
 class RigArranger:
@@ -205,7 +205,7 @@ def sample_calibration(calibration: Calibration, random: np.random.Generator) ->
     known = calibration.uncertainty
     if known is None:
         return calibration
-    # By its correlations: variances of px and of k3 are many powers of ten apart.
+    # By the correlation matrix: variances in px and of k3 differ by many orders of magnitude.
     sigma = np.sqrt(np.diag(known.covariance))
     values, vectors = np.linalg.eigh(known.covariance / np.outer(sigma, sigma))
     off = sigma * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(sigma))))

@@ -39,10 +39,10 @@ class Candidate:
     exposure_s : float
         Exposure of every image in seconds.
     stage_mm : float or None
-        Position of the stage that moves a device, and with it the baseline; None leaves the stage where it is.
+        Position of the stage that moves a device, which sets the baseline; None leaves it.
     convergence_deg : float or None
-        Rotation of the projector towards the camera in degrees, relative to its given orientation; None leaves
-        it. Only a simulation can do this.
+        Rotation of the projector towards the camera in degrees, relative to its given orientation; None
+        leaves it. Only a simulation can do this.
     """
 
     fringes: tuple[Fringes, ...]
@@ -132,8 +132,8 @@ class Score(Accuracy):
 class Evaluator(Protocol):
     """Interface of what measures candidates, on whatever rig.
 
-    A worker opens one with an `EvaluatorFactory`, calls `measure` for one candidate after another, and `close`
-    at the end.
+    A worker opens one with an `EvaluatorFactory`, calls `measure` for one candidate after another,
+    and `close` at the end.
     """
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:

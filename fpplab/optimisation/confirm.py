@@ -48,7 +48,8 @@ class Confirmation:
     after : dict of str to tuple of ArtefactFigures
         The same with the second plan, in the same order.
     by_calibration : float
-        Standard uncertainty of the gain due to the calibration; 0 where that is exact, as a simulation's own is.
+        Standard uncertainty of the gain due to the calibration; 0 where that is exact, as that of a
+        simulation is.
     """
 
     before: RepeatedFigures
@@ -167,7 +168,7 @@ def confirm(
         for done, (name, repeat, which) in enumerate(turns):
             asked = name, plans[which], FIRST_SEED + repeat
             found[which, name].append(evaluator.figures(*asked))
-            if repeat == 0:  # while its frames are at hand
+            if repeat == 0:  # while its frames are in memory
                 again = (evaluator.figures(*asked, other) for other in others)
                 varied[which].append([figures.surface_smcd_um for figures in again])
             progress((done + 1) / len(turns))

@@ -128,7 +128,7 @@ class RigEvaluator:
         """
         known = calibrations or self.calibrations
         calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
-        shape = self._true_shape(name, candidate)  # before anything is acquired in vain
+        shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
         plan, decoded = candidate.plan(self._study.start), self._decoded(name, candidate, seed)
         return shape.score(decoded, plan, calibration)
 
@@ -160,7 +160,9 @@ class RigEvaluator:
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
     def triangulation_angle_deg(self, candidate: Candidate) -> float:
-        """Compute the angle between the directions to camera and projector, seen from the middle of an artefact.
+        """Compute the triangulation angle: that between camera and projector as seen from an artefact.
+
+        Seen from the centre of its bounding box.
 
         Parameters
         ----------
@@ -234,7 +236,7 @@ class RigEvaluator:
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._study.space
         illuminated = space.stage_mm is None and space.convergence_deg is None
-        # Which candidate comes first must not matter, so where there is one shape it is the start's.
+        # Where one shape is used for all, it is the start's, so that the order of candidates does not matter.
         of = candidate if illuminated else self._first
         key = name, of.stage_mm, of.convergence_deg
         if key not in self._true_shapes:
@@ -246,7 +248,7 @@ class RigEvaluator:
         return self._true_shapes[key]
 
     def _mesh(self, name: str) -> trimesh.Trimesh:
-        """Place the true shape in the camera's frame, where the fixture or else a first measurement says it is."""
+        """Place the true shape in the camera's frame, as the fixture or a first measurement tells."""
         if name not in self._placed:
             mesh = artefacts.make(name)
             pose = self._rig.need_fixture("a search").pose(name) or self._located(name, mesh)
@@ -254,7 +256,7 @@ class RigEvaluator:
         return self._placed[name]
 
     def _located(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
-        """Find the pose of an artefact that the fixture does not know, by a measurement with the plan of the start."""
+        """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
         decoded = self._decoded(name, self._first, self._study.seeds[0])
         _, cloud = points_of(decoded, self.calibrations.at(self._first.stage_mm), self._study.start)
         return align_mesh(cloud.points.astype(np.float64), mesh).transform

@@ -279,7 +279,7 @@ class CandidateRanking:
         return self.violation(trial), self.values(trial), distance
 
     def rank_by_distance(self, trial: MeasuredCandidate) -> Rank:
-        """Compute a sort key: acceptable before others, then by the mean distance, whatever the objectives are.
+        """Compute a sort key that ignores the objectives: acceptable before others, then the mean distance.
 
         Parameters
         ----------

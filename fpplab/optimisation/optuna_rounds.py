@@ -1,4 +1,4 @@
-"""Rounds of a fixed number of candidates that an optuna sampler proposes, shared by the methods that use optuna."""
+"""Rounds of candidates proposed by an optuna sampler, shared by the methods that use optuna."""
 
 from __future__ import annotations
 

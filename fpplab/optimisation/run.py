@@ -101,7 +101,7 @@ def run_search(
         space = SearchSpace.of(study, limits, source)
         _check_scope(scope, space, source)
         count = worker_count(limits, workers)
-        if scheduler is not None:  # told before the rig is characterised, which takes its time
+        if scheduler is not None:  # a wrong address fails before the long characterisation
             make_workers(RigEvaluatorFactory(_absolute(rig), study), count, scheduler).close()
         if factory is None and not study.calibrations:
             study = with_calibrations(opened, study, work_folder(out), progress)
@@ -305,7 +305,7 @@ def _search(runner: CandidateRunner) -> str:
 
 
 def _other_seeds(study: Study) -> list[int]:
-    """Return as many seeds that the search has not used: with its own, the optimum was partly chosen by luck."""
+    """Return as many unused seeds: with those of the search, the optimum is partly chosen by luck."""
     first = max(study.seeds) + 1
     return list(range(first, first + len(study.seeds)))
 

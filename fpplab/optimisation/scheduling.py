@@ -1,4 +1,4 @@
-"""Distributes measurements: to this process, to processes beside it, or to those of a dask scheduler elsewhere.
+"""Distributes measurements to this process, to others beside it, or to the workers of a dask scheduler.
 
 Results come back in any order; the caller sorts them. A measurement whose worker dies is repeated by another.
 """
@@ -45,8 +45,9 @@ class EvaluatorFactory(Protocol):
     It is pickled and sent to every worker, which keeps the evaluator open as long as it gets equal factories.
     """
 
+    def __call__(self) -> Evaluator:
         """Open the rig. Called in the worker, before its first measurement."""
-    def __call__(self) -> Evaluator: ...
+        ...
 
     def __hash__(self) -> int: ...
 
@@ -67,6 +68,7 @@ class RigEvaluatorFactory:
     study: Study
 
     def __call__(self) -> Evaluator:
+        """Make an evaluator, which opens the rig when it measures first."""
         from fpplab.optimisation.measuring import RigEvaluator
 
         return RigEvaluator(self.rig, self.study)
@@ -174,7 +176,7 @@ _opened: dict[EvaluatorFactory, Evaluator] = {}
 
 def _measure_on_worker(factory: EvaluatorFactory, candidate: Candidate, seed: int) -> ScoresOrReason:
     if factory not in _opened:
-        _close_on_worker()  # one rig at a time: the devices of two may be the same
+        _close_on_worker()  # one rig at a time: two may have the same devices
         _opened[factory] = factory()
     return measure_outcome(_opened[factory], candidate, seed)
 
@@ -211,7 +213,7 @@ class DaskWorkers:
         self._factory = factory
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with ExitStack() as opening:
-            spawned = "distributed.nanny.pre-spawn-environ"  # what must be there as a process begins
+            spawned = "distributed.nanny.pre-spawn-environ"  # must be set before the process starts
             settings = {f"{spawned}.{name}": value for name, value in WORKER_ENVIRONMENT.items()}
             settings["distributed.scheduler.allowed-failures"] = MAX_WORKER_DEATHS
             opening.enter_context(dask.config.set(settings))
@@ -281,7 +283,7 @@ class DaskWorkers:
                 "scheduler",
                 "measure",
                 f"{MAX_WORKER_DEATHS} workers died of one measurement",
-                "see to their memory and their logs, and run the same command again",
+                "check their memory and their logs, and run the same command again",
             ) from error
         return found
 

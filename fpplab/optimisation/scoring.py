@@ -1,4 +1,4 @@
-"""Scores a decoded measurement: compares it with the true shape at a fixed sample of pixels and surface points.
+"""Scores a decoded measurement at a fixed sample of pixels and points of the true surface.
 
 Everything that does not depend on the measurement is computed once (`TrueShape`): which pixels see the shape
 and which projector coordinates they must have, what part of the surface counts, and which pixels are
@@ -113,7 +113,7 @@ class TrueShape:
 
     @cached_property
     def floor_um(self) -> float:
-        """SMCD between points and samples that a perfect measurement of the counted surface would have, in µm."""
+        """`smcd_um` that a perfect measurement of the counted surface would have, in µm."""
         hits = self._hits[self._on_shape]
         perfect = hits[nearest(hits, self._surface)[0] < self._near_mm]
         back = nearest(self._sampled, perfect)[0]
@@ -193,7 +193,7 @@ class TrueShape:
         faces = cloud.grid_mesh()[1]
         faces = faces[counted[faces].all(axis=1)]
         if not compared.any() or len(faces) == 0:
-            raise DataError("cloud: nothing of it looks at the true shape; is it where it is said to be?")
+            raise DataError("cloud: no point of it lies on the true shape; check the pose of the artefact")
         points = cloud.points.astype(np.float64)
         T_true_camera = self._align(points[compared]) if align else RigidTransform.identity()
         points = T_true_camera.apply(points)
@@ -246,7 +246,7 @@ class TrueShape:
             right = _within(found, np.fmin.reduce(true, axis=1), np.fmax.reduce(true, axis=1), half)
             wrong += int(np.count_nonzero(~right))
             suspect[suspect] = ~right
-            pixels = pixels[~suspect]  # what is wrong along one axis is wrong
+            pixels = pixels[~suspect]  # wrong along one axis is wrong
         return wrong / (wrong + len(pixels))
 
     def _seen_by_neighbours(

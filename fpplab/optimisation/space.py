@@ -18,7 +18,7 @@ from fpplab.optimisation.study import Study
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]
-"""One value for each parameter of a space, in its own unit; for the axis its index among those to choose from."""
+"""One value for each parameter, in its unit; for the axis its index among those to choose from."""
 
 DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
 """Decimals to which values are rounded, to keep plans readable."""

@@ -1,4 +1,4 @@
-"""The journal of a search: every measurement is stored before it is used, so that a killed search can continue.
+"""The journal of a search: measurements are stored before they are used, to continue a killed search.
 
 Searches are deterministic: when one is run again it asks for the same candidates in the same order, and gets
 the results from the journal up to what was not measured yet. So no other state has to be stored. The file has
@@ -111,7 +111,7 @@ class Journal:
         self._known[candidate, seed] = outcome
 
     def _read(self) -> None:
-        cut_torn_line(self.path)  # it is a measurement that was not recorded
+        cut_torn_line(self.path)  # a measurement whose recording was interrupted
         for number, line in enumerate(whole_lines(self.path), 1):
             try:
                 data = json.loads(line)

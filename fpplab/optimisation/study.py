@@ -45,7 +45,10 @@ class SpaceFile(Document):
     sets: tuple[Annotated[int, Field(ge=1, le=8)], Annotated[int, Field(ge=1, le=8)]] | None = None
     """Number of fringe sets."""
     steps: tuple[StepRange | None, ...] = ()
-    """Phase steps of each set, null where they are kept. With `sets`, as many entries as its greatest number; a plan of fewer sets has the base and the last ones."""
+    """Phase steps of each set, null where they are kept.
+
+    With `sets`, as many entries as its greatest number; a plan of fewer sets has the base and the last ones.
+    """
     stripes: tuple[Positives | None, ...] = ()
     """Stripe counts of each set, null where they are kept; entries as in `steps`."""
     axis: tuple[Axis, ...] = ()
@@ -55,7 +58,10 @@ class SpaceFile(Document):
     stage_mm: Range | None = None
     """Position of the stage in mm, which sets the baseline."""
     stage_every_mm: Positive | None = None
-    """Distance between the positions of the stage that are tried, from the least on; all positions if null. On a simulation, candidates at one position share what is rendered there."""
+    """Distance in mm between the positions of the stage that are tried, from the least on; any if null.
+
+    On a simulation, candidates at one position share what is rendered there.
+    """
     convergence_deg: Range | None = None
     """Rotation of the projector towards the camera in degrees, relative to its given orientation."""
 

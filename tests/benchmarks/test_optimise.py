@@ -123,7 +123,7 @@ def trial(folder: Path) -> OptimiseBenchmarkSetup:
 def results(folder: Path, trial: OptimiseBenchmarkSetup, blender: Blender) -> dict[str, Result]:
     """All figures; one Blender process renders, few points are compared, and workers measure a formula."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fpplab.optimisation.measuring.Truth", partial(TrueShape, density=2.0))
+        patch.setattr("fpplab.optimisation.measuring.TrueShape", partial(TrueShape, density=2.0))
         patch.setattr("benchmarks.optimise.RigEvaluatorFactory", lambda rig, study: Formula())
         patch.setattr("sim.devices.Blender", lambda name: blender)
         patch.setattr(blender, "close", lambda: None)
