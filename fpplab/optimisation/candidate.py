@@ -92,7 +92,7 @@ class Accuracy:
     completeness : float
         Share of the true surface that has a measured point nearby, 0 … 1.
     wrong_orders : float
-        Share of points with a projector coordinate wrong by about a fringe period or more, 0 … 1.
+        Share of points whose projector coordinate is off by half a period of the finest set or more, 0 … 1.
     outliers : float
         Share of points that the outlier filter removed, 0 … 1.
     """

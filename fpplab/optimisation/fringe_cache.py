@@ -186,4 +186,4 @@ def noise_numbers(key: _Key, steps: int) -> list[int]:
 
 def _hash_number(*parts: object) -> int:
     digest = hashlib.blake2b("/".join(map(str, parts)).encode(), digest_size=7)
-    return int.from_frame_bytes(digest.digest(), "big")
+    return int.from_bytes(digest.digest(), "big")

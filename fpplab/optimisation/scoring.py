@@ -227,10 +227,10 @@ class TrueShape:
         pixels: NDArray[np.int32],
         T_true_camera: RigidTransform,
     ) -> float:
-        """Share of these pixels whose coordinate, along any axis, is half a finest fringe off or more.
+        """Compute the share of pixels whose coordinate is off by half a period of the finest set or more.
 
-        T_true_camera: what brings the points onto the shape. Pixels that seem wrong are looked at again from
-        where the camera is by that: where the shape was said to be, its edges may be a pixel beside.
+        Pixels that seem wrong are checked again with rays from the camera as aligned by T_true_camera,
+        edges of the shape in its nominal pose may lie a pixel off.
         """
         wrong = 0
         for axis in plan.axes:
@@ -240,9 +240,11 @@ class TrueShape:
             u, v = pixels.T
             least, most = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
             suspect = ~_within(coordinate[v, u], least, most, half)
-            again = pixels[suspect]
-            true = self._seen_by_neighbours(again, calibration, T_true_camera)[..., 0 if axis == "x" else 1]
-            found = coordinate[again[:, 1], again[:, 0]]
+            rechecked = pixels[suspect]
+            true = self._seen_by_neighbours(rechecked, calibration, T_true_camera)[
+                ..., 0 if axis == "x" else 1
+            ]
+            found = coordinate[rechecked[:, 1], rechecked[:, 0]]
             right = _within(found, np.fmin.reduce(true, axis=1), np.fmax.reduce(true, axis=1), half)
             wrong += int(np.count_nonzero(~right))
             suspect[suspect] = ~right
