@@ -68,15 +68,12 @@ FIELDS = (
     FieldSpec("wrapped_phase", "measured", "<f4", "S h w", "rad", "phase of each fringe set in [0, 2π), "
           "demodulated from the frames; noise alone where no fringes fall"),
     FieldSpec("decoded_u", "measured", "<f4", "h w", "projector px", "column that decoding finds; NaN "
-          "where it "
-          "finds none, or the plan does not code it"),
+          "where it finds none, or the plan does not code it"),
     FieldSpec("decoded_v", "measured", "<f4", "h w", "projector px", "row that decoding finds, likewise"),
     FieldSpec("decoded_sigma", "measured", "<f4", "h w", "projector px", "standard uncertainty of the "
-          "first of "
-          "these that is coded, NaN where invalid"),
+          "first of these that is coded, NaN where invalid"),
     FieldSpec("modulation", "measured", "<f4", "h w", "levels of 255", "amplitude of the finest set of the "
-          "first "
-          "coded axis, NaN where invalid"),
+          "first coded axis, NaN where invalid"),
     FieldSpec("absolute_phase", "truth", "<f4", "S h w", "rad", "phase of each fringe set at the true "
           "projector coordinate, NaN outside the mask"),
     FieldSpec("projector_u", "truth", "<f4", "h w", "projector px", "true column of what the pixel's centre "
@@ -84,18 +81,15 @@ FIELDS = (
     FieldSpec("projector_v", "truth", "<f4", "h w", "projector px", "true row, likewise"),
     FieldSpec("depth", "truth", "<f4", "h w", "mm", "z in the camera's frame, NaN where nothing is seen"),
     FieldSpec("normals", "truth", "<f4", "3 h w", "1", "unit normal x, y, z in the camera's frame, towards "
-          "the "
-          "camera, NaN where nothing is seen"),
+          "the camera, NaN where nothing is seen"),
     FieldSpec("mask", "truth", "|b1", "h w", "1", "the pixel's centre sees the surface, and the projector "
-          "lights "
-          "it"),
+          "lights it"),
     FieldSpec("camera_matrix", "truth", "<f8", "3 3", "px", "the true camera"),
     FieldSpec("camera_distortion", "truth", "<f8", "8", "1", "k1 k2 p1 p2 k3 k4 k5 k6 of OpenCV"),
     FieldSpec("projector_matrix", "truth", "<f8", "3 3", "px", "the true projector"),
     FieldSpec("projector_distortion", "truth", "<f8", "8", "1", "likewise"),
     FieldSpec("T_projector_camera", "truth", "<f8", "4 4", "mm", "takes coordinates in the camera's frame "
-          "to the "
-          "projector's"),
+          "to the projector's"),
 )  # fmt: skip
 
 
