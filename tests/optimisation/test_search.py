@@ -48,7 +48,7 @@ GRADIENT = {"kind": "gradient"}
 # Candidates and plans
 
 
-def test_plan_of_a_candidate_differs_in_its_arrangement_alone() -> None:
+def test_plan_of_a_candidate_keeps_the_rest_of_the_template() -> None:
     like = Plan.load("plan_paper.yaml").model_copy(update={"settle_s": 0.1})
     candidate = Candidate((Fringes("y", 1.0, 3), Fringes("y", 9.5, 4)), 0.04, stage_mm=-3.0)
     plan = candidate.plan(like)
@@ -66,7 +66,9 @@ def test_plan_of_a_candidate_differs_in_its_arrangement_alone() -> None:
     bounds=st.tuples(st.floats(0.01, 10), st.floats(10.1, 1000)),
     ratio=st.booleans(),
 )
-def test_a_value_and_its_share_are_one(share: float, bounds: tuple[float, float], ratio: bool) -> None:
+def test_parameter_fraction_and_value_are_inverse(
+    share: float, bounds: tuple[float, float], ratio: bool
+) -> None:
     parameter = Parameter("stripes[1]", "stripes", *bounds, is_logarithmic=ratio)
     value = parameter.value_at(share)
     assert parameter.contains(value)
@@ -77,19 +79,19 @@ def test_a_value_and_its_share_are_one(share: float, bounds: tuple[float, float]
 
 
 @given(share=st.floats(0, 1))
-def test_a_stage_may_stand_in_few_places(share: float) -> None:
+def test_stage_parameter_is_rounded_to_its_grid(share: float) -> None:
     parameter = Parameter("stage_mm", "geometry", -60, 50, grid_step=25)
     assert parameter.value_at(share) in {-60, -35, -10, 15, 40, 50}
     assert abs(parameter.value_at(share) - (-60 + 110 * share)) <= 12.5
 
 
-def test_start_is_the_starts_plan(tmp_path: Path) -> None:
+def test_start_point_stands_for_the_plan_of_the_start(tmp_path: Path) -> None:
     space = runner_of(tmp_path, **FRONT).space
     begin = space.candidate(space.start)
     assert begin == Candidate(tuple(Fringes("x", float(s), 7) for s in (1, 8, 64)), 0.02, 0.0)
 
 
-def test_fewer_sets_are_the_base_and_the_last(tmp_path: Path) -> None:
+def test_plan_of_fewer_sets_has_the_base_and_the_last_sets(tmp_path: Path) -> None:
     space = runner_of(
         tmp_path,
         space={
@@ -106,7 +108,7 @@ def test_fewer_sets_are_the_base_and_the_last(tmp_path: Path) -> None:
     assert [(f.stripes, f.steps) for f in four] == [(1, 12), (3, 5), (8, 12), (100, 12)]
 
 
-def test_axis_and_light_and_geometry_are_parameters(tmp_path: Path) -> None:
+def test_axis_exposure_and_geometry_are_parameters(tmp_path: Path) -> None:
     space = runner_of(
         tmp_path,
         space={"axis": ["x", "y"], "exposure_s": [0.01, 0.1], "convergence_deg": [-5, 5]},
@@ -117,7 +119,7 @@ def test_axis_and_light_and_geometry_are_parameters(tmp_path: Path) -> None:
     assert (moved.exposure_s, moved.convergence_deg, moved.stage_mm) == (0.05, 2.0, 0.0)
 
 
-def test_what_cannot_be_shown_is_refused_with_its_reason(tmp_path: Path) -> None:
+def test_infeasible_point_is_refused_with_its_reason(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, constraints={"images": 36})
     crossed, shown = runner.measure([(30.0, 20.0), (5.0, 40.0)])
     assert crossed.refused == "stripes along x do not grow from set to set"
@@ -174,7 +176,7 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "words"), BAD_SPACES.values(), ids=BAD_SPACES.keys())
-def test_contradictions_are_named(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+def test_contradictory_studies_are_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError) as refused:
         runner_of(tmp_path, **changes)
     assert str(refused.value).startswith("study.yaml")
@@ -186,14 +188,14 @@ def test_a_stage_is_needed_for_a_baseline(tmp_path: Path) -> None:
         runner_of(tmp_path, limits=with_stage(None), space={"stage_mm": [-5, 5]})
 
 
-def test_a_study_is_for_its_rig() -> None:
+def test_study_for_another_rig_is_refused() -> None:
     study(rig="Formula").check_rig("Formula", "study.yaml")
     with pytest.raises(ConfigError, match="'rig' is 'Formula', but the rig given is 'Other'"):
         study(rig="Formula").check_rig("Other", "study.yaml")
 
 
 @pytest.mark.parametrize("name", ["phases", "stripes", "stripes_gradient", "baseline", "pareto"])
-def test_studies_that_come_along_suit_the_demonstration(name: str) -> None:
+def test_shipped_studies_suit_the_demonstration_rig(name: str) -> None:
     from fpplab.devices.rig import Rig
     from fpplab.optimisation.limits import RigLimits
 
@@ -262,7 +264,7 @@ def _ranking(**changes: Any) -> CandidateRanking:
         ({"um": 20.3}, "surface_smcd_um"),
     ],
 )
-def test_a_broken_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> None:
+def test_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> None:
     ranking = _ranking(constraints={"seconds": 1.5, "smcd_of_start": 1.01})
     bad, good = _trial(3, **{"um": 0.1, **others}), _trial(36, 20.1)
     assert [name for name, by in ranking.violations(bad).items() if by > 0] == [limit]
@@ -272,14 +274,14 @@ def test_a_broken_limit_outweighs_every_objective(others: dict[str, Any], limit:
     assert ranking.front([bad, good]) == [good]
 
 
-def test_what_cannot_be_measured_comes_last() -> None:
+def test_failed_candidate_ranks_last() -> None:
     ranking = _ranking()
     failed = MeasuredCandidate((0.0,), Candidate((), 1.0), failed="nothing there")
     assert ranking.rank(_trial(3, 1e9, wrong_orders=1.0)) < ranking.rank(failed)
 
 
 @given(st.lists(st.tuples(st.integers(3, 12), st.integers(1, 30)), min_size=1, max_size=40))
-def test_nothing_dominates_a_front_and_it_dominates_the_rest(points: list[tuple[int, int]]) -> None:
+def test_pareto_front_dominates_all_other_candidates(points: list[tuple[int, int]]) -> None:
     ranking = _ranking()
     trials = [_trial(images, float(um)) for images, um in points]
     front = ranking.front(trials)
@@ -295,7 +297,7 @@ def test_nothing_dominates_a_front_and_it_dominates_the_rest(points: list[tuple[
 # Methods
 
 
-def test_coordinates_find_the_stripes(tmp_path: Path) -> None:
+def test_coordinate_search_finds_the_stripes(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, Formula(best_stripes=100.0, noise_um=3.0))
     runner.space.study.method.search(runner)
     # The valley is quadratic: half the finest move, 1 % of a range of log(228/12), is the most left.
@@ -303,13 +305,13 @@ def test_coordinates_find_the_stripes(tmp_path: Path) -> None:
     assert runner.best.figures.wrong_orders == 0.0
 
 
-def test_coordinates_find_the_baseline(tmp_path: Path) -> None:
+def test_coordinate_search_finds_the_baseline(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
     runner.space.study.method.search(runner)
     assert runner.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
 
 
-def test_what_is_searched_on_a_grid_stays_there(tmp_path: Path) -> None:
+def test_search_on_a_grid_stays_on_it(tmp_path: Path) -> None:
     space = {"stage_mm": [-60, 60], "stage_every_mm": 10}
     runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
     runner.space.study.method.search(runner)
@@ -317,14 +319,14 @@ def test_what_is_searched_on_a_grid_stays_there(tmp_path: Path) -> None:
     assert {trial.candidate.stage_mm for trial in runner.trials} <= {*range(-60, 61, 10)}
 
 
-def test_coordinates_find_the_fewest_images(tmp_path: Path) -> None:
+def test_coordinate_search_finds_the_fewest_images(tmp_path: Path) -> None:
     """Orders hold with 3 steps at ratio 8; the distance, which must not rise, is the finest set's alone."""
     runner = runner_of(tmp_path, **PHASES)
     runner.space.study.method.search(runner)
     assert [f.steps for f in runner.best.candidate.fringes] == [3, 3, 12]
 
 
-def test_orders_that_fail_stop_the_search(tmp_path: Path) -> None:
+def test_failing_fringe_orders_limit_the_search(tmp_path: Path) -> None:
     """With noisier orders, a ratio of 8 needs 8**2 / (4 throw)**2 steps in the coarser set: 6."""
     runner = runner_of(tmp_path, Formula(throw=0.82), **PHASES)
     runner.space.study.method.search(runner)
@@ -400,7 +402,7 @@ def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> No
 # The journal
 
 
-def test_a_killed_search_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_killed_search_continues_from_its_journal(tmp_path: Path) -> None:
     whole = runner_of(tmp_path / "whole", Formula(noise_um=2.0))
     whole.space.study.method.search(whole)
     journal = tmp_path / "whole" / "study.jsonl"
@@ -424,7 +426,7 @@ def test_nothing_is_measured_twice(tmp_path: Path) -> None:
     assert len(log.read_text().splitlines()) == 2 * len(runner.trials)
 
 
-def test_a_journal_is_of_one_study(tmp_path: Path) -> None:
+def test_journal_of_another_study_is_refused(tmp_path: Path) -> None:
     runner_of(tmp_path).start  # noqa: B018 - measured for the journal
     with pytest.raises(ConfigError, match="'artefacts' is another"):
         Journal(tmp_path / "study.jsonl", study(artefacts=["ball"]), {})
@@ -445,13 +447,13 @@ def test_a_budget_is_kept(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, budget=9)
     with pytest.raises(BudgetExhausted):
         runner.space.study.method.search(runner)
-    assert 9 <= len(runner.trials) <= 9 + 6  # a round is not broken
+    assert 9 <= len(runner.trials) <= 9 + 6  # a round is always completed
 
 
 # What cannot be measured
 
 
-def test_a_candidate_of_which_nothing_comes_is_no_fault_of_the_rig(tmp_path: Path) -> None:
+def test_failed_candidate_does_not_end_the_search(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, Formula(fails_at=35), space=PHASES["space"])
     failed, fine = runner.measure([(11, 12, 12), (10, 12, 12)])
     assert failed.failed == "no pixel could be measured"
@@ -461,7 +463,7 @@ def test_a_candidate_of_which_nothing_comes_is_no_fault_of_the_rig(tmp_path: Pat
     assert again.measure([(11, 12, 12)])[0].failed == failed.failed
 
 
-def test_a_score_of_nothing_is_a_failure() -> None:
+def test_infinite_score_is_a_failure() -> None:
     class Blind:
         def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
             return _scores({("pyramid", 1): float("inf")})
@@ -471,12 +473,12 @@ def test_a_score_of_nothing_is_a_failure() -> None:
     assert measure_outcome(Blind(), Candidate((), 1.0), 1) == "nothing of the pyramid could be measured"
 
 
-def test_a_start_that_measures_nothing_ends_the_search(tmp_path: Path) -> None:
+def test_failed_start_ends_the_search(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the start of the study cannot be measured"):
         runner_of(tmp_path, Formula(fails_at=36)).start  # noqa: B018
 
 
-def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
+def test_rig_fault_ends_the_search(tmp_path: Path) -> None:
     class Broken:
         def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
             raise LimitError("stage", "move_to", "stuck")
@@ -494,7 +496,7 @@ def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [errors.DeviceError, errors.LimitError, errors.DeviceTimeoutError])
-def test_faults_come_whole_from_another_process(kind: type[errors.DeviceError]) -> None:
+def test_device_errors_can_be_pickled(kind: type[errors.DeviceError]) -> None:
     fault = kind("stage", "move_to", "70 mm was asked for", "the travel is 0 to 60 mm")
     copy = pickle.loads(pickle.dumps(fault))
     assert type(copy) is kind

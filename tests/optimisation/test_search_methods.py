@@ -82,7 +82,7 @@ def test_methods_are_known_by_their_kind() -> None:
 
 @pytest.mark.parametrize("method", [{"kind": "luck"}, {"first": 0.5}, {"kind": ["gradient"]}])
 def test_an_unknown_method_is_refused(method: dict[str, object]) -> None:
-    with pytest.raises(ConfigError, match="'method' is .*bayesian, coordinate, gradient, nsga2"):
+    with pytest.raises(ConfigError, match=r"'method' is .*bayesian, coordinate, gradient, nsga2"):
         study(method=method)
 
 

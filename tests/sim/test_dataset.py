@@ -53,15 +53,15 @@ ALL = SceneRanges.load("dataset_demo.yaml")
 BOARDS = ALL.model_copy(
     update={"artefacts": (), "reflectance": (0.6, 0.65), "ink": (0.58, 0.59), "charge": (0.1, 0.3)}
 )
-"""Light on boards is computed, so these need no Blender. Pixels are as great as what is printed, so there is
-so little contrast and so much noise that print does not move the phase by as much as noise does."""
+"""Images of boards are computed analytically, without Blender. Pixels are as large as the printed features, so
+contrast is low and noise high, for the print to shift the phase by less than the noise does."""
 
 
 @contextmanager
 def opened(
     folder: Path, scenes: SceneRanges = BOARDS, samples: int = 5, **options: Any
 ) -> Iterator[DatasetMaker]:
-    """A maker of small samples, two to a shard."""
+    """Make small samples, two to a shard."""
     write_world(folder, plain(render={"subpixels": 3}))
     (folder / "rig.yaml").write_text(RIG_OF_BOARDS)
     with Rig.load(folder / "rig.yaml") as rig:
@@ -135,8 +135,11 @@ def check_sample(sample: dict[str, np.ndarray[Any, Any]], edges_px: int) -> None
 
 
 def check_noise(deviations: np.ndarray[Any, Any]) -> None:
-    """In standard deviations as decoding states them, which from four steps and few pixels is rough; but that
-    the labels are in the middle of the noise is sharp, in every part of the picture."""
+    """Check the spread roughly, since decoding estimates it from four steps, and the median sharply.
+
+    Deviations are in the standard deviations that decoding states; the median is checked in every part of the
+    image.
+    """
     assert 0.6 < 1.4826 * np.median(np.abs(deviations)) < 1.7
     for part in np.array_split(deviations, 4):
         assert abs(np.median(part)) < 6 * 1.2533 / np.sqrt(len(part)) + 0.02
@@ -170,8 +173,8 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     assert (outward[np.abs(outward[:, 2]) == 1, 2] == 1).all(), "tops look up"
 
 
-def test_labels_of_a_plate_from_behind_are_dark() -> None:
-    """Camera and lamp on opposite sides of a flat thing: it is seen, and not lit."""
+def test_plate_lit_from_behind_is_visible_but_masked() -> None:
+    """Camera and projector on opposite sides of a flat sheet: it is visible, but not illuminated."""
     plate = trimesh.Trimesh(
         [[-30, -30, 450], [30, -30, 450], [30, 30, 450], [-30, 30, 450]],
         [[0, 1, 2], [0, 2, 3]],
@@ -192,7 +195,7 @@ def test_boards_agree_with_their_labels(boards: Dataset) -> None:
         check_sample(boards[k], edges_px=2)
 
 
-def test_artefacts_agree_with_their_labels_whatever_came_before(tmp_path: Path) -> None:
+def test_artefacts_agree_with_their_labels_in_any_order(tmp_path: Path) -> None:
     """Rendered by Blender; each sample is the same by itself as after others."""
     scenes = ALL.model_copy(update={"targets": (), "gloss": (0.0, 0.0)})
     with opened(tmp_path, scenes) as maker:
@@ -241,15 +244,15 @@ def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     assert visible.mean() >= 0.5
 
 
-def test_a_draft_of_a_killed_process_is_begun_anew(boards: Dataset, tmp_path: Path) -> None:
+def test_draft_of_a_killed_process_is_started_again(boards: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "set"
     copied(boards, out)
     half = out / f".{shard_name(1)}"
     (out / shard_name(1)).rename(half)
     (half / "depth.npy").write_bytes(b"half")
     (half / "from an older version.npy").write_bytes(b"")
-    (out / "README.md").unlink()  # killed even before that was written
-    assert Dataset(out).indices == [0, 1, 4], "what is half is not there"
+    (out / "README.md").unlink()  # as if killed before it was written
+    assert Dataset(out).indices == [0, 1, 4], "incomplete shards are not listed"
     seen: list[float] = []
     with opened(tmp_path) as maker:
         maker.make(out, seen.append)
@@ -258,7 +261,7 @@ def test_a_draft_of_a_killed_process_is_begun_anew(boards: Dataset, tmp_path: Pa
     assert contents(out) == contents(boards.folder)
 
 
-def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
+def test_two_processes_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:
         prepare_folder(out, maker.card())
@@ -270,12 +273,12 @@ def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset)
             assert Dataset(out).indices == [0, 1, 4]
         with claim_shard(out, 1) as done:
             assert done is None
-        (out / shard_name(1)).rmdir()  # empty: nobody filled that draft
+        (out / shard_name(1)).rmdir()  # empty: that draft was never filled
         maker.make(out)
     assert contents(out) == contents(boards.folder)
 
 
-def test_who_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_failed_shard_leaves_no_draft(tmp_path: Path) -> None:
     def fail() -> None:
         with claim_shard(tmp_path, 0) as draft:
             assert draft is not None
@@ -309,7 +312,7 @@ def test_the_loader_indexes_as_a_list(boards: Dataset) -> None:
     boards.check()
 
 
-def test_the_loader_can_be_sent_to_other_processes(boards: Dataset) -> None:
+def test_loader_can_be_pickled(boards: Dataset) -> None:
     chosen = Dataset(boards.folder, ["depth", "mask"])
     sent = pickle.loads(pickle.dumps(chosen))
     assert list(sent[1]) == ["depth", "mask"]
@@ -329,8 +332,8 @@ def test_splits_share_no_scene(boards: Dataset) -> None:
         boards.split("dev")
 
 
-def test_a_sample_s_world_is_a_world_file(boards: Dataset, tmp_path: Path) -> None:
-    """What was drawn is all there is to it: the recorded world shows the recorded frames."""
+def test_recorded_world_reproduces_the_recorded_frames(boards: Dataset, tmp_path: Path) -> None:
+    """Rendering the recorded world again gives the recorded frames."""
     record, recorded = boards.scene(2), boards[2]
     (tmp_path / "world.yaml").write_text(config.to_yaml(record["world"]))
     (tmp_path / "rig.yaml").write_text(RIG_OF_BOARDS)
@@ -380,7 +383,7 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
         ({"scenes": BOARDS.model_copy(update={"tilt_deg": 20.0})}, "another 'scenes'; name another output"),
     ],
 )
-def test_another_data_set_is_not_gone_on_with(
+def test_folder_with_another_card_is_refused(
     boards: Dataset, tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     copied(boards, tmp_path / "set")
@@ -389,7 +392,7 @@ def test_another_data_set_is_not_gone_on_with(
     assert contents(tmp_path / "set") == contents(boards.folder)
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+def test_folder_without_a_data_set_is_left_unchanged(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "thesis.tex").write_text("years of work")
     with opened(tmp_path) as maker, pytest.raises(ConfigError, match="exists and is not a data set"):
@@ -397,7 +400,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "set").iterdir()] == ["thesis.tex"]
 
 
-def test_a_full_disk_is_told_and_leaves_no_half_shard(
+def test_full_disk_is_reported_and_leaves_no_incomplete_shard(
     tmp_path: Path, boards: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "set"
@@ -413,7 +416,7 @@ def test_a_full_disk_is_told_and_leaves_no_half_shard(
     assert contents(out) == contents(boards.folder)
 
 
-def test_what_the_rig_cannot_do_is_refused_before_the_first_scene(tmp_path: Path) -> None:
+def test_ranges_beyond_the_rig_are_refused_before_the_first_scene(tmp_path: Path) -> None:
     for update, named in (
         ({"stage_mm": (-80.0, 0.0)}, r"'stage_mm' is \[-80, 0\]: outside the stage's travel, -60 to 60"),
         ({"exposure_s": (0.01, 20.0)}, r"'exposure_s' is \[0.01, 20\]: outside the camera's exposure"),

@@ -67,7 +67,7 @@ def measured(folder: Path, *asked: tuple[Candidate, int]) -> list[tuple[Score, .
 
 
 @pytest.mark.slow
-def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: Path) -> None:
+def test_score_does_not_depend_on_evaluator_or_order(folder: Path) -> None:
     coarse, fine = candidate(1, 8, 32, stage_mm=0.0), candidate(1, 8, 64, stage_mm=0.0)
     moved = candidate(1, 8, 64, steps=6, stage_mm=10.0)
     asked = [(coarse, 1), (fine, 1), (moved, 1), (fine, 2)]
@@ -82,8 +82,8 @@ def test_a_score_is_the_same_whoever_measures_it_and_in_whatever_order(folder: P
 
 
 @pytest.mark.slow
-def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Path) -> None:
-    """The noise is another draw, and the scan's is all that differs."""
+def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Path) -> None:
+    """Only the noise differs."""
     plan = candidate_from_plan(START).plan(START).model_copy(update={"stage_mm": 0.0})
     score = measured(folder, (candidate_from_plan(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
@@ -100,8 +100,8 @@ def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a bench, where an operator puts it up."""
+def test_artefact_of_unknown_pose_is_located(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a real rig, where an operator places it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1
     known = measured(folder, asked)[0][0]
     monkeypatch.setattr("sim.devices.SimFixture._pose", lambda self, item, pose: None)
@@ -111,7 +111,7 @@ def test_an_artefact_whose_pose_nobody_knows_is_found(folder: Path, monkeypatch:
     assert found.wrong_orders == 0.0
 
 
-def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> None:
+def test_triangulation_angle_follows_from_the_triangle(folder: Path) -> None:
     """Camera at the origin, projector, and the middle of the artefact: by the lengths of the sides."""
     world = World.load(folder / "world.yaml")
     with closing(RigEvaluator(str(folder / "rig.yaml"), study(folder))) as evaluator:
@@ -123,7 +123,7 @@ def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> Non
             assert evaluator.triangulation_angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
 
 
-def test_a_study_without_what_it_needs_is_refused(folder: Path) -> None:
+def test_study_without_calibrations_or_artefact_is_refused(folder: Path) -> None:
     rig = str(folder / "rig.yaml")
     with pytest.raises(CalibrationError, match="'calibrations' names none"):
         RigEvaluator(rig, study(folder, calibrations=[])).measure(candidate(1, 8, 64), 1)
