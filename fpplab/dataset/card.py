@@ -186,11 +186,11 @@ def read_card(folder: Path) -> dict[str, Any]:
     try:
         card = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise DataError(f"{folder}: is no data set (it has no {CARD})") from None
+        raise DataError(f"{folder}: is not a data set (it has no {CARD})") from None
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: cannot be read ({error}); make the data set again") from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise DataError(f"{path}: is no card of a '{FORMAT}'")
+        raise DataError(f"{path}: is not the card of a '{FORMAT}'")
     return card
 
 

@@ -102,7 +102,7 @@ class SceneRanges(Document):
         if self.targets and self.ink[1] >= self.reflectance[0]:
             raise ValueError(
                 f"'ink' reaches {self.ink[1]:g}: must stay below 'reflectance', which begins at "
-                f"{self.reflectance[0]:g}, or nothing shows on a board"
+                f"{self.reflectance[0]:g}, or the print of a board is invisible"
             )
         return self
 
@@ -244,7 +244,7 @@ def _varied(name: str, variation: float, random: np.random.Generator) -> dict[st
             continue
         return sizes
     raise ConfigError(
-        f"'variation' is {variation:g}: hardly any '{name}' so far from its usual lengths is whole"
+        f"'variation' is {variation:g}: hardly any '{name}' with such lengths is a valid solid; lower it"
     )
 
 

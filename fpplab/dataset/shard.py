@@ -223,5 +223,5 @@ def check_shard(shard: Path) -> None:
                     )
     except (OSError, ValueError, AttributeError) as error:
         raise DataError(
-            f"{shard}: is no whole shard ({error}); remove it and run the same `fpplab dataset` again"
+            f"{shard}: is not a complete shard ({error}); remove it and run the same `fpplab dataset` again"
         ) from error

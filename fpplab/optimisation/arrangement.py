@@ -79,7 +79,9 @@ class StageCalibrations:
 
     def __init__(self, by_position: Mapping[float | None, Calibration]) -> None:
         if None in by_position and len(by_position) > 1:
-            raise CalibrationError("of several calibrations each must say where the stage stood: 'stage_mm'")
+            raise CalibrationError(
+                "with several calibrations, each needs the position of its stage: 'stage_mm'"
+            )
         self._positions = sorted(mm for mm in by_position if mm is not None)
         self._known = [by_position[mm] for mm in self._positions or (None,)]
         first = self._known[0]
@@ -142,7 +144,7 @@ class StageCalibrations:
         listed = ", ".join(f"{mm:g}" for mm in self._positions)
         if stage_mm is None:
             raise CalibrationError(
-                f"the rig is characterised with the stage at {listed} mm; 'stage_mm' must say where it stands"
+                f"the rig is characterised with the stage at {listed} mm; 'stage_mm' must give its position"
             )
         if not (self._positions and self._positions[0] <= stage_mm <= self._positions[-1]):
             raise CalibrationError(
@@ -164,7 +166,7 @@ class StageCalibrations:
             if abs(moved - (mm - start)) > TRAVEL_TOLERANCE * (mm - start) + TRAVEL_TOLERANCE_MM:
                 raise CalibrationError(
                     f"the calibrations at {start:g} and {mm:g} mm put the projector {moved:.1f} mm apart, "
-                    f"not {mm - start:g}; are they of this rig, and is each of its position?"
+                    f"not {mm - start:g}; check that they are of this rig and of these positions"
                 )
 
 

@@ -238,7 +238,7 @@ class SearchSpace:
         for axis in ("x", "y"):
             stripes = [f.stripes for f in candidate.fringes if f.axis == axis]
             if any(finer <= coarser for coarser, finer in pairwise(stripes)):
-                yield f"stripes along {axis} do not grow from set to set"
+                yield f"stripes along {axis} do not increase from set to set"
         if wanted.images is not None and candidate.images > wanted.images:
             yield f"more than {wanted.images} images"
         yield from self.limits.refusals(candidate, wanted.pixels_per_period)
@@ -264,7 +264,7 @@ def _template_candidate(study: Study, source: str) -> Candidate:
     plan, space = study.start, study.space
     check_unwrapping(plan, source)
     if any((f.shift_sign, f.phase_origin_rad, f.projector_size) != (1, 0.0, None) for f in plan.fringes):
-        raise ConfigError(f"{source}: 'start' has fringes made elsewhere, which no rig projects")
+        raise ConfigError(f"{source}: 'start' has fringes of imported images, which no rig projects")
     if (space.sets or space.axis) and len(plan.axes) > 1:
         raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
     fringes = [Fringes(f.axis, f.stripes, f.steps) for f in plan.fringes]
@@ -361,7 +361,7 @@ def _check_stripes(space: SearchSpace, source: str) -> None:
         if most <= reached.get(fringe.axis, 0.0):
             raise ConfigError(
                 f"{source}: 'space.stripes[{i}]' ends at {most:g}, and the set before begins at "
-                f"{reached[fringe.axis]:g}: stripes must grow from set to set"
+                f"{reached[fringe.axis]:g}: stripes must increase from set to set"
             )
         reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
 

@@ -121,7 +121,7 @@ class Journal:
                     self._known[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(data)
             except (ValidationError, ValueError, KeyError, TypeError) as error:
                 words = config.describe(error) if isinstance(error, ValidationError) else str(error)
-                raise DataError(f"{self.path} line {number}: is no measurement ({words})") from error
+                raise DataError(f"{self.path} line {number}: is not a measurement ({words})") from error
 
     def _check_header(self, found: dict[str, Any]) -> None:
         for name, own in self._header.items():

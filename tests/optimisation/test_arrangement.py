@@ -79,7 +79,7 @@ def test_projector_facing_the_camera_cannot_be_turned_towards_it() -> None:
     ("known", "stage_mm", "message"),
     [
         ({-20.0: at(-20), 40.0: at(40)}, 41.0, "'stage_mm' is 41, .* at -20, 40 mm; characterise it on"),
-        ({-20.0: at(-20), 40.0: at(40)}, None, "at -20, 40 mm; 'stage_mm' must say"),
+        ({-20.0: at(-20), 40.0: at(40)}, None, "at -20, 40 mm; 'stage_mm' must give"),
         ({None: at(0)}, 3.0, "at no known position; characterise"),
         ({0.0: at(0)}, 3.0, "at 0 mm; characterise"),
     ],
@@ -96,7 +96,7 @@ def test_stage_position_outside_the_characterised_range_is_refused(
     [
         ({0.0: at(0), 40.0: at(0)}, r"0 and 40 mm put the projector 0\.0 mm apart, not 40"),
         ({0.0: at(0), 40.0: replace(at(40), projector=DIAMOND)}, "at 40 mm: projector patterns"),
-        ({None: at(0), 40.0: at(40)}, "each must say where the stage stood"),
+        ({None: at(0), 40.0: at(40)}, "each needs the position of its stage"),
     ],
 )
 def test_inconsistent_calibrations_are_refused(known: dict[float | None, Calibration], message: str) -> None:

@@ -122,7 +122,7 @@ def test_axis_exposure_and_geometry_are_parameters(tmp_path: Path) -> None:
 def test_infeasible_point_is_refused_with_its_reason(tmp_path: Path) -> None:
     runner = runner_of(tmp_path, constraints={"images": 36})
     crossed, shown = runner.measure([(30.0, 20.0), (5.0, 40.0)])
-    assert crossed.refused == "stripes along x do not grow from set to set"
+    assert crossed.refused == "stripes along x do not increase from set to set"
     assert shown.measured
     assert runner.refused == {crossed.refused: 1}
     assert crossed.candidate not in [t.candidate for t in runner.trials]
@@ -169,7 +169,7 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "foreign fringes": (
         {"start": {"fringes": [{**FRINGES[0], "shift_sign": -1}, FRINGES[2]]}},
-        "fringes made elsewhere",
+        "fringes of imported images",
     ),
     "cannot be unwrapped": ({"start": {"fringes": FRINGES[1:]}}, "hierarchical unwrapping needs"),
 }
@@ -439,7 +439,7 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
     runner_of(tmp_path).start  # noqa: B018 - measured for the journal
     path = tmp_path / "study.jsonl"
     path.write_text(path.read_text().replace('"points": 1000', '"points": "many"'))
-    with pytest.raises(DataError, match=r"study\.jsonl line 2: is no measurement"):
+    with pytest.raises(DataError, match=r"study\.jsonl line 2: is not a measurement"):
         Journal(path, study(), {})
 
 

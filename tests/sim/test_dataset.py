@@ -53,7 +53,7 @@ ALL = SceneRanges.load("dataset_demo.yaml")
 BOARDS = ALL.model_copy(
     update={"artefacts": (), "reflectance": (0.6, 0.65), "ink": (0.58, 0.59), "charge": (0.1, 0.3)}
 )
-"""Images of boards are computed analytically, without Blender. Pixels are as large as the printed features, so
+"""Images of boards are computed without Blender. Pixels are as large as the printed features, so
 contrast is low and noise high, for the print to shift the phase by less than the noise does."""
 
 
@@ -361,14 +361,14 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
     with opened(tmp_path) as maker, pytest.raises(DataError, match=r"normals\.npy: is damaged"):
         maker.make(out)
     path.unlink()
-    with pytest.raises(DataError, match="is no whole shard"):
+    with pytest.raises(DataError, match="is not a complete shard"):
         Dataset(out).check()
     with pytest.raises(DataError, match=r"normals\.npy: is missing or damaged"):
         Dataset(out)[2]
     (out / "card.json").write_text("{")
     with pytest.raises(DataError, match=r"card\.json: cannot be read"):
         Dataset(out)
-    with pytest.raises(DataError, match="is no data set"):
+    with pytest.raises(DataError, match="is not a data set"):
         Dataset(tmp_path)
     with pytest.raises(ConfigError, match=r"has no field 'dept'; it has frames, .*, depth,"):
         Dataset(boards.folder, ["dept"])

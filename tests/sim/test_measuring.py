@@ -129,7 +129,7 @@ def test_study_without_calibrations_or_artefact_is_refused(folder: Path) -> None
         RigEvaluator(rig, study(folder, calibrations=[])).measure(candidate(1, 8, 64), 1)
     evaluator = RigEvaluator(rig, study(folder, artefacts=["card"]))
     try:
-        with pytest.raises(CalibrationError, match="at 0, 20 mm; 'stage_mm' must say"):
+        with pytest.raises(CalibrationError, match="at 0, 20 mm; 'stage_mm' must give"):
             evaluator.measure(candidate(1, 8, 64), 1)
         with pytest.raises(CalibrationError, match="'stage_mm' is 21"):
             evaluator.measure(candidate(1, 8, 64, stage_mm=21.0), 1)
