@@ -39,12 +39,15 @@ from fpplab.devices.rig import Rig
 from fpplab.optimisation import objectives
 from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
-from fpplab.optimisation.goal import Goal
-from fpplab.optimisation.measuring import candidate_of
-from fpplab.optimisation.run import Confirmed, SearchResult, calibrated, confirm_found, run_search
-from fpplab.optimisation.scheduling import Cluster, Opener, OpenRig, Task
+from fpplab.optimisation.confirm_result import ConfirmedPlan, confirm_result
+from fpplab.optimisation.measuring import candidate_from_plan
+from fpplab.optimisation.methods.gradient import Gradient
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search, with_calibrations
+from fpplab.optimisation.scheduling import DaskWorkers, EvaluatorFactory, RigEvaluatorFactory, Task
+from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.storage import ScoresOrReason
-from fpplab.optimisation.study import Gradient, Study
+from fpplab.optimisation.study import Study
 from fpplab.patterns.fringes import make_patterns
 
 MOST_IMAGES, FEWEST_IMAGES, IMAGES_OF_FRONT = 18, 9, (9, 21)
@@ -110,17 +113,17 @@ def optimise_figures(folder: Path, trial: OptimiseBenchmarkSetup = FULL) -> list
 def _characterised(rig: str, name: str, folder: Path) -> Study:
     """The study of a file with calibrations of the rig, which are kept for the next."""
     with Rig.load(rig) as opened, console.progress(f"Characterising {rig} for {name}") as report:
-        return calibrated(opened, Study.load(name), _of_rig(rig, folder), report)
+        return with_calibrations(opened, Study.load(name), _of_rig(rig, folder), report)
 
 
 def _of_rig(rig: str, folder: Path) -> Path:
     return folder / Path(rig).stem
 
 
-def searched(what: Goal, rig: str, name: str, folder: Path, workers: int) -> SearchResult:
+def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int) -> SearchResult:
     """What `fpplab optimise` finds; its plans and its journal stay in `folder`."""
     study = _characterised(rig, name, folder)
-    out = folder / (str(what) if what is Goal.PARETO else f"{what}.yaml")
+    out = folder / (str(what) if what is SearchScope.PARETO else f"{what}.yaml")
     with console.progress(f"Searching {what} on {rig}"):
         found = run_search(what, rig, study, out, name, workers=workers)
     console.say(f"{what}: {len(found.trials)} candidates, {found.ended}")
@@ -129,7 +132,7 @@ def searched(what: Goal, rig: str, name: str, folder: Path, workers: int) -> Sea
 
 def on_both(
     trial: OptimiseBenchmarkSetup, found: SearchResult, folder: Path
-) -> list[tuple[Confirmed, Confirmed]]:
+) -> list[tuple[ConfirmedPlan, ConfirmedPlan]]:
     """Every plan that is confirmed, on the twin and on the hidden bench: side by side by several workers."""
     rigs = (trial.twin, trial.hidden)
     if trial.workers == 1:
@@ -139,13 +142,13 @@ def on_both(
         return list(zip(*(one.result() for one in both), strict=True))
 
 
-def _confirmed(rig: str, found: SearchResult, folder: Path) -> tuple[Confirmed, ...]:
+def _confirmed(rig: str, found: SearchResult, folder: Path) -> tuple[ConfirmedPlan, ...]:
     with console.progress(f"Confirming on {rig}") as report:
-        return confirm_found(rig, found, _of_rig(rig, folder), report)
+        return confirm_result(rig, found, _of_rig(rig, folder), report)
 
 
 def _phases(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
-    found = searched(Goal.PHASES, trial.search, trial.phases, folder, trial.workers)
+    found = searched(SearchScope.PHASES, trial.search, trial.phases, folder, trial.workers)
     ((twin, hidden),) = on_both(trial, found, folder)
     return [
         below("optimise_phases_images", found.optimum.candidate.images, "images", MOST_IMAGES),
@@ -162,7 +165,7 @@ def no_worse(name: str, found: Confirmation) -> Result:
 
 
 def _stripes(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
-    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, trial.workers)
+    found = searched(SearchScope.STRIPES, trial.search, trial.stripes, folder, trial.workers)
     ((twin, hidden),) = on_both(trial, found, folder)
     here, there = twin.confirmation, hidden.confirmation
     return [
@@ -181,9 +184,9 @@ def wrong_percent(found: RepeatedFigures) -> float:
 
 
 def _baseline(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
-    found = searched(Goal.BASELINE, trial.wide, trial.baseline, folder, trial.workers)
+    found = searched(SearchScope.BASELINE, trial.wide, trial.baseline, folder, trial.workers)
     (moved,) = _confirmed(trial.wide, found, folder)
-    least, most = (found.space.parameters[0].least, found.space.parameters[0].most)
+    least, most = (found.space.parameters[0].lower, found.space.parameters[0].upper)
     at = found.optimum.point[0]
     console.say(f"the baseline's minimum is at {at:g} mm of {least:g} to {most:g}")
     return [
@@ -201,7 +204,7 @@ def gain_of(found: SearchResult) -> float:
 
 
 def _pareto(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
-    found = searched(Goal.PARETO, trial.search, trial.pareto, folder, trial.workers)
+    found = searched(SearchScope.PARETO, trial.search, trial.pareto, folder, trial.workers)
     counts = [one.candidate.images for one in found.front]
     within = [n for n in counts if IMAGES_OF_FRONT[0] <= n <= IMAGES_OF_FRONT[1]]
     apart = [deviation(twin, hidden) for twin, hidden in on_both(trial, found, folder)]
@@ -219,7 +222,7 @@ def beside_singles(found: SearchResult) -> float:
     Of those with as many images, among all that were measured and keep the limits: the search of a front
     begins with searches of each kind of parameter by itself.
     """
-    wanted = [trial for trial in found.trials if found.judge.wanted(trial)]
+    wanted = [trial for trial in found.trials if found.ranking.is_acceptable(trial)]
     single = [trial for trial in wanted if len(groups_changed(found, trial)) <= 1]
     return max(
         one.figures.surface_smcd_um / other.figures.surface_smcd_um
@@ -235,7 +238,7 @@ def groups_changed(found: SearchResult, trial: objectives.MeasuredCandidate) -> 
     return {parameter.group for parameter, value, begin in values if value != begin}
 
 
-def deviation(twin: Confirmed, hidden: Confirmed) -> float:
+def deviation(twin: ConfirmedPlan, hidden: ConfirmedPlan) -> float:
     """Between the gains on the two, in standard uncertainties of their difference."""
     one, other = twin.confirmation, hidden.confirmation
     for name, found in (("twin", one), ("hidden", other)):
@@ -254,7 +257,12 @@ def _speed(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     with own_cache(out), console.progress(f"Gradient descent through {trial.epochs} epochs"):
         descent = study.model_copy(update={"method": whole})
         found = run_search(
-            Goal.STRIPES, trial.search, descent, out / "plan.yaml", trial.gradient, workers=trial.workers
+            SearchScope.STRIPES,
+            trial.search,
+            descent,
+            out / "plan.yaml",
+            trial.gradient,
+            workers=trial.workers,
         )
     seconds = time.perf_counter() - begin
     images = len(study.artefacts) * sum(one.candidate.images for one in found.trials if one.measured)
@@ -311,7 +319,7 @@ def _seconds_of_image(rig: Rig, pattern: int) -> float:
 class OnOneCore:
     """Opens a rig in a process that measures on one core, which no other has claimed in the folder."""
 
-    opener: Opener
+    factory: EvaluatorFactory
     claims: Path
 
     def __call__(self) -> Evaluator:
@@ -320,7 +328,7 @@ class OnOneCore:
             cores = sorted(os.sched_getaffinity(0))
             own = next(core for core in cores if _claimed(self.claims / f"{core}"))
             os.sched_setaffinity(0, {own})  # of this thread, and of all that it will start
-        return self.opener()
+        return self.factory()
 
 
 def _claimed(path: Path) -> bool:
@@ -337,11 +345,11 @@ def _claimed(path: Path) -> bool:
 class KilledOnce:
     """Opens a rig of which one process is killed while it measures; `died` remembers it."""
 
-    opener: Opener
+    factory: EvaluatorFactory
     died: Path
 
     def __call__(self) -> Evaluator:
-        return _Mortal(self.opener(), self.died)
+        return _Mortal(self.factory(), self.died)
 
 
 @dataclass(frozen=True)
@@ -362,16 +370,18 @@ class _Mortal:
 def _scale(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
     """Two workers against one, where there are two cores; and two of which one is killed."""
     study = _characterised(trial.search, trial.stripes, folder)
-    opener = OpenRig(trial.search, study)
-    tasks = [(one, study.seeds[0]) for one in _others(candidate_of(study.start), WARM + trial.measured)]
+    factory = RigEvaluatorFactory(trial.search, study)
+    tasks = [
+        (one, study.seeds[0]) for one in _others(candidate_from_plan(study.start), WARM + trial.measured)
+    ]
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as claims:
         place = Path(claims)
-        wanted, alone = _measured(OnOneCore(opener, place / "one"), 1, tasks)
+        wanted, alone = _measured(OnOneCore(factory, place / "one"), 1, tasks)
         results = []
         if (os.cpu_count() or 1) > 1:
-            _, together = _measured(OnOneCore(opener, place / "two"), 2, tasks)
+            _, together = _measured(OnOneCore(factory, place / "two"), 2, tasks)
             results.append(above("optimise_two_workers", alone / together, "of one's rate", LEAST_BY_TWO))
-        found, _ = _measured(KilledOnce(opener, place / "died"), 2, tasks)
+        found, _ = _measured(KilledOnce(factory, place / "died"), 2, tasks)
     kept = sum(found.get(at) == outcome for at, outcome in wanted.items())
     return [*results, above("optimise_kept_of_killed", kept, "measurements", len(tasks))]
 
@@ -384,10 +394,12 @@ def _others(like: Candidate, count: int) -> Iterable[Candidate]:
     )
 
 
-def _measured(opener: Opener, workers: int, tasks: Sequence[Task]) -> tuple[dict[int, ScoresOrReason], float]:
+def _measured(
+    factory: EvaluatorFactory, workers: int, tasks: Sequence[Task]
+) -> tuple[dict[int, ScoresOrReason], float]:
     """Outcomes by place, and seconds for all but the first `WARM`."""
     found: dict[int, ScoresOrReason] = {}
-    cluster = Cluster(opener, workers)
+    cluster = DaskWorkers(factory, workers)
     try:
         with console.progress(f"Measuring with {workers}") as report:
             cluster.measure(tasks[:WARM], found.__setitem__)

@@ -1,4 +1,4 @@
-"""Labelled captures over random scenes: made by a simulation, and read again by whoever learns from them."""
+"""Labelled captures of random scenes for training: made with a simulation, and read by `Dataset`."""
 
 from fpplab.dataset.loader import Dataset
 

@@ -1,4 +1,4 @@
-"""From frames, and what is true of them, to the arrays of a sample."""
+"""Computes the arrays of a sample from its frames and labels."""
 
 from __future__ import annotations
 
@@ -13,10 +13,31 @@ from fpplab.phase import decode, wrapped_phase
 from fpplab.simulation.arrangeable import SceneTruth
 
 
-def arrays_of(
+def sample_arrays(
     frames: list[Image], plan: Plan, exposure_s: float, bits: int, truth: SceneTruth, labels: Labels
 ) -> Arrays:
-    """Every field of a sample from its frames and what is true of it."""
+    """Compute every field of a sample, as `FIELDS` describes them.
+
+    Parameters
+    ----------
+    frames : list of Image
+        Raw images (height, width) in the plan's order.
+    plan : Plan
+        What was projected.
+    exposure_s : float
+        Exposure of every image in seconds.
+    bits : int
+        Bit depth of the camera.
+    truth : SceneTruth
+        The true shape and devices.
+    labels : Labels
+        True maps of the camera.
+
+    Returns
+    -------
+    Arrays
+        Arrays by field, with the shapes and types of `FieldSpec`.
+    """
     devices = truth.calibration
     size = devices.projector.size
     recording = Recording(frames, plan, size, bits)

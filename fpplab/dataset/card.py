@@ -1,7 +1,7 @@
-"""The data card: what a data set holds, how it was made and of what, its splits, licence and limits.
+"""The data card: what a data set holds, how and from what it was made, its splits, licence and limitations.
 
-`card.json` is for programs, `README.md` the same for people. Everything in it follows from what was asked
-for, so that the card also tells whether a folder holds the data set that is to be made, or another.
+`card.json` is for programs, `README.md` has the same content for people. Everything in it follows from the
+request, so the card also tells whether a folder holds the data set that is to be made, or another one.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import write_text
 from fpplab.dataset.fields import FIELDS, FRAMES, FieldSpec
-from fpplab.dataset.shard import CHECKSUMS, SCENES, file_of, shard_name
+from fpplab.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"
+"""Value of the card's field `format`."""
 MADE_WITH = ("fpplab", "numpy", "bpy", "embreex")
+"""Packages whose versions the card lists."""
 
 SPLITS = (*["train"] * 4, "validation", *["train"] * 4, "test")
 """The split of sample k is entry k modulo ten."""
@@ -40,32 +42,72 @@ LIMITS = (
     "artefact, the same boards and the same two devices.",
     "Sensor noise is shot and read noise of independent pixels: no fixed pattern, no dead pixels.",
 )
+"""Limitations that the card lists."""
 
 
 def split_of(index: int) -> str:
-    """The split of a sample."""
+    """Tell which split a sample belongs to.
+
+    Parameters
+    ----------
+    index : int
+        Index of the sample in the data set.
+
+    Returns
+    -------
+    str
+        "train", "validation" or "test".
+    """
     return SPLITS[index % len(SPLITS)]
 
 
-def fields_of(bits: int) -> dict[str, FieldSpec]:
-    """The fields by name, for frames of so many bits."""
+def dataset_fields(bits: int) -> dict[str, FieldSpec]:
+    """Describe the fields of a data set for a camera's bit depth.
+
+    Parameters
+    ----------
+    bits : int
+        Bit depth of the camera, which decides the type of the frames.
+
+    Returns
+    -------
+    dict of str to FieldSpec
+        Fields by name.
+    """
     frames = "|u1" if bits <= 8 else "<u2"
     return {f.name: FieldSpec(**{**asdict(f), "dtype": frames}) if f.name == FRAMES else f for f in FIELDS}
 
 
 def make_card(
-    asked: dict[str, Any], fields: dict[str, FieldSpec], letters: dict[str, int], licence: str
+    recipe: dict[str, Any], fields: dict[str, FieldSpec], dimensions: dict[str, int], licence: str
 ) -> dict[str, Any]:
-    """The card of a data set. asked: all that its samples follow from, with `samples` and `shard_size`."""
-    described = [{**asdict(f), "shape": list(f.extent(letters)), "axes": f.shape} for f in fields.values()]
+    """Make the card of a data set.
+
+    Parameters
+    ----------
+    recipe : dict
+        Everything that the samples follow from, including `samples` and `shard_size`, as plain data.
+    fields : dict of str to FieldSpec
+        Fields by name.
+    dimensions : dict of str to int
+        Lengths of the dimensions, see `dimension_sizes`.
+    licence : str
+        Licence of the data.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON.
+    """
+    described = [{**asdict(f), "shape": list(f.extent(dimensions)), "axes": f.shape} for f in fields.values()]
     size = sum(np.dtype(f["dtype"]).itemsize * math.prod(f["shape"]) for f in described)
-    samples = asked["samples"]
+    samples = recipe["samples"]
     return {
         "format": FORMAT,
         "what": "Fringe projection captures of random scenes, simulated, with the truth of every pixel",
         "licence": licence,
-        **asked,
-        "shards": math.ceil(samples / asked["shard_size"]),
+        **recipe,
+        "shards": math.ceil(samples / recipe["shard_size"]),
         "splits": {
             split: sum(split_of(k) == split for k in range(samples)) for split in dict.fromkeys(SPLITS)
         },
@@ -77,28 +119,41 @@ def make_card(
     }
 
 
-def begin(folder: Path, card: dict[str, Any]) -> None:
-    """Make the folder with its card, or go on in the one that has the same card.
+def prepare_folder(folder: Path, card: dict[str, Any]) -> None:
+    """Create the folder with its card, or check that the existing one has the same card.
 
-    Raises `ConfigError` when the folder is something else, and names what differs; `DataError`.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+    card : dict
+        Its card.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds something else, or a data set with another card; names what differs.
+    DataError
+        The card there cannot be read, or nothing can be written.
     """
     if (folder / CARD).exists():
-        _compare(folder, card)
+        _check_same(folder, card)
     elif folder.exists() and not _is_empty(folder):
         raise ConfigError(f"{folder}: exists and is not a data set; name another output")
     else:
         write_text(folder / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
     for name, text in ((README, _readme(card)), (PLAN, config.to_yaml(card["plan"]))):
-        if not (folder / name).exists():  # it may have been killed between the card and these
+        if not (folder / name).exists():  # a process may have been killed after writing the card
             write_text(folder / name, text)
 
 
 def _is_empty(folder: Path) -> bool:
-    """Whether there is nothing but drafts of a process that was killed."""
+    """Check whether the folder has nothing but drafts of a process that was killed."""
     return folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
 
 
-def _compare(folder: Path, card: dict[str, Any]) -> None:
+def _check_same(folder: Path, card: dict[str, Any]) -> None:
+    """Refuse to continue a data set with another card: `ConfigError`."""
     there = read_card(folder)
     for key, wanted in json.loads(json.dumps(card)).items():
         if (found := there.get(key)) != wanted:
@@ -110,16 +165,32 @@ def _compare(folder: Path, card: dict[str, Any]) -> None:
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """The card in a folder. Raises `DataError` when there is none that can be read."""
+    """Read the card in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of a data set.
+
+    Returns
+    -------
+    dict
+        The card.
+
+    Raises
+    ------
+    DataError
+        There is no card, or it cannot be read.
+    """
     path = folder / CARD
     try:
         card = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise DataError(f"{folder}: is no data set (it has no {CARD})") from None
+        raise DataError(f"{folder}: is not a data set (it has no {CARD})") from None
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: cannot be read ({error}); make the data set again") from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise DataError(f"{path}: is no card of a '{FORMAT}'")
+        raise DataError(f"{path}: is not the card of a '{FORMAT}'")
     return card
 
 
@@ -133,7 +204,7 @@ def _readme(card: dict[str, Any]) -> str:
     rule = ", ".join(f"{k} is {name}" for k, name in enumerate(SPLITS) if name != SPLITS[0])
     made = ", ".join(f"{name} {number}" for name, number in card["made_with"].items())
     size, total = card["bytes_per_sample"] / 1e6, card["bytes"] / 1e9
-    first, depth = shard_name(0), file_of("depth")
+    first, depth = shard_name(0), array_file("depth")
     limits = [f"* {limit}" for limit in card["limits"]]
     return f"""# {card["what"]}
 

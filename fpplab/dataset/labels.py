@@ -1,4 +1,4 @@
-"""What is true at every pixel's centre, from the shapes and the devices' models: nothing here is measured."""
+"""Ground truth at the centre of every pixel, from the shapes and device models; nothing here is measured."""
 
 from __future__ import annotations
 
@@ -12,17 +12,29 @@ from fpplab.reconstruction.triangulation import camera_rays
 from fpplab.simulation.arrangeable import SceneTruth
 
 GRAZING = 0.01
-"""Cosine of incidence below which a surface counts as unseen: rays are traced in single precision, and the
-place where one meets a surface that it hardly meets is not known better."""
+"""Cosine of incidence below which a surface counts as unseen.
+
+Rays are traced in single precision, and their intersection with a surface that they nearly graze is
+uncertain.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """True maps of the camera, [v, u] and float32 but for the mask.
+    """True maps of the camera, (height, width) and float32 unless stated otherwise.
 
-    depth: z in mm, NaN where nothing is seen. normals: (3, h, w), unit, towards the camera, of the facets of
-    the shape's mesh; NaN likewise. mask: seen and lit by the projector, shadows counted. u, v: projector
-    coordinates in px of what is seen, NaN outside the mask.
+    Attributes
+    ----------
+    depth : Map
+        Coordinate z in mm in the camera's frame, NaN where nothing is seen.
+    normals : Map
+        Unit normals (3, height, width) of the mesh's facets, towards the camera; NaN where nothing is seen.
+    mask : Mask
+        Whether the surface is seen and illuminated by the projector, shadows considered; bool.
+    u : Map
+        Projector column in px of what is seen, NaN outside the mask.
+    v : Map
+        Projector row in px of what is seen, NaN outside the mask.
     """
 
     depth: Map
@@ -32,8 +44,19 @@ class Labels:
     v: Map
 
 
-def labels_of(truth: SceneTruth) -> Labels:
-    """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens."""
+def trace_labels(truth: SceneTruth) -> Labels:
+    """Trace the ray of every pixel's centre to the true surface, and from there to the projector's lens.
+
+    Parameters
+    ----------
+    truth : SceneTruth
+        The true shape and devices.
+
+    Returns
+    -------
+    Labels
+        Maps of the camera.
+    """
     devices, shape = truth.calibration, RayTracedShape(truth.mesh)
     rays = camera_rays(devices.camera)
     size, rays = rays.shape[:2], rays.reshape(-1, 3)
@@ -42,11 +65,11 @@ def labels_of(truth: SceneTruth) -> Labels:
     met, rays = faces[pixels], rays[pixels]
     normals = shape.normals[met]
     towards = -np.einsum("ij,ij->i", normals, rays)
-    if not truth.mesh.is_watertight:  # a plate has no inside, so its side is the one that is looked at
+    if not truth.mesh.is_watertight:  # a plate has no inside: its normals point to the viewer
         normals, towards = np.sign(towards)[:, None] * normals, np.abs(towards)
     plain = towards > GRAZING * np.linalg.norm(rays, axis=1)
     pixels, met, rays, normals, towards = (values[plain] for values in (pixels, met, rays, normals, towards))
-    # The face is known from single precision, the place on it in double.
+    # The face is found in single precision; the intersection with it is computed in double.
     depth = -np.einsum("ij,ij->i", normals, shape.triangles[met, 0]) / towards
     points = depth[:, None] * rays
     lit = _lit(truth, shape, points, normals)
@@ -63,7 +86,7 @@ def labels_of(truth: SceneTruth) -> Labels:
 
 
 def _lit(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floats) -> Mask:
-    """Which points of the surface (N, 3) the projector's light reaches."""
+    """Select the points of the surface (N, 3) that the projector illuminates."""
     devices, lamp = truth.calibration, truth.calibration.projector_centre
     facing = np.einsum("ij,ij->i", normals, lamp - points) > 0
     reached = devices.projector.sees(points, devices.T_projector_camera) & shape.lit(lamp, points)

@@ -1,4 +1,4 @@
-"""A data set, read sample by sample, with the indexing of PyTorch's map-style data sets."""
+"""Reads a data set sample by sample, with the indexing of PyTorch's map-style data sets."""
 
 from __future__ import annotations
 
@@ -15,17 +15,41 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
 from fpplab.dataset.fields import Arrays
-from fpplab.dataset.shard import SCENES, check_shard, file_of, shard_name
+from fpplab.dataset.shard import SCENES, array_file, check_shard, shard_name
 from fpplab.patterns.plan import Plan
 
 
 class Dataset:
-    """The samples of a folder that `fpplab dataset` made, `len()` and `[k]` of them.
+    """The samples of a folder that `fpplab dataset` has made, with `len()` and `[k]`.
 
-    Of one that is still being made these are the samples of whole shards. It holds no open file, so that it
-    may be pickled and shared by the processes of a loader. fields: of every sample, all by default; see
-    `card`.
-    Raises `DataError` when the folder holds no data set, `ConfigError` for a field that it does not have.
+    Of a data set that is still being made, the samples of complete shards. No file is kept open, so that it
+    can
+    be pickled and shared by the worker processes of a data loader.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Folder of the data set.
+    fields : iterable of str, optional
+        Fields that every sample has; all by default.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the data set.
+    card : dict
+        The data card.
+    fields : tuple of str
+        Fields that every sample has.
+    indices : list of int
+        Indices of the samples in the whole data set.
+
+    Raises
+    ------
+    DataError
+        The folder holds no data set.
+    ConfigError
+        The data set does not have one of the fields.
     """
 
     def __init__(self, folder: Path | str, fields: Iterable[str] | None = None) -> None:
@@ -41,7 +65,23 @@ class Dataset:
         self.indices = [k for k in range(self.card["samples"]) if k // size in there]
 
     def split(self, name: str) -> Self:
-        """The samples of one split: train, validation or test."""
+        """Select the samples of one split.
+
+        Parameters
+        ----------
+        name : str
+            "train", "validation" or "test".
+
+        Returns
+        -------
+        Dataset
+            With the same fields.
+
+        Raises
+        ------
+        ConfigError
+            There is no such split.
+        """
         if name not in SPLITS:
             raise ConfigError(
                 f"{self.folder}: has no split '{name}'; it has {', '.join(dict.fromkeys(SPLITS))}"
@@ -54,15 +94,38 @@ class Dataset:
         return len(self.indices)
 
     def __getitem__(self, k: int) -> Arrays:
-        """Sample `k`, counted within the split: arrays of its own by field, see `card["fields"]`.
+        """Read sample `k` of the split: new arrays by field, see `card["fields"]`.
 
-        Raises `IndexError`, `DataError` when a file is missing or damaged.
+        Raises
+        ------
+        IndexError
+            There is no such sample.
+        DataError
+            A file is missing or damaged.
         """
         shard, row = self._place(k)
-        return {name: _read(shard / file_of(name), row) for name in self.fields}
+        return {name: _read(shard / array_file(name), row) for name in self.fields}
 
     def scene(self, k: int) -> dict[str, Any]:
-        """What was drawn for sample `k`: its `index`, `split`, `scene`, and the whole `world`."""
+        """Read what was drawn for a sample.
+
+        Parameters
+        ----------
+        k : int
+            Index within the split.
+
+        Returns
+        -------
+        dict
+            `index` and `split` of the sample, its `scene`, and the whole `world`.
+
+        Raises
+        ------
+        DataError
+            The file cannot be read.
+        IndexError
+            There is no such sample.
+        """
         shard, row = self._place(k)
         try:
             lines = (shard / SCENES).read_text(encoding="utf-8").splitlines()
@@ -73,16 +136,22 @@ class Dataset:
 
     @cached_property
     def plan(self) -> Plan:
-        """What was projected; the exposure is each sample's own."""
+        """What was projected; the exposure differs from sample to sample."""
         return config.load_document(self.folder / PLAN, Plan)
 
     def check(self) -> None:
-        """Compare every file with its checksum. Raises `DataError` that names the first damaged one."""
+        """Compare every file with its checksum.
+
+        Raises
+        ------
+        DataError
+            Names the first file that is damaged.
+        """
         for number in sorted({k // self.card["shard_size"] for k in self.indices}):
             check_shard(self.folder / shard_name(number))
 
     def _place(self, k: int) -> tuple[Path, int]:
-        """Shard and row."""
+        """Find the shard and row of a sample."""
         index = self.indices[operator.index(k)]
         number, row = divmod(index, self.card["shard_size"])
         return self.folder / shard_name(number), row

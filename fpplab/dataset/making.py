@@ -1,4 +1,4 @@
-"""A data set from a rig with a simulation: scene by scene, through the rig's own devices."""
+"""Makes a data set on a rig with a simulation: scene by scene, captured with the rig's own devices."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fpplab.core import config
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.dataset.arrays import arrays_of
-from fpplab.dataset.card import begin, fields_of, make_card, split_of
-from fpplab.dataset.fields import Arrays, letters_of
-from fpplab.dataset.labels import labels_of
-from fpplab.dataset.scenes import Scenes, draw, draw_stage
-from fpplab.dataset.shard import ShardWriter, check_shard, claimed, shard_name
+from fpplab.dataset.arrays import sample_arrays
+from fpplab.dataset.card import dataset_fields, make_card, prepare_folder, split_of
+from fpplab.dataset.fields import Arrays, dimension_sizes
+from fpplab.dataset.labels import trace_labels
+from fpplab.dataset.scenes import SceneRanges, draw_scene, draw_stage
+from fpplab.dataset.shard import ShardWriter, check_shard, claim_shard, shard_name
 from fpplab.devices.rig import Rig, load_backend
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
@@ -29,91 +29,160 @@ from fpplab.simulation.scene import DatasetScene
 
 @dataclass(frozen=True)
 class DatasetRequest:
-    """What a data set follows from beside the rig: nothing else changes a sample.
+    """What the samples of a data set follow from, besides the rig.
 
-    samples, shard_size: at least 1. seed: at least 0.
+    Attributes
+    ----------
+    plan : Plan
+        What is projected.
+    scenes : SceneRanges
+        Ranges that scenes are drawn from.
+    samples : int
+        Number of samples, at least 1.
+    seed : int
+        At least 0; another seed gives other scenes.
+    shard_size : int
+        Samples in a shard, at least 1.
     """
 
     plan: Plan
-    scenes: Scenes
+    scenes: SceneRanges
     samples: int
     seed: int = 0
     shard_size: int = 8
 
     def shard(self, number: int) -> range:
-        """The samples of a shard."""
+        """List the samples of a shard.
+
+        Parameters
+        ----------
+        number : int
+            Number of the shard.
+
+        Returns
+        -------
+        range
+            Indices of its samples.
+        """
         return range(number * self.shard_size, min((number + 1) * self.shard_size, self.samples))
 
 
-class Maker:
+class DatasetMaker:
     """Makes the samples of a data set on an open rig that is a simulation, in any order.
 
-    Raises `ConfigError` for a plan or for scenes that the rig cannot have.
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    request : DatasetRequest
+        What is to be made.
+
+    Raises
+    ------
+    ConfigError
+        The rig cannot do the plan or the scenes.
     """
 
-    def __init__(self, rig: Rig, wanted: DatasetRequest) -> None:
-        check_unwrapping(wanted.plan, "plan")
+    def __init__(self, rig: Rig, request: DatasetRequest) -> None:
+        check_unwrapping(request.plan, "plan")
         caps = rig.projector.caps
-        self._patterns = make_patterns(wanted.plan, caps.size, caps.lattice)
-        _check_ranges(rig, wanted.scenes)
-        self._rig, self._wanted = rig, wanted
+        self._patterns = make_patterns(request.plan, caps.size, caps.lattice)
+        _check_ranges(rig, request.scenes)
+        self._rig, self._request = rig, request
         self._studio = _arrangeable(rig).studio()
-        self._fields = fields_of(rig.file.camera.bits)
-        self._letters = letters_of(wanted.plan, rig.camera.caps.size)
+        self._fields = dataset_fields(rig.file.camera.bits)
+        self._dimensions = dimension_sizes(request.plan, rig.camera.caps.size)
         if rig.stage is not None:
             rig.stage.home()
 
     def card(self) -> dict[str, Any]:
-        """The data set's card."""
-        wanted = self._wanted
-        asked = {
-            "samples": wanted.samples,
-            "shard_size": wanted.shard_size,
-            "seed": wanted.seed,
-            "plan": config.plain(wanted.plan),
-            "scenes": wanted.scenes.model_dump(mode="json", exclude={"licence"}),
+        """Make the data set's card.
+
+        Returns
+        -------
+        dict
+            Plain data for JSON, see `make_card`.
+        """
+        request = self._request
+        recipe = {
+            "samples": request.samples,
+            "shard_size": request.shard_size,
+            "seed": request.seed,
+            "plan": config.plain(request.plan),
+            "scenes": request.scenes.model_dump(mode="json", exclude={"licence"}),
             "rig": self._rig.described(),
             "world": self._studio.nominal(),
         }
-        return make_card(asked, self._fields, self._letters, wanted.scenes.licence)
+        return make_card(recipe, self._fields, self._dimensions, request.scenes.licence)
 
     def make(self, folder: Path, progress: Progress = no_progress) -> dict[str, Any]:
-        """Make every shard that is missing in `folder`, and return the card.
+        """Make every shard that is missing.
 
-        Shards that are there are checked; one that another process is at is left to it. An interrupted data
-        set goes on by the same call, and ends as if nothing had happened.
-        Raises `ConfigError` when the folder holds something else, `DataError` when a shard is damaged or the
-        disk is full, `DeviceError`.
+        Existing shards are checked; one that another process is making is left to it. An interrupted data set
+        is
+        completed by the same call, with the same result as without the interruption.
+
+        Parameters
+        ----------
+        folder : Path
+            Folder of the data set.
+        progress : Progress
+            Told the share that is done.
+
+        Returns
+        -------
+        dict
+            The card.
+
+        Raises
+        ------
+        ConfigError
+            The folder holds something else.
+        DataError
+            A shard is damaged, or the disk is full.
+        DeviceError
+            From the rig.
         """
-        card, wanted = self.card(), self._wanted
-        begin(folder, card)
+        card, request = self.card(), self._request
+        prepare_folder(folder, card)
         for number in range(card["shards"]):
             if (folder / shard_name(number)).exists():
                 check_shard(folder / shard_name(number))
             else:
-                self._shard(folder, number, lambda index: progress(index / wanted.samples))
-            progress(wanted.shard(number).stop / wanted.samples)
+                self._shard(folder, number, lambda index: progress(index / request.samples))
+            progress(request.shard(number).stop / request.samples)
         return card
 
     def _shard(self, folder: Path, number: int, begun: Callable[[int], None]) -> None:
-        samples = self._wanted.shard(number)
-        with claimed(folder, number) as draft:
+        samples = self._request.shard(number)
+        with claim_shard(folder, number) as draft:
             if draft is None:
                 return
-            with ShardWriter(draft, self._fields, len(samples), self._letters) as shard:
+            with ShardWriter(draft, self._fields, len(samples), self._dimensions) as shard:
                 for index in samples:
                     begun(index)
                     shard.add(*self.sample(index))
 
     def sample(self, index: int) -> tuple[Arrays, dict[str, Any]]:
-        """All arrays of one sample, and what was drawn for it."""
-        wanted, studio = self._wanted, self._studio
+        """Make one sample; it does not depend on the samples made before.
+
+        Parameters
+        ----------
+        index : int
+            Index of the sample.
+
+        Returns
+        -------
+        (Arrays, dict)
+            All arrays, and the record of what was drawn: `index`, `split`, `scene` and `world`.
+        """
+        request, studio = self._request, self._studio
         scene = self._scene(index)
         studio.arrange(scene)
         frames = self._frames(scene)
         truth = studio.truth()
         bits = self._rig.file.camera.bits
-        arrays = arrays_of(frames, wanted.plan, scene.exposure_s, bits, truth, labels_of(truth))
+        arrays = sample_arrays(frames, request.plan, scene.exposure_s, bits, truth, trace_labels(truth))
         record = {
             "index": index,
             "split": split_of(index),
@@ -123,23 +192,23 @@ class Maker:
         return arrays, record
 
     def _scene(self, index: int) -> DatasetScene:
-        wanted = self._wanted
-        stage_mm = draw_stage(wanted.scenes, wanted.seed, index)
-        return draw(wanted.scenes, wanted.seed, index, self._studio.calibration(stage_mm), stage_mm)
+        request = self._request
+        stage_mm = draw_stage(request.scenes, request.seed, index)
+        return draw_scene(request.scenes, request.seed, index, self._studio.calibration(stage_mm), stage_mm)
 
     def _frames(self, scene: DatasetScene) -> list[Image]:
-        rig, plan = self._rig, self._wanted.plan
+        rig, plan = self._rig, self._request.plan
         if rig.stage is not None:
             rig.stage.move_to(scene.stage_mm)
-        # Noise counts from the camera's opening, so that a sample does not depend on those before it.
+        # Noise numbers count from the camera's opening: reopened, a sample is independent of those before.
         rig.camera.close()
         rig.camera.open()
         with closing(expose(rig, self._patterns, rig.camera_settings(scene.exposure_s), plan)) as shots:
             return [shot.image for shot in shots]
 
 
-def _check_ranges(rig: Rig, scenes: Scenes) -> None:
-    """Refuse what the devices cannot do, before the first scene: `ConfigError`."""
+def _check_ranges(rig: Rig, scenes: SceneRanges) -> None:
+    """Refuse ranges that the devices cannot do, before the first scene: `ConfigError`."""
     travel = rig.stage.caps.travel_mm if rig.stage is not None else (0.0, 0.0)
     limits = {
         "exposure_s": (rig.camera.caps.exposure_s, "the camera's exposure"),

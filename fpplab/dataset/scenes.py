@@ -1,6 +1,6 @@
-"""Random scenes: what stands before the devices, of what, where, and in what light.
+"""Draws random scenes: item, pose, surface, light and camera noise.
 
-A scene follows from the ranges, the seed and its index alone, whoever draws it and in what order.
+A scene follows from the ranges, the seed and its index alone, independent of process and order.
 """
 
 from __future__ import annotations
@@ -23,15 +23,17 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.simulation.scene import DatasetScene
 from fpplab.targets import Target
 
-TRIES = 2000
-LEAST_IN_VIEW = 0.5
-"""So much of an item's box must lie in the camera's image and in the projector's, shadows aside."""
+MAX_TRIES = 2000
+"""Random poses, or sizes, that are tried before giving up."""
+MIN_IN_VIEW = 0.5
+"""Share of an item's bounding box that must lie in view of camera and projector, without shadows."""
 
-Ends = tuple[float, float]
+Interval = tuple[float, float]
+"""Least and greatest value."""
 
 
 def _within(low: float, high: float) -> AfterValidator:
-    def check(ends: Ends) -> Ends:
+    def check(ends: Interval) -> Interval:
         if not low <= ends[0] <= ends[1] <= high:
             raise ValueError(f"must be the least and the greatest, within {low:g} to {high:g}")
         return ends
@@ -39,77 +41,104 @@ def _within(low: float, high: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-Shares = Annotated[Ends, _within(0.0, 1.0)]
+Shares = Annotated[Interval, _within(0.0, 1.0)]
+"""Interval within 0 to 1."""
 
 
-class Scenes(Document):
-    """What scenes are drawn from; a range is [least, greatest], drawn from evenly.
+class SceneRanges(Document):
+    """What scenes are drawn from; an interval is [least, greatest], drawn from uniformly.
 
-    artefacts: by name; targets: boards, by file. Each is as likely as any other. variation: how far each
-    length of an artefact may be off its usual one, as a share.
-    distance_mm: depth of the item's origin. off_centre: how far from the middle of the image it may be seen,
-    as a share of the way to the edge. tilt_deg, turn_deg: the most that it is turned away from the camera,
-    and about the line of sight.
-    reflectance, roughness, gloss, gloss_roughness: of an artefact's paint, as a world's glossy material;
-    for a board reflectance is its paper's, and ink its print's. ambient: relative to the projector's white.
-    charge: electrons for the same grey level, relative to the rig's sensor, drawn evenly in its logarithm:
-    shot noise grows as its root falls. read_noise_e: electrons.
-    projector_blur: in mirrors. projector_focus_mm: the depth that the projector has sharp.
-    stage_mm: where the stage stands.
-    licence: of the data, as whoever makes them grants it.
+    Artefacts and targets are all equally likely.
     """
 
     artefacts: tuple[str, ...]
+    """Artefacts, by name."""
     targets: tuple[str, ...]
+    """Calibration boards, by file."""
     variation: Annotated[float, Field(ge=0, lt=1)]
-    distance_mm: Annotated[Ends, _within(1.0, 1e5)]
+    """Greatest deviation of each length of an artefact from its usual one, as a share."""
+    distance_mm: Annotated[Interval, _within(1.0, 1e5)]
+    """Depth of the item's origin in the camera's frame in mm."""
     off_centre: Annotated[float, Field(ge=0, le=1)]
+    """Greatest distance of the item from the image centre, as a share of the distance to the edge."""
     tilt_deg: Annotated[float, Field(ge=0, le=80)]
+    """Greatest tilt away from the camera in degrees."""
     turn_deg: Annotated[float, Field(ge=0, le=180)]
+    """Greatest rotation about the line of sight in degrees, to both sides."""
     reflectance: Shares
+    """Reflectance of an artefact's paint, as of a world's glossy material, or of a board's paper."""
     ink: Shares
+    """Reflectance of a board's print."""
     roughness: Shares
+    """Roughness of an artefact's paint."""
     gloss: Shares
-    gloss_roughness: Annotated[Ends, _within(0.02, 1.0)]
-    ambient: Annotated[Ends, _within(0.0, 10.0)]
-    charge: Annotated[Ends, _within(1e-3, 1.0)]
-    read_noise_e: Annotated[Ends, _within(0.0, 1e4)]
-    exposure_s: Annotated[Ends, _within(1e-6, 60.0)]
-    projector_blur: Annotated[Ends, _within(0.4, 20.0)]
-    projector_focus_mm: Annotated[Ends, _within(1.0, 1e5)]
-    stage_mm: Annotated[Ends, _within(-1e4, 1e4)]
+    """Share of the specular reflection of an artefact's paint."""
+    gloss_roughness: Annotated[Interval, _within(0.02, 1.0)]
+    """Roughness of the specular reflection of an artefact's paint."""
+    ambient: Annotated[Interval, _within(0.0, 10.0)]
+    """Ambient light relative to the projector's white."""
+    charge: Annotated[Interval, _within(1e-3, 1.0)]
+    """Electrons for the same grey level, relative to the rig's sensor; drawn uniformly in the logarithm.
+
+    Relative shot noise is proportional to the inverse of its square root.
+    """
+    read_noise_e: Annotated[Interval, _within(0.0, 1e4)]
+    """Read noise in electrons."""
+    exposure_s: Annotated[Interval, _within(1e-6, 60.0)]
+    """Exposure of every image in seconds."""
+    projector_blur: Annotated[Interval, _within(0.4, 20.0)]
+    """Blur of the projector in micromirrors."""
+    projector_focus_mm: Annotated[Interval, _within(1.0, 1e5)]
+    """Depth in mm at which the projector is in focus."""
+    stage_mm: Annotated[Interval, _within(-1e4, 1e4)]
+    """Position of the stage in mm."""
     licence: Annotated[str, Field(min_length=1)]
+    """Licence of the data, as granted by whoever makes them."""
 
     @model_validator(mode="after")
-    def _there_is_something(self) -> Scenes:
+    def _items_given(self) -> SceneRanges:
         if not self.artefacts and not self.targets:
             raise ValueError("'artefacts' and 'targets' are both empty: name at least one item")
         if self.targets and self.ink[1] >= self.reflectance[0]:
             raise ValueError(
                 f"'ink' reaches {self.ink[1]:g}: must stay below 'reflectance', which begins at "
-                f"{self.reflectance[0]:g}, or nothing shows on a board"
+                f"{self.reflectance[0]:g}, or the print of a board is invisible"
             )
         return self
 
     @classmethod
-    def load(cls, path: Path | str) -> Scenes:
-        """Read a file of ranges, by path or by the name of one that comes with fpplab.
+    def load(cls, path: Path | str) -> SceneRanges:
+        """Read a file of ranges.
 
-        Boards are looked for beside it first. Raises `ConfigError`, also for items that are not there.
+        Parameters
+        ----------
+        path : Path or str
+            Path, or the name of a file that comes with fpplab. Boards are looked up beside it first.
+
+        Returns
+        -------
+        SceneRanges
+            With paths of the boards that do not come with fpplab made absolute.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be read, or names an artefact or a board that does not exist.
         """
         found = config.find_config(path)
         scenes = config.load_document(found, cls)
         for name in scenes.artefacts:
             artefacts.make(name)
-        targets = tuple(_target(name, found.parent) for name in scenes.targets)
+        targets = tuple(_target_file(name, found.parent) for name in scenes.targets)
         for name in targets:
             Target.load(name)
         return scenes.model_copy(update={"targets": targets})
 
 
-def _target(name: str, folder: Path) -> str:
-    """The file of that name in `folder`, if it is there; but one that comes with fpplab keeps its bare name,
-    by which it is found wherever the data set is taken.
+def _target_file(name: str, folder: Path) -> str:
+    """Find a board in `folder` or among those that come with fpplab.
+
+    The latter keep their bare names, by which they are found wherever the data set is copied.
     """
     near = config.resolve_beside(name, folder)
     try:
@@ -119,18 +148,40 @@ def _target(name: str, folder: Path) -> str:
     return shipped.name if Path(near).exists() and shipped.samefile(near) else near
 
 
-_DRAWN = (
+_DRAWN_UNIFORMLY = (
     "reflectance", "ink", "roughness", "gloss", "gloss_roughness", "ambient", "read_noise_e", "exposure_s",
     "projector_blur", "projector_focus_mm",
 )  # fmt: skip
-"""Numbers that are drawn evenly from the range of the same name."""
+"""Numbers that are drawn uniformly from the interval of the same name."""
 
 
-def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: float) -> DatasetScene:
-    """Scene `index` of a data set.
+def draw_scene(
+    scenes: SceneRanges, seed: int, index: int, devices: Calibration, stage_mm: float
+) -> DatasetScene:
+    """Draw one scene of a data set.
 
-    devices: where they stand with the stage at `stage_mm`, see `draw_stage`.
-    Raises `ConfigError` when hardly any pose lies in view and light.
+    Parameters
+    ----------
+    scenes : SceneRanges
+        Ranges to draw from.
+    seed : int
+        Seed of the data set.
+    index : int
+        Index of the sample.
+    devices : Calibration
+        Camera and projector with the stage at `stage_mm`.
+    stage_mm : float
+        Position of the stage in mm, see `draw_stage`.
+
+    Returns
+    -------
+    DatasetScene
+        The scene.
+
+    Raises
+    ------
+    ConfigError
+        Hardly any pose lies in view of both devices.
     """
     random = _random(seed, index, _SCENE)
     items = (*scenes.artefacts, *scenes.targets)
@@ -146,7 +197,7 @@ def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: 
     return DatasetScene.model_validate(
         {
             **what,
-            **{name: float(random.uniform(*getattr(scenes, name))) for name in _DRAWN},
+            **{name: float(random.uniform(*getattr(scenes, name))) for name in _DRAWN_UNIFORMLY},
             "charge": float(np.exp(random.uniform(*np.log(scenes.charge)))),
             "pose": _pose(scenes, box, "artefact" in what, devices, random),
             "seed": int(random.integers(2**31)),
@@ -158,8 +209,23 @@ def draw(scenes: Scenes, seed: int, index: int, devices: Calibration, stage_mm: 
 _SCENE, _STAGE = range(2)
 
 
-def draw_stage(scenes: Scenes, seed: int, index: int) -> float:
-    """Where the stage stands in scene `index`, in mm."""
+def draw_stage(scenes: SceneRanges, seed: int, index: int) -> float:
+    """Draw the position of the stage in one scene.
+
+    Parameters
+    ----------
+    scenes : SceneRanges
+        Ranges to draw from.
+    seed : int
+        Seed of the data set.
+    index : int
+        Index of the sample.
+
+    Returns
+    -------
+    float
+        Position in mm.
+    """
     return float(_random(seed, index, _STAGE).uniform(*scenes.stage_mm))
 
 
@@ -168,9 +234,9 @@ def _random(seed: int, index: int, what: int) -> np.random.Generator:
 
 
 def _varied(name: str, variation: float, random: np.random.Generator) -> dict[str, Lengths]:
-    """Lengths around the usual ones that make a solid."""
+    """Draw lengths around the usual ones until they make a valid solid."""
     usual = artefacts.usual_sizes(name)
-    for _ in range(TRIES):
+    for _ in range(MAX_TRIES):
         sizes = {field: _scaled(length, variation, random) for field, length in usual.items()}
         try:
             artefacts.make(name, sizes)
@@ -178,7 +244,7 @@ def _varied(name: str, variation: float, random: np.random.Generator) -> dict[st
             continue
         return sizes
     raise ConfigError(
-        f"'variation' is {variation:g}: hardly any '{name}' so far from its usual lengths is whole"
+        f"'variation' is {variation:g}: hardly any '{name}' with such lengths is a valid solid; lower it"
     )
 
 
@@ -194,7 +260,7 @@ def _board_size(target: str) -> tuple[float, float]:
 
 
 def _box(bounds: Floats) -> Floats:
-    """Points (27, 3) in and on the box between two corners (2, 3)."""
+    """Make points (27, 3) in and on the box between two corners (2, 3)."""
     low, high = bounds
     share = np.linspace(0, 1, 3)
     grid = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3)
@@ -202,14 +268,14 @@ def _box(bounds: Floats) -> Floats:
 
 
 def _pose(
-    scenes: Scenes, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
+    scenes: SceneRanges, box: Floats, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> PoseFile:
-    """T_camera_item with enough of the item's box in view. upright: its z axis points to the camera."""
-    for _ in range(TRIES):
+    """Draw T_camera_item with enough of the item's box in view. upright: its z axis points to the camera."""
+    for _ in range(MAX_TRIES):
         pose = _random_pose(scenes, upright, devices, random)
         points = pose.apply(box)
         visible = devices.camera.sees(points) & devices.projector.sees(points, devices.T_projector_camera)
-        if visible.mean() >= LEAST_IN_VIEW:
+        if visible.mean() >= MIN_IN_VIEW:
             return PoseFile.of(pose)
     raise ConfigError(
         f"'distance_mm' is {list(scenes.distance_mm)}: hardly any item lies there in the camera's image and "
@@ -218,14 +284,14 @@ def _pose(
 
 
 def _random_pose(
-    scenes: Scenes, upright: bool, devices: Calibration, random: np.random.Generator
+    scenes: SceneRanges, upright: bool, devices: Calibration, random: np.random.Generator
 ) -> RigidTransform:
     middle = 0.5 * (np.array(devices.camera.size) - 1)
     pixel = middle * (1 + scenes.off_centre * random.uniform(-1, 1, 2))
     depth = random.uniform(*scenes.distance_mm)
     place = depth * np.append(devices.camera.normalise(pixel), 1.0)
     direction = random.uniform(0, 2 * np.pi)
-    tilt = np.radians(scenes.tilt_deg) * np.sqrt(random.uniform())  # evenly over a disc of directions
+    tilt = np.radians(scenes.tilt_deg) * np.sqrt(random.uniform())  # uniform over a disc of directions
     tilted = _turned(tilt * np.cos(direction), tilt * np.sin(direction), 0.0)
     turned = _turned(0.0, 0.0, np.radians(scenes.turn_deg) * random.uniform(-1, 1))
     facing = _turned(np.pi if upright else 0.0, 0.0, 0.0)

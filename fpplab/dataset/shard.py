@@ -1,8 +1,8 @@
 """A shard on disk: a folder with one NumPy file for each field, samples along its first axis.
 
-It is filled as a hidden draft and takes its name once everything in it is on disk, so that what has the name
-is whole. A draft belongs to the process that holds its lock, which the system takes back from a process that
-dies; the next one begins the draft anew.
+It is written to a hidden draft folder, which gets its final name once everything in it is on disk, so that a
+shard under its final name is complete. A draft belongs to the process that holds its lock, which the
+operating system releases when the process dies; the next one starts the draft again.
 """
 
 from __future__ import annotations
@@ -29,16 +29,41 @@ CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 
 
 def shard_name(number: int) -> str:
-    """The folder of a shard."""
+    """Name the folder of a shard.
+
+    Parameters
+    ----------
+    number : int
+        Number of the shard.
+
+    Returns
+    -------
+    str
+        For example "shard_00000".
+    """
     return f"shard_{number:05d}"
 
 
 @contextmanager
-def claimed(folder: Path, number: int) -> Iterator[Path | None]:
-    """An empty draft of a shard, which takes its name at the end, or None if it is another's business.
+def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
+    """Open an empty draft of a shard, which is renamed to the shard when the block ends.
 
-    That is when it is whole already, or another process is at it. Raises `DataError` when it cannot be
-    written.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+    number : int
+        Number of the shard.
+
+    Yields
+    ------
+    Path or None
+        The draft; None if the shard is complete already, or another process is making it.
+
+    Raises
+    ------
+    DataError
+        It cannot be written.
     """
     final = folder / shard_name(number)
     draft = folder / f".{final.name}"
@@ -54,7 +79,7 @@ def claimed(folder: Path, number: int) -> Iterator[Path | None]:
         except BlockingIOError:
             yield None
             return
-        if final.exists():  # finished between the two looks
+        if final.exists():  # finished since the first check
             with suppress(OSError):
                 draft.rmdir()
             yield None
@@ -72,28 +97,52 @@ def claimed(folder: Path, number: int) -> Iterator[Path | None]:
 
 
 class ShardWriter:
-    """Writes samples one behind the other; `with` ends with everything on disk, checksums last."""
+    """Writes samples one after the other; leaving the `with` block puts everything on disk, checksums last.
+
+    Parameters
+    ----------
+    draft : Path
+        Empty folder, see `claim_shard`.
+    fields : dict of str to FieldSpec
+        Fields by name.
+    samples : int
+        Number of samples that will be added.
+    dimensions : dict of str to int
+        Lengths of the dimensions, see `dimension_sizes`.
+    """
 
     def __init__(
-        self, draft: Path, fields: dict[str, FieldSpec], samples: int, letters: dict[str, int]
+        self, draft: Path, fields: dict[str, FieldSpec], samples: int, dimensions: dict[str, int]
     ) -> None:
         self._draft, self._stack = draft, ExitStack()
         self._files = {SCENES: self._open(SCENES)}
         for name, field in fields.items():
-            head = {"descr": field.dtype, "fortran_order": False, "shape": (samples, *field.extent(letters))}
-            self._files[file_of(name)] = self._open(file_of(name))
-            np.lib.format.write_array_header_2_0(self._files[file_of(name)], head)  # type: ignore[no-untyped-call]
-        self._fields, self._letters = fields, letters
+            head = {
+                "descr": field.dtype,
+                "fortran_order": False,
+                "shape": (samples, *field.extent(dimensions)),
+            }
+            self._files[array_file(name)] = self._open(array_file(name))
+            np.lib.format.write_array_header_2_0(self._files[array_file(name)], head)  # type: ignore[no-untyped-call]
+        self._fields, self._dimensions = fields, dimensions
 
     def _open(self, name: str) -> _Hashed:
         return self._stack.enter_context(_Hashed(self._draft / name))
 
     def add(self, arrays: Arrays, scene: dict[str, Any]) -> None:
-        """The next sample."""
+        """Append a sample.
+
+        Parameters
+        ----------
+        arrays : Arrays
+            Arrays by field, of exactly the stated types and shapes.
+        scene : dict
+            What was drawn for it, as plain data.
+        """
         for name, field in self._fields.items():
             array = np.asarray(arrays[name], order="C")
-            assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._letters)), name
-            self._files[file_of(name)].write(array.reshape(-1).view(np.uint8).data)
+            assert (array.dtype.str, array.shape) == (field.dtype, field.extent(self._dimensions)), name
+            self._files[array_file(name)].write(array.reshape(-1).view(np.uint8).data)
         self._files[SCENES].write(json.dumps(scene).encode() + b"\n")
 
     def __enter__(self) -> Self:
@@ -109,13 +158,24 @@ class ShardWriter:
                 file.write(json.dumps(sums, indent=1).encode() + b"\n")
 
 
-def file_of(field: str) -> str:
-    """The file of a field in a shard."""
+def array_file(field: str) -> str:
+    """Name the file of a field in a shard.
+
+    Parameters
+    ----------
+    field : str
+        Name of the field.
+
+    Returns
+    -------
+    str
+        For example "depth.npy".
+    """
     return f"{field}.npy"
 
 
 class _Hashed:
-    """A file that is being written, and the checksum of what went into it."""
+    """A file being written, with the checksum of its content."""
 
     def __init__(self, path: Path) -> None:
         self._stream, self._hash = path.open("wb"), hashlib.sha256()
@@ -140,7 +200,18 @@ class _Hashed:
 
 
 def check_shard(shard: Path) -> None:
-    """Compare every file of a shard with its checksum. Raises `DataError` that names a damaged one."""
+    """Compare every file of a shard with its checksum.
+
+    Parameters
+    ----------
+    shard : Path
+        Folder of the shard.
+
+    Raises
+    ------
+    DataError
+        Names a file that is damaged, or the shard is incomplete.
+    """
     try:
         sums = json.loads((shard / CHECKSUMS).read_bytes())
         for name, expected in sums.items():
@@ -152,5 +223,5 @@ def check_shard(shard: Path) -> None:
                     )
     except (OSError, ValueError, AttributeError) as error:
         raise DataError(
-            f"{shard}: is no whole shard ({error}); remove it and run the same `fpplab dataset` again"
+            f"{shard}: is not a complete shard ({error}); remove it and run the same `fpplab dataset` again"
         ) from error

@@ -1,1 +1,1 @@
-"""The search for a better arrangement: on the twin, or by measuring on the rig itself."""
+"""Search for better fringe plans and rig geometry, on a simulation or by measuring on the rig itself."""

@@ -1,8 +1,8 @@
-"""How a rig is arranged for a candidate (stage, turn of the projector, item), and how it is calibrated then.
+"""Brings a rig to a candidate's stage position, projector rotation and item, and finds its calibration there.
 
 What a stage does to the geometry is measured, not assumed: the rig is characterised with the stage at two or
-more positions, and between two of them every parameter of the calibration is taken on the straight line. So
-the parts of a calibration stay consistent with one another, which those of two different ones are not.
+more positions, and between two of them every parameter of the calibration is interpolated linearly, so that
+the parameters stay consistent with one another. Those taken from two different calibrations would not be.
 """
 
 from __future__ import annotations
@@ -20,32 +20,38 @@ from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform, turned_towards
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.sets import MeasuringSetup
+from fpplab.optimisation.fringe_cache import MeasuringSetup
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, characterise_sessions, take_poses
 from fpplab.simulation.turnable import Turnable
 from fpplab.targets import Target
 
 TRAVEL_TOLERANCE, TRAVEL_TOLERANCE_MM = 0.05, 1.0
-"""How far the projector's measured way may be from the stage's own, as a share of it and besides."""
+"""Allowed deviation of the projector's measured travel from the stage's: a share of it, plus mm."""
 
 
-class Arrangement:
-    """Brings an open rig to views, moving only what has to move."""
+class RigArranger:
+    """Brings an open rig to a measuring setup, moving only what has to move.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._stands = MeasuringSetup("", 0.0)
+        self._current = MeasuringSetup("", 0.0)
 
-    def __call__(self, view: MeasuringSetup) -> None:
-        """Stage, projector and item as the view says. Raises `ConfigError`, `DeviceError`."""
-        if view.stage_mm is not None and view.stage_mm != self._stands.stage_mm:
-            self._rig.place_stage(view.stage_mm)
-        if view.convergence_deg is not None and view.convergence_deg != self._stands.convergence_deg:
-            self._turn(view.convergence_deg)
-        if view.item != self._stands.item:
-            self._rig.need_fixture(f"mounting the {view.item}").mount(view.item)
-        self._stands = view
+    def __call__(self, setup: MeasuringSetup) -> None:
+        """Move the stage, turn the projector and mount the item. Raises `ConfigError`, `DeviceError`."""
+        if setup.stage_mm is not None and setup.stage_mm != self._current.stage_mm:
+            self._rig.place_stage(setup.stage_mm)
+        if setup.convergence_deg is not None and setup.convergence_deg != self._current.convergence_deg:
+            self._turn(setup.convergence_deg)
+        if setup.item != self._current.item:
+            self._rig.need_fixture(f"mounting the {setup.item}").mount(setup.item)
+        self._current = setup
 
     def _turn(self, convergence_deg: float) -> None:
         if not isinstance(self._rig.simulation, Turnable):
@@ -56,16 +62,26 @@ class Arrangement:
         self._rig.simulation.turn(convergence_deg)
 
 
-class Calibrations:
-    """Calibrations of a rig with its stage at one or more positions in mm, or one as it stands (None).
+class StageCalibrations:
+    """Calibrations of a rig by stage position.
 
-    Raises `CalibrationError` when they are of different devices, or the projector has not moved as the
-    stage has.
+    Parameters
+    ----------
+    by_position : mapping of float or None to Calibration
+        Calibrations by position of the stage in mm; or a single one under None, which holds for the stage
+        wherever it is.
+
+    Raises
+    ------
+    CalibrationError
+        The calibrations are of different devices, or the projector has not moved as far as the stage has.
     """
 
     def __init__(self, by_position: Mapping[float | None, Calibration]) -> None:
         if None in by_position and len(by_position) > 1:
-            raise CalibrationError("of several calibrations each must say where the stage stood: 'stage_mm'")
+            raise CalibrationError(
+                "with several calibrations, each needs the position of its stage: 'stage_mm'"
+            )
         self._positions = sorted(mm for mm in by_position if mm is not None)
         self._known = [by_position[mm] for mm in self._positions or (None,)]
         first = self._known[0]
@@ -76,26 +92,51 @@ class Calibrations:
         self._check_travel()
 
     def at(self, stage_mm: float | None = None, convergence_deg: float | None = None) -> Calibration:
-        """The calibration with the stage at a position, and the projector turned towards the camera.
+        """Compute the calibration for a stage position and a rotation of the projector.
 
-        stage_mm: None is where it stands, which only a single calibration tells. Raises `CalibrationError`
-        outside what was characterised.
+        Parameters
+        ----------
+        stage_mm : float, optional
+            Position of the stage in mm; None is where it is, which only a single calibration can tell.
+        convergence_deg : float, optional
+            Rotation of the projector towards the camera in degrees.
+
+        Returns
+        -------
+        Calibration
+            A known calibration, or one interpolated between the two nearest positions.
+
+        Raises
+        ------
+        CalibrationError
+            The position lies outside what was characterised, or is missing.
         """
         where = stage_mm, convergence_deg or 0.0
         if where not in self._made:
             found = self._at_stage(stage_mm)
-            self._made[where] = turned(found, convergence_deg) if convergence_deg else found
+            self._made[where] = turn_projector(found, convergence_deg) if convergence_deg else found
         return self._made[where]
 
     @property
-    def exact(self) -> bool:
-        """Whether none of them has a covariance, as a simulation's own has not."""
+    def is_exact(self) -> bool:
+        """Whether no calibration has a covariance, as those that a simulation states of itself."""
         return all(known.uncertainty is None for known in self._known)
 
-    def drawn(self, random: np.random.Generator) -> Calibrations:
-        """Others that could as well have been found, each drawn from its own covariance."""
-        others = [drawn(known, random) for known in self._known]
-        return Calibrations(dict(zip(self._positions or (None,), others, strict=True)))
+    def sample(self, random: np.random.Generator) -> StageCalibrations:
+        """Draw calibrations that could as well have been found, each from its own covariance.
+
+        Parameters
+        ----------
+        random : numpy.random.Generator
+            Source of the random numbers.
+
+        Returns
+        -------
+        StageCalibrations
+            Other calibrations at the same positions.
+        """
+        others = [sample_calibration(known, random) for known in self._known]
+        return StageCalibrations(dict(zip(self._positions or (None,), others, strict=True)))
 
     def _at_stage(self, stage_mm: float | None) -> Calibration:
         if len(self._known) == 1 and stage_mm in (None, *self._positions):
@@ -103,7 +144,7 @@ class Calibrations:
         listed = ", ".join(f"{mm:g}" for mm in self._positions)
         if stage_mm is None:
             raise CalibrationError(
-                f"the rig is characterised with the stage at {listed} mm; 'stage_mm' must say where it stands"
+                f"the rig is characterised with the stage at {listed} mm; 'stage_mm' must give its position"
             )
         if not (self._positions and self._positions[0] <= stage_mm <= self._positions[-1]):
             raise CalibrationError(
@@ -114,7 +155,9 @@ class Calibrations:
             return self._known[self._positions.index(stage_mm)]
         after = bisect_right(self._positions, stage_mm)
         low, high = self._positions[after - 1], self._positions[after]
-        return between(self._known[after - 1], self._known[after], (stage_mm - low) / (high - low))
+        return interpolate_calibrations(
+            self._known[after - 1], self._known[after], (stage_mm - low) / (high - low)
+        )
 
     def _check_travel(self) -> None:
         origin, start = self._known[0].projector_centre, next(iter(self._positions), 0.0)
@@ -123,22 +166,48 @@ class Calibrations:
             if abs(moved - (mm - start)) > TRAVEL_TOLERANCE * (mm - start) + TRAVEL_TOLERANCE_MM:
                 raise CalibrationError(
                     f"the calibrations at {start:g} and {mm:g} mm put the projector {moved:.1f} mm apart, "
-                    f"not {mm - start:g}; are they of this rig, and is each of its position?"
+                    f"not {mm - start:g}; check that they are of this rig and of these positions"
                 )
 
 
-def turned(calibration: Calibration, convergence_deg: float) -> Calibration:
-    """The same with the projector turned towards the camera where it stands."""
+def turn_projector(calibration: Calibration, convergence_deg: float) -> Calibration:
+    """Rotate the projector of a calibration towards the camera, about its own centre.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As it is before.
+    convergence_deg : float
+        Angle in degrees.
+
+    Returns
+    -------
+    Calibration
+        With the other pose, without uncertainty.
+    """
     pose = turned_towards(calibration.T_projector_camera, float(np.radians(convergence_deg)))
     return replace(calibration, T_projector_camera=pose, uncertainty=None)
 
 
-def drawn(calibration: Calibration, random: np.random.Generator) -> Calibration:
-    """One that measuring could as well have found, drawn from the covariance; itself if there is none."""
+def sample_calibration(calibration: Calibration, random: np.random.Generator) -> Calibration:
+    """Draw a calibration from the covariance of a measured one.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The mean, with its covariance.
+    random : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    Calibration
+        One that could as well have been found; the same object if it has no covariance.
+    """
     known = calibration.uncertainty
     if known is None:
         return calibration
-    # By its correlations: variances of px and of k3 are many powers of ten apart.
+    # By the correlation matrix: variances in px and of k3 differ by many orders of magnitude.
     sigma = np.sqrt(np.diag(known.covariance))
     values, vectors = np.linalg.eigh(known.covariance / np.outer(sigma, sigma))
     off = sigma * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(sigma))))
@@ -158,8 +227,25 @@ def _changed(device: Pinhole, change: Sequence[float]) -> Pinhole:
     return replace(device, matrix=matrix, distortion=device.distortion + change[4:])
 
 
-def between(low: Calibration, high: Calibration, share: float) -> Calibration:
-    """The calibration at a share of the way from one to another, every parameter on the straight line."""
+def interpolate_calibrations(low: Calibration, high: Calibration, share: float) -> Calibration:
+    """Interpolate linearly between two calibrations of the same devices.
+
+    Rotations are interpolated about their common axis.
+
+    Parameters
+    ----------
+    low : Calibration
+        The calibration at share 0.
+    high : Calibration
+        The calibration at share 1.
+    share : float
+        Position between the two, 0 … 1.
+
+    Returns
+    -------
+    Calibration
+        The calibration there, without uncertainty.
+    """
     turn = (high.T_projector_camera.rotation @ low.T_projector_camera.rotation.T).astype(np.float64)
     whole = RigidTransform(turn, np.zeros(3)).rotation_vector
     part = RigidTransform.from_vectors(share * whole, np.zeros(3)).rotation
@@ -191,10 +277,40 @@ def characterise_positions(
     folder: Path,
     progress: Progress = no_progress,
 ) -> dict[float | None, Path]:
-    """Characterise an open rig with its stage at each of these positions; the calibration files by position.
+    """Characterise an open rig with its stage at several positions.
 
-    positions: in mm, None for where it stands. board: as the fixture calls it. Sessions and calibrations
-    stay in `folder`; what is there already is kept. Raises `CalibrationError`, `DeviceError`, `DataError`.
+    Sessions and calibrations are kept in `folder`; positions whose calibration is there already are skipped.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    positions : sequence of float or None
+        Positions of the stage in mm; None for where it is.
+    plan : Plan
+        Plan with which the board is measured.
+    board : str
+        Item of the fixture that is the calibration board.
+    target : Target
+        The calibration board.
+    poses : int
+        Number of poses of the board at each position.
+    folder : Path
+        Where sessions and calibrations are stored.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    dict of float or None to Path
+        Calibration file of each position.
+
+    Raises
+    ------
+    CalibrationError, DataError
+        From the characterisation.
+    DeviceError
+        From the rig.
     """
     files: dict[float | None, Path] = {}
     for done, mm in enumerate(positions):

@@ -1,4 +1,4 @@
-"""The words of a search: an arrangement to try, what measuring it gave, and who measures."""
+"""Candidates of a search, the scores that measuring them gives, and the interface of what measures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,17 @@ from fpplab.patterns.plan import Plan
 
 @dataclass(frozen=True)
 class Fringes:
-    """One fringe set: `steps` images of `stripes` periods along `axis`."""
+    """One fringe set of a candidate.
+
+    Attributes
+    ----------
+    axis : Axis
+        Direction along which the phase grows.
+    stripes : float
+        Number of periods across the projector.
+    steps : int
+        Number of phase-shifted images.
+    """
 
     axis: Axis
     stripes: float
@@ -21,11 +31,19 @@ class Fringes:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One arrangement to try.
+    """One arrangement that a search can try.
 
-    fringes: base first. stage_mm: where the stage puts the device that moves, which is the baseline; None
-    leaves it. convergence_deg: turn of the projector towards the camera, in degrees, from how it stands;
-    only a twin can.
+    Attributes
+    ----------
+    fringes : tuple of Fringes
+        Fringe sets, the base first.
+    exposure_s : float
+        Exposure of every image in seconds.
+    stage_mm : float or None
+        Position of the stage that moves a device, which sets the baseline; None leaves it.
+    convergence_deg : float or None
+        Rotation of the projector towards the camera in degrees, relative to its given orientation; None
+        leaves it. Only a simulation can do this.
     """
 
     fringes: tuple[Fringes, ...]
@@ -38,19 +56,46 @@ class Candidate:
         """How many images a measurement takes."""
         return sum(one.steps for one in self.fringes)
 
-    def plan(self, like: Plan) -> Plan:
-        """The plan that projects it, in all else like `like`."""
+    def plan(self, template: Plan) -> Plan:
+        """Make the plan that projects this candidate.
+
+        Parameters
+        ----------
+        template : Plan
+            Plan from which everything but fringes, exposure and stage position is taken.
+
+        Returns
+        -------
+        Plan
+            The candidate's plan.
+        """
         sets = tuple(Sinusoid(**asdict(one)) for one in self.fringes)
         changed = {"fringes": sets, "exposure_s": self.exposure_s, "stage_mm": self.stage_mm}
-        return like.model_copy(update=changed)
+        return template.model_copy(update=changed)
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far a measurement is from the true shape.
+    """Deviation of a measurement from the true shape, as `fpplab.comparison` defines it.
 
-    Distances in µm; `completeness`, `wrong_orders` (points off by a fringe or more) and `outliers` (removed
-    by the filter) are shares.
+    Attributes
+    ----------
+    points : int
+        Measured points that lie on the shape.
+    surface_smcd_um : float
+        Symmetric mean distance between points and true surface in µm.
+    smcd_um : float
+        Symmetric mean Chamfer distance between measured and sampled true points in µm.
+    smcd_floor_um : float
+        What a perfect measurement would have for `smcd_um`, in µm.
+    surface_rms_um : float
+        Root mean square distance of the points from the true surface in µm.
+    completeness : float
+        Share of the true surface that has a measured point nearby, 0 … 1.
+    wrong_orders : float
+        Share of points whose projector coordinate is off by half a period of the finest set or more, 0 … 1.
+    outliers : float
+        Share of points that the outlier filter removed, 0 … 1.
     """
 
     points: int
@@ -65,7 +110,19 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Score(Accuracy):
-    """One artefact measured once. seconds: acquisition time on the real projector and camera."""
+    """The result of measuring one artefact once with one candidate.
+
+    Attributes
+    ----------
+    artefact : str
+        Name of the artefact.
+    seed : int
+        Seed of the noise on a simulation, number of the repeat on a real rig.
+    images : int
+        Images that the measurement took.
+    seconds : float
+        Acquisition time on the projector and camera, from the exposure and their stated dead times.
+    """
 
     artefact: str
     seed: int
@@ -74,12 +131,38 @@ class Score(Accuracy):
 
 
 class Evaluator(Protocol):
-    """Measures candidates, on whatever rig."""
+    """Interface of what measures candidates, on whatever rig.
+
+    A worker opens one with an `EvaluatorFactory`, calls `measure` for one candidate after another,
+    and `close` at the end.
+    """
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """One score for each artefact of the study."""
+        """Measure every artefact of the study with one candidate.
+
+        Equal arguments must give equal scores where the rig is a simulation.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What to measure with.
+        seed : int
+            Seed of the noise on a simulation; on a real rig another seed is another repeat.
+
+        Returns
+        -------
+        tuple of Score
+            One for each artefact.
+
+        Raises
+        ------
+        DataError, CalibrationError
+            The candidate cannot be measured, which the search takes as its result and goes on.
+        FppError
+            Any other fault, which is the rig's and ends the search.
+        """
         ...
 
     def close(self) -> None:
-        """Let go of the rig."""
+        """Close the rig. Called once, also after `measure` has failed."""
         ...

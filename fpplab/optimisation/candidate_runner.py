@@ -1,4 +1,4 @@
-"""Where methods have candidates measured: each once, journalled, with the same seeds, in the order asked."""
+"""Measures candidates for the search methods: each once, journalled, with fixed seeds, in the order asked."""
 
 from __future__ import annotations
 
@@ -10,21 +10,32 @@ from functools import cached_property
 from fpplab.core.errors import DataError
 from fpplab.core.progress import ignore
 from fpplab.optimisation.candidate import Candidate, Score
-from fpplab.optimisation.objectives import Judge, MeasuredCandidate
+from fpplab.optimisation.objectives import CandidateRanking, MeasuredCandidate
 from fpplab.optimisation.scheduling import Task, Workers
-from fpplab.optimisation.space import Point, Space
+from fpplab.optimisation.space import Point, SearchSpace
 from fpplab.optimisation.storage import Journal, ScoresOrReason
 
 
 class BudgetExhausted(Exception):  # noqa: N818 - no fault: the budget is used up
-    """The study's budget of candidates is used up."""
+    """The study's budget of candidates is used up; no fault, it ends the search."""
 
 
 @dataclass(frozen=True)
 class SearchEpoch:
-    """One round of a search: what was asked in it, and the best of all until then.
+    """One round of a search.
 
-    step: what the method did. trials: of this round, in the order asked.
+    Attributes
+    ----------
+    number : int
+        Counted from 0, which is the start.
+    step : str
+        What the method did in it, for example "poll" or "generation".
+    trials : tuple of MeasuredCandidate
+        Candidates of this round, in the order asked.
+    best : MeasuredCandidate
+        The best of all candidates so far.
+    measured : int
+        Number of candidates measured so far.
     """
 
     number: int
@@ -35,16 +46,35 @@ class SearchEpoch:
 
 
 CandidateObserver = Callable[[SearchEpoch], None]
+"""Called with every round of a search when it has ended."""
 
 
 class CandidateRunner:
-    """Measures points of a space, keeps what came of them, and counts the rounds.
+    """Measures points of a search space, keeps the results, and counts the rounds.
 
-    trials: every candidate measured, in the order asked. refused: how often, by reason. epochs: so far.
+    Parameters
+    ----------
+    space : SearchSpace
+        The study's parameters.
+    workers : Workers
+        Processes that measure.
+    journal : Journal
+        Measurements so far; new ones are added.
+    observe : callable, optional
+        Called with every `SearchEpoch` when it has ended.
+
+    Attributes
+    ----------
+    space : SearchSpace
+        The study's parameters.
+    refused : Counter of str
+        How often a point was refused, by reason.
+    epochs : list of SearchEpoch
+        The rounds so far.
     """
 
     def __init__(
-        self, space: Space, workers: Workers, journal: Journal, observe: CandidateObserver = ignore
+        self, space: SearchSpace, workers: Workers, journal: Journal, observe: CandidateObserver = ignore
     ) -> None:
         self.space = space
         self._workers, self._journal, self._observe = workers, journal, observe
@@ -54,12 +84,18 @@ class CandidateRunner:
 
     @property
     def trials(self) -> list[MeasuredCandidate]:
-        """All that were measured."""
+        """Every candidate measured so far, in the order asked."""
         return list(self._by_candidate.values())
 
     @cached_property
     def start(self) -> MeasuredCandidate:
-        """Where the study starts, which limits are relative to. Raises `DataError` if it measures nothing."""
+        """The start of the study, measured on first use; limits are relative to it.
+
+        Raises
+        ------
+        DataError
+            The start cannot be measured.
+        """
         begin = MeasuredCandidate(self.space.start, self.space.candidate(self.space.start))
         trial = self._take([begin])[0]
         if trial.failed:
@@ -67,29 +103,58 @@ class CandidateRunner:
         return trial
 
     @cached_property
-    def judge(self) -> Judge:
-        """What the study makes of trials."""
-        return Judge(self.space.study, self.start.figures)
+    def ranking(self) -> CandidateRanking:
+        """How candidates of this study are compared."""
+        return CandidateRanking(self.space.study, self.start.figures)
 
     @property
     def best(self) -> MeasuredCandidate:
-        """The best of all until now."""
-        return min(self.trials, key=self.judge.rank)
+        """The best candidate so far by `CandidateRanking.rank`."""
+        return min(self.trials, key=self.ranking.rank)
 
     @property
     def front(self) -> list[MeasuredCandidate]:
-        """Of all until now those that no other is better than in everything."""
-        return self.judge.front(self.trials)
+        """The Pareto front of all candidates so far, see `CandidateRanking.front`."""
+        return self.ranking.front(self.trials)
 
-    def admits(self, point: Point) -> bool:
-        """Whether a point can be shown; where not, its refusal is counted."""
+    def is_feasible(self, point: Point) -> bool:
+        """Check whether the rig and the study allow a point, without measuring it.
+
+        If not, the refusal is counted in `refused`.
+
+        Parameters
+        ----------
+        point : Point
+            Point of the space.
+
+        Returns
+        -------
+        bool
+            Whether its candidate can be measured.
+        """
         refused = self._asked(point).refused
         if refused:
             self.refused[refused] += 1
         return refused is None
 
     def measure(self, points: Sequence[Point]) -> list[MeasuredCandidate]:
-        """Measure points, or refuse them. Raises `BudgetExhausted` when the budget is used up before."""
+        """Measure points of the space; those that were measured before are not measured again.
+
+        Parameters
+        ----------
+        points : sequence of Point
+            Points of the space. One that the rig or the study does not allow is refused, not measured.
+
+        Returns
+        -------
+        list of MeasuredCandidate
+            One for each point, in the same order.
+
+        Raises
+        ------
+        BudgetExhausted
+            The budget was used up before this call; a round that has begun is always completed.
+        """
         if self.start and len(self._by_candidate) >= self.space.study.budget:
             raise BudgetExhausted
         asked = [self._asked(point) for point in points]
@@ -98,14 +163,40 @@ class CandidateRunner:
         return [trial if trial.refused else next(taken) for trial in asked]
 
     def epoch(self, step: str, trials: Sequence[MeasuredCandidate]) -> SearchEpoch:
-        """A round has ended."""
+        """Record the end of a round, and tell the observer.
+
+        Parameters
+        ----------
+        step : str
+            What the method did in this round.
+        trials : sequence of MeasuredCandidate
+            Candidates of this round.
+
+        Returns
+        -------
+        SearchEpoch
+            The round as recorded.
+        """
         epoch = SearchEpoch(len(self.epochs), step, tuple(trials), self.best, len(self._by_candidate))
         self.epochs.append(epoch)
         self._observe(epoch)
         return epoch
 
-    def again(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
-        """Scores of candidates with other seeds than the study's; empty where nothing came of it."""
+    def rescore(self, candidates: Sequence[Candidate], seeds: Sequence[int]) -> list[tuple[Score, ...]]:
+        """Measure candidates with seeds other than the study's, for figures that no choice was based on.
+
+        Parameters
+        ----------
+        candidates : sequence of Candidate
+            What to measure.
+        seeds : sequence of int
+            Seeds of the noise.
+
+        Returns
+        -------
+        list of tuple of Score
+            Scores of each candidate with all seeds; empty where one of the measurements failed.
+        """
         found = iter(self._outcomes([(candidate, seed) for candidate in candidates for seed in seeds]))
         scores = []
         for _ in candidates:

@@ -1,8 +1,8 @@
-"""Whether a plan is better than another on a rig: both measured, the gain stated with its uncertainty.
+"""Compares two plans on a rig by measuring with both, and states the gain with its uncertainty.
 
-The plans take turns, so that what drifts meets both alike. Three things make the gain uncertain: noise and
-whatever else differs from one measurement to the next; the sample of points that is compared; and the
-calibration, which is common to both plans and is varied within its covariance for both alike.
+The plans are measured alternately, so that drift affects both equally. Three things make the gain uncertain:
+noise and whatever else differs from one measurement to the next; the sample of points that is compared; and
+the calibration, which is common to both plans and is varied within its covariance for both equally.
 """
 
 from __future__ import annotations
@@ -17,18 +17,20 @@ import numpy as np
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, no_progress
-from fpplab.optimisation.arrangement import Calibrations
-from fpplab.optimisation.measuring import RigEvaluator, candidate_of
+from fpplab.optimisation.arrangement import StageCalibrations
+from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 
 REPEATS = 5
+"""Measurements of each artefact with each plan, by default."""
 SAMPLES = 100_000
+"""Pixels, and points of the true surface, that are compared."""
 DRAWS = 8
-"""Calibrations drawn from the covariance: they tell its part to a quarter."""
+"""Calibrations drawn from the covariance: enough for its part of the uncertainty to be known to a quarter."""
 FIRST_SEED = 1_000_000
-"""Repeats have seeds that no search has seen."""
+"""Seed of the first repeat, beyond all seeds that a search uses."""
 
 
 RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
@@ -37,10 +39,17 @@ RepeatedFigures = dict[str, tuple[ArtefactFigures, ...]]
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What two plans came to on one rig.
+    """The figures of two plans on one rig.
 
-    before, after: of every artefact every repeat, in one order. by_calibration: standard uncertainty of the
-    gain from the calibration; 0 where that is exact, as a simulation's own is.
+    Attributes
+    ----------
+    before : dict of str to tuple of ArtefactFigures
+        Every repeat of every artefact with the first plan.
+    after : dict of str to tuple of ArtefactFigures
+        The same with the second plan, in the same order.
+    by_calibration : float
+        Standard uncertainty of the gain due to the calibration; 0 where that is exact, as that of a
+        simulation is.
     """
 
     before: RepeatedFigures
@@ -49,18 +58,18 @@ class Confirmation:
 
     @property
     def gain(self) -> float:
-        """By which share the mean surface SMCD over artefacts and repeats came down."""
+        """Relative decrease of the mean surface SMCD over artefacts and repeats: 0.5 is half the distance."""
         return 1.0 - float(_smcd(self.after).mean() / _smcd(self.before).mean())
 
     @property
     def by_repeat(self) -> float:
-        """Standard uncertainty of the gain from what differs from repeat to repeat."""
+        """Standard uncertainty of the gain due to what differs from repeat to repeat."""
         gains = 1.0 - _smcd(self.after).mean(axis=0) / _smcd(self.before).mean(axis=0)
         return float(np.std(gains, ddof=1) / np.sqrt(len(gains)))
 
     @property
     def by_sample(self) -> float:
-        """Standard uncertainty of the gain from the sample, which is one for all repeats."""
+        """Standard uncertainty of the gain due to the sample of points, which is the same for all repeats."""
         off = [
             np.sqrt(np.mean([one[0].surface_spread_um ** 2 for one in found.values()]) / len(found))
             / _smcd(found).mean()
@@ -70,11 +79,17 @@ class Confirmation:
 
     @property
     def uncertainty(self) -> float:
-        """All three together."""
+        """Combined standard uncertainty of the gain."""
         return float(np.sqrt(self.by_repeat**2 + self.by_sample**2 + self.by_calibration**2))
 
     def summary(self) -> dict[str, Any]:
-        """For a machine to read."""
+        """Collect the gain, its uncertainties and the mean figures of both plans.
+
+        Returns
+        -------
+        dict
+            Plain data for JSON.
+        """
         return {
             "gain": self.gain,
             "uncertainty": self.uncertainty,
@@ -110,26 +125,50 @@ def confirm(
     repeats: int = REPEATS,
     progress: Progress = no_progress,
 ) -> Confirmation:
-    """Measure the artefacts of a study on a rig with two plans, `repeats` times each.
+    """Measure the artefacts of a study on a rig with two plans, alternately.
 
-    study: whose artefacts, calibrations of this rig and, where it moves the projector, way to compare.
-    Raises `ConfigError` for fewer than two repeats, or plans that differ in more than a candidate can; and
-    what measuring raises.
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name.
+    study : Study
+        Names the artefacts, the calibrations of this rig and, by whether it moves the projector, what surface
+        counts in the comparison.
+    before : Plan
+        The first plan.
+    after : Plan
+        The second plan; may differ in fringes, exposure and stage position.
+    repeats : int
+        Measurements of each artefact with each plan, at least 2.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    Confirmation
+        Figures of both plans, and the gain.
+
+    Raises
+    ------
+    ConfigError
+        Fewer than two repeats, or plans that differ in something else.
+    FppError
+        From measuring, see `RigEvaluator.measure`.
     """
     if repeats < 2:
         raise ConfigError(f"--repeats: {repeats}: at least 2, or nothing is known of the uncertainty")
-    _check_alike(before, after)
+    _check_comparable(before, after)
     evaluator = RigEvaluator(rig, study.model_copy(update={"start": before}), SAMPLES)
-    plans = candidate_of(before), candidate_of(after)
+    plans = candidate_from_plan(before), candidate_from_plan(after)
     found: dict[tuple[int, str], list[ArtefactFigures]] = defaultdict(list)
     varied: dict[int, list[list[float]]] = defaultdict(list)
     try:
-        others = _others(evaluator.calibrations)
+        others = _sampled_calibrations(evaluator.calibrations)
         turns = list(product(study.artefacts, range(repeats), (0, 1)))
         for done, (name, repeat, which) in enumerate(turns):
             asked = name, plans[which], FIRST_SEED + repeat
             found[which, name].append(evaluator.figures(*asked))
-            if repeat == 0:  # while its frames are at hand
+            if repeat == 0:  # while its frames are in memory
                 again = (evaluator.figures(*asked, other) for other in others)
                 varied[which].append([figures.surface_smcd_um for figures in again])
             progress((done + 1) / len(turns))
@@ -140,15 +179,15 @@ def confirm(
     return Confirmation(old, new, float(np.std(gains, ddof=1)) if others else 0.0)
 
 
-def _others(known: Calibrations) -> list[Calibrations]:
+def _sampled_calibrations(known: StageCalibrations) -> list[StageCalibrations]:
     """Calibrations that could as well have been found."""
     random = np.random.default_rng(0)
-    return [] if known.exact else [known.drawn(random) for _ in range(DRAWS)]
+    return [] if known.is_exact else [known.sample(random) for _ in range(DRAWS)]
 
 
-def _check_alike(before: Plan, after: Plan) -> None:
+def _check_comparable(before: Plan, after: Plan) -> None:
     """Refuse plans that differ in more than a candidate can: `ConfigError`."""
-    other = candidate_of(after).plan(before)
+    other = candidate_from_plan(after).plan(before)
     for name in type(before).model_fields:
         if name != "fringes" and getattr(other, name) != getattr(after, name):
             raise ConfigError(

@@ -1,4 +1,4 @@
-"""What a rig can do, as far as an arrangement asks for it."""
+"""Limits of a rig, as far as candidates of a search depend on them."""
 
 from __future__ import annotations
 
@@ -14,33 +14,64 @@ from fpplab.simulation.seeded import Seeded
 from fpplab.simulation.turnable import Turnable
 
 BITS = Pattern.bit_depth
-"""Depth in which fringes are shown."""
+"""Bit depth in which fringes are projected."""
 
 
 @dataclass(frozen=True)
 class RigLimits:
     """Limits of a rig.
 
-    name: the rig's own. size: the projector's (width, height). patterns: how many it holds. exposure_s:
-    (least, most) of projector and camera together. dead_s: between exposures. stage_mm: travel of its stage,
-    None without. turns: whether the projector can be turned, which only a simulation's can. items: what its
-    fixture holds, None where that is anything. copies: whether several processes can have one each, which
-    only a simulation can be.
+    Attributes
+    ----------
+    name : str
+        Name in the rig's file.
+    size : (int, int)
+        Width and height of the projector in pixels.
+    max_patterns : int
+        Patterns that the projector can hold.
+    exposure_s : (float, float)
+        Shortest and longest exposure that both projector and camera can do, in seconds.
+    dead_time_s : float
+        Time between two exposures in seconds.
+    stage_mm : (float, float) or None
+        Travel of the stage in mm; None without a stage.
+    can_turn_projector : bool
+        Whether the projector can be rotated, which only a simulation can do.
+    items : frozenset of str or None
+        What the fixture holds; None where it can be anything.
+    allows_copies : bool
+        Whether several processes can each open the rig, which is so only for a simulation.
     """
 
     name: str
     size: tuple[int, int]
-    patterns: int
+    max_patterns: int
     exposure_s: tuple[float, float]
-    dead_s: float
+    dead_time_s: float
     stage_mm: tuple[float, float] | None
-    turns: bool
+    can_turn_projector: bool
     items: frozenset[str] | None
-    copies: bool = False
+    allows_copies: bool = False
 
     @classmethod
     def of(cls, rig: Rig) -> RigLimits:
-        """Those of an open rig. Raises `ConfigError` when it has no fixture, or cannot show fringes."""
+        """Read the limits of an open rig from its devices.
+
+        Parameters
+        ----------
+        rig : Rig
+            The open rig.
+
+        Returns
+        -------
+        RigLimits
+            Its limits.
+
+        Raises
+        ------
+        ConfigError
+            The rig has no fixture, or its projector cannot show fringes.
+        """
         projector, camera = rig.projector.caps, rig.camera.caps
         if BITS not in projector.bit_depths:
             raise ConfigError(
@@ -51,44 +82,70 @@ class RigLimits:
         return cls(
             name=rig.file.name,
             size=projector.size,
-            patterns=projector.max_patterns,
+            max_patterns=projector.max_patterns,
             exposure_s=(max(least, projector.bit_depths[BITS]), most),
-            dead_s=camera.readout_s + camera.dark_s,
+            dead_time_s=camera.readout_s + camera.dark_s,
             stage_mm=rig.stage.caps.travel_mm if rig.stage else None,
-            turns=isinstance(rig.simulation, Turnable),
+            can_turn_projector=isinstance(rig.simulation, Turnable),
             items=None if held is None else frozenset(held),
-            copies=isinstance(rig.simulation, Seeded),
+            allows_copies=isinstance(rig.simulation, Seeded),
         )
 
     @property
-    def images_per_second(self) -> float:
-        """The most."""
-        return 1.0 / (self.exposure_s[0] + self.dead_s)
+    def max_images_per_second(self) -> float:
+        """Highest image rate, at the shortest exposure."""
+        return 1.0 / (self.exposure_s[0] + self.dead_time_s)
 
-    def most_stripes(self, axis: Axis, pixels_per_period: float) -> float:
-        """The most along an axis, of periods at least so many projector pixels long."""
+    def max_stripes(self, axis: Axis, pixels_per_period: float) -> float:
+        """Compute the highest stripe count for which periods are long enough.
+
+        Parameters
+        ----------
+        axis : Axis
+            Direction of the fringes.
+        pixels_per_period : float
+            Shortest period allowed, in projector pixels.
+
+        Returns
+        -------
+        float
+            Highest number of periods across the projector.
+        """
         return axis_length(self.size, axis) / pixels_per_period
 
     def refusals(self, candidate: Candidate, pixels_per_period: float = 2.0) -> Iterator[str]:
-        """Every limit that the candidate is outside of, in words."""
+        """List the limits that a candidate exceeds.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What is to be measured.
+        pixels_per_period : float
+            Shortest period allowed, in projector pixels.
+
+        Yields
+        ------
+        str
+            One sentence for each limit exceeded, naming field, value and limit.
+        """
         for i, fringe in enumerate(candidate.fringes):
-            most = self.most_stripes(fringe.axis, pixels_per_period)
+            most = self.max_stripes(fringe.axis, pixels_per_period)
             if fringe.stripes > most:
                 yield (
                     f"'fringes[{i}].stripes' is {fringe.stripes:g}: at {pixels_per_period:g} projector "
                     f"pixels per period at most {most:g} along {fringe.axis}"
                 )
-        if candidate.images > self.patterns:
-            yield f"{candidate.images} images: the projector holds at most {self.patterns} patterns"
+        if candidate.images > self.max_patterns:
+            yield f"{candidate.images} images: the projector holds at most {self.max_patterns} patterns"
         least, longest = self.exposure_s
         if not least <= candidate.exposure_s <= longest:
             yield (
                 f"'exposure_s' is {candidate.exposure_s:g}: with {BITS} bits from {least:g} s, which is "
-                f"{self.images_per_second:.4g} images per second, to {longest:g} s"
+                f"{self.max_images_per_second:.4g} images per second, to {longest:g} s"
             )
         if candidate.stage_mm is not None:
             yield from self._stage_refusals(candidate.stage_mm)
-        if candidate.convergence_deg and not self.turns:
+        if candidate.convergence_deg and not self.can_turn_projector:
             yield f"'convergence_deg' is {candidate.convergence_deg:g}: its projector cannot be turned"
 
     def _stage_refusals(self, mm: float) -> Iterator[str]:
@@ -99,6 +156,19 @@ class RigLimits:
             yield f"'stage_mm' is {mm:g}: the stage travels from {least:g} to {most:g} mm"
 
     def check(self, candidate: Candidate, source: str) -> None:
-        """Raise `ConfigError` naming the first limit that a candidate is outside of."""
+        """Refuse a candidate that exceeds a limit.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What is to be measured.
+        source : str
+            Where the candidate comes from, for the message.
+
+        Raises
+        ------
+        ConfigError
+            Names the first limit that is exceeded.
+        """
         for reason in self.refusals(candidate):
             raise ConfigError(f"{source}: {reason} (rig '{self.name}')")

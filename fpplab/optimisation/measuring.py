@@ -1,4 +1,4 @@
-"""Candidates measured on a rig, of whatever kind: the evaluator that a search opens on every worker."""
+"""Measures candidates on any rig: the evaluator that every worker of a search opens."""
 
 from __future__ import annotations
 
@@ -19,73 +19,166 @@ from fpplab.comparison.alignment import align_mesh
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.arrangement import Arrangement, Calibrations
+from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
+from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
-from fpplab.optimisation.sets import FringeSets, MeasuringSetup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.pipeline import points_of
 
-TRUTHS = 6
-"""True shapes that are kept ready."""
+KEPT_SHAPES = 6
+"""True shapes, with what is precomputed for them, that are kept in memory."""
 
 
-def candidate_of(plan: Plan) -> Candidate:
-    """The arrangement that a plan is."""
+def candidate_from_plan(plan: Plan) -> Candidate:
+    """Describe a plan as a candidate.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    Candidate
+        Its fringes, exposure and stage position.
+    """
     sets = tuple(Fringes(one.axis, one.stripes, one.images) for one in plan.fringes)
     return Candidate(sets, plan.exposure_s, plan.stage_mm)
 
 
 class RigEvaluator:
-    """Measures the artefacts of a study with candidates, on the rig of a file, opened when first needed.
+    """Measures the artefacts of a study with candidates, on a rig that is opened when first needed.
 
-    samples: pixels and points of the true surface that are compared, see `TrueShape`; None for all of them. Where
-    the study moves the projector, the truth is what the camera sees, for every candidate alike.
+    Where the study moves the projector, the true surface is what the camera sees, the same for every
+    candidate;
+    otherwise it is what is also illuminated.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name.
+    study : Study
+        Names the artefacts, the calibrations and the plan of the start.
+    samples : int or None
+        Pixels, and points of the true surface, that are compared, see `TrueShape`; None for all of them.
     """
 
     def __init__(self, rig: str, study: Study, samples: int | None = SAMPLES) -> None:
         self._file, self._study, self._samples = rig, study, samples
-        self._first, self._stack = candidate_of(study.start), ExitStack()
-        self._truths: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
-        self._standing: dict[str, trimesh.Trimesh] = {}
+        self._first, self._stack = candidate_from_plan(study.start), ExitStack()
+        self._true_shapes: OrderedDict[tuple[str, float | None, float | None], TrueShape] = OrderedDict()
+        self._placed: dict[str, trimesh.Trimesh] = {}
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        """One score for each artefact of the study, compared after the true shape was moved onto the cloud.
+        """Measure every artefact of the study, and compare it after aligning the true shape to the cloud.
 
-        seed: of the noise, where the rig is a simulation; on any other, another seed is another measurement.
-        Raises `ConfigError` and `DeviceError` from the rig; `CalibrationError` where the stage would stand
-        outside of what was characterised; `DataError` where nothing could be measured.
+        Parameters
+        ----------
+        candidate : Candidate
+            What to measure with.
+        seed : int
+            Seed of the noise where the rig is a simulation; on any other, another seed is another
+            measurement.
+
+        Returns
+        -------
+        tuple of Score
+            One for each artefact.
+
+        Raises
+        ------
+        ConfigError, DeviceError
+            From the rig.
+        CalibrationError
+            The stage would be outside of what was characterised.
+        DataError
+            Nothing could be measured.
         """
         return tuple(self._score(name, candidate, seed) for name in self._study.artefacts)
 
     def figures(
-        self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
+        self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
-        """One artefact compared; what was acquired before is not acquired again. Raises as `measure`.
+        """Measure one artefact; what was acquired before is not acquired again.
 
-        calibrations: in place of the study's.
+        Parameters
+        ----------
+        name : str
+            Name of the artefact.
+        candidate : Candidate
+            What to measure with.
+        seed : int
+            Seed of the noise, or number of the repeat.
+        calibrations : StageCalibrations, optional
+            Used in place of the study's.
+
+        Returns
+        -------
+        ArtefactFigures
+            Deviation from the true shape.
+
+        Raises
+        ------
+        ConfigError, DeviceError, CalibrationError, DataError
+            As `measure`.
         """
         known = calibrations or self.calibrations
         calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
-        truth = self._truth(name, candidate)  # before anything is acquired in vain
+        shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
         plan, decoded = candidate.plan(self._study.start), self._decoded(name, candidate, seed)
-        return truth.score(decoded, plan, calibration)
+        return shape.score(decoded, plan, calibration)
 
-    def compared(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
-        """One artefact's cloud, all of its points compared: for looking at. Raises as `measure`."""
+    def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
+        """Measure one artefact and compare all of its points, for an error map.
+
+        Parameters
+        ----------
+        name : str
+            Name of the artefact.
+        candidate : Candidate
+            What to measure with.
+        seed : int
+            Seed of the noise, or number of the repeat.
+
+        Returns
+        -------
+        (Cloud, Comparison)
+            The points in mm in the camera's frame, and their distances from the true shape.
+
+        Raises
+        ------
+        ConfigError, DeviceError, CalibrationError, DataError
+            As `measure`.
+        """
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
         plan = candidate.plan(self._study.start)
         _, cloud = points_of(self._decoded(name, candidate, seed), calibration, plan)
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
-    def angle_deg(self, candidate: Candidate) -> float:
-        """Of triangulation: how far apart an artefact's middle sees camera and projector, the mean over all.
+    def triangulation_angle_deg(self, candidate: Candidate) -> float:
+        """Compute the triangulation angle: that between camera and projector as seen from an artefact.
 
-        Raises as `measure`.
+        Seen from the centre of its bounding box.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            Gives the position of the stage and the rotation of the projector.
+
+        Returns
+        -------
+        float
+            Angle in degrees, mean over the artefacts.
+
+        Raises
+        ------
+        ConfigError, DeviceError, CalibrationError, DataError
+            As `measure`.
         """
         projector = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg).projector_centre
         middles = np.array([self._mesh(name).bounds.mean(axis=0) for name in self._study.artefacts])
@@ -94,9 +187,9 @@ class RigEvaluator:
         return float(np.degrees(np.arccos(-np.sum(middles * there, axis=1) / norms)).mean())
 
     def close(self) -> None:
-        """Let go of the rig."""
+        """Close the rig; it is opened again when something is measured."""
         self._stack.close()
-        for opened in ("_rig", "_sets"):
+        for opened in ("_rig", "_frames"):
             vars(self).pop(opened, None)
 
     @cached_property
@@ -104,23 +197,29 @@ class RigEvaluator:
         return self._stack.enter_context(Rig.load(self._file))
 
     @cached_property
-    def _sets(self) -> FringeSets:
-        return FringeSets(self._rig, self._study.start, Arrangement(self._rig))
+    def _frames(self) -> FringeSetCache:
+        return FringeSetCache(self._rig, self._study.start, RigArranger(self._rig))
 
     @cached_property
-    def calibrations(self) -> Calibrations:
-        """Those that the study names. Raises `CalibrationError` when it names none."""
+    def calibrations(self) -> StageCalibrations:
+        """Calibrations that the study names.
+
+        Raises
+        ------
+        CalibrationError
+            The study names none.
+        """
         files = self._study.calibrations
         if not files:
             raise CalibrationError(
                 f"study '{self._study.name}': 'calibrations' names none; characterise the rig first"
             )
-        return Calibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
+        return StageCalibrations({one.stage_mm: Calibration.load(Path(one.file)) for one in files})
 
     @cached_property
     def _image_s(self) -> float:
-        """What an image takes beside its exposure, by what the devices say of themselves."""
-        return RigLimits.of(self._rig).dead_s + self._study.start.settle_s
+        """Time that an image takes beside its exposure, by what the devices state of themselves."""
+        return RigLimits.of(self._rig).dead_time_s + self._study.start.settle_s
 
     def _score(self, name: str, candidate: Candidate, seed: int) -> Score:
         found = asdict(self.figures(name, candidate, seed))
@@ -129,36 +228,36 @@ class RigEvaluator:
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **found)
 
     def _decoded(self, name: str, candidate: Candidate, seed: int) -> Decoded:
-        view = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
-        frames = self._sets.frames(view, candidate.fringes, seed)
+        setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
+        frames = self._frames.frames(setup, candidate.fringes, seed)
         plan, rig = candidate.plan(self._study.start), self._rig
         size, bits = rig.projector.caps.size, rig.file.camera.bits
         return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"))
 
-    def _truth(self, name: str, candidate: Candidate) -> TrueShape:
+    def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._study.space
-        lit = space.stage_mm is None and space.convergence_deg is None
-        # Which candidate comes first must not matter, so where there is one truth it is the start's.
-        of = candidate if lit else self._first
+        illuminated = space.stage_mm is None and space.convergence_deg is None
+        # Where one shape is used for all, it is the start's, so that the order of candidates does not matter.
+        of = candidate if illuminated else self._first
         key = name, of.stage_mm, of.convergence_deg
-        if key not in self._truths:
+        if key not in self._true_shapes:
             calibration = self.calibrations.at(of.stage_mm, of.convergence_deg)
-            self._truths[key] = TrueShape(self._mesh(name), calibration, lit, self._samples)
-        self._truths.move_to_end(key)
-        while len(self._truths) > TRUTHS:
-            self._truths.popitem(last=False)
-        return self._truths[key]
+            self._true_shapes[key] = TrueShape(self._mesh(name), calibration, illuminated, self._samples)
+        self._true_shapes.move_to_end(key)
+        while len(self._true_shapes) > KEPT_SHAPES:
+            self._true_shapes.popitem(last=False)
+        return self._true_shapes[key]
 
     def _mesh(self, name: str) -> trimesh.Trimesh:
-        """The true shape in the camera's frame, where the fixture holds it or a first look finds it."""
-        if name not in self._standing:
+        """Place the true shape in the camera's frame, as the fixture or a first measurement tells."""
+        if name not in self._placed:
             mesh = artefacts.make(name)
-            pose = self._rig.need_fixture("a search").pose(name) or self._found(name, mesh)
-            self._standing[name] = mesh.apply_transform(pose.matrix)
-        return self._standing[name]
+            pose = self._rig.need_fixture("a search").pose(name) or self._located(name, mesh)
+            self._placed[name] = mesh.apply_transform(pose.matrix)
+        return self._placed[name]
 
-    def _found(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
-        """Where an artefact lies whose pose nobody knows, by a measurement with the plan of the start."""
+    def _located(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
+        """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
         decoded = self._decoded(name, self._first, self._study.seeds[0])
         _, cloud = points_of(decoded, self.calibrations.at(self._first.stage_mm), self._study.start)
         return align_mesh(cloud.points.astype(np.float64), mesh).transform

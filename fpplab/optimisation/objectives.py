@@ -1,7 +1,7 @@
-"""From scores to what a study asks for: figures over artefacts and seeds, limits kept or not, and a rank.
+"""From scores to the figures, limits and objectives of a study, and to an order of candidates.
 
-What is measured once per artefact and seed is averaged over both. A plan whose fringe orders fail is not
-forgiven by the mean: its distances count all of its points, and beyond the study's limit it is not wanted.
+What is measured once per artefact and seed is averaged over both. Wrong fringe orders are not hidden by the
+mean: the distances count all points, and a plan with more of them than the study's limit is not accepted.
 """
 
 from __future__ import annotations
@@ -20,16 +20,39 @@ from fpplab.optimisation.space import Point
 from fpplab.optimisation.study import Study
 
 UNMEASURED = 1e6
-"""The violation of a candidate of which nothing could be measured, in place of its share."""
+"""Violation of a candidate that could not be measured."""
 
 
 @dataclass(frozen=True)
 class CandidateFigures:
-    """What a candidate came to: means over artefacts and seeds.
+    """Figures of a candidate: means over artefacts and seeds, unless stated otherwise.
 
-    smcd_spread_um: standard deviation over the seeds of the mean over artefacts, None with one seed.
-    worst_smcd_um: of the worst seed. worst_artefact_um: of the worst artefact. wrong_orders, outliers,
-    completeness: shares.
+    Attributes
+    ----------
+    surface_smcd_um : float
+        Symmetric mean distance between points and true surface in µm.
+    smcd_spread_um : float or None
+        Standard deviation over the seeds of its mean over artefacts, in µm; None with one seed.
+    worst_smcd_um : float
+        The same distance for the worst seed, in µm.
+    worst_artefact_um : float
+        The same distance for the worst artefact, in µm.
+    surface_rms_um : float
+        Root mean square distance of the points from the true surface in µm.
+    smcd_um : float
+        Symmetric mean Chamfer distance between points and sampled surface in µm.
+    smcd_floor_um : float
+        What a perfect measurement would have for `smcd_um`, in µm.
+    completeness : float
+        Share of the surface that was measured, 0 … 1.
+    wrong_orders : float
+        Share of points with a wrong fringe order, 0 … 1.
+    outliers : float
+        Share of points that the filter removed, 0 … 1.
+    images : int
+        Images that a measurement takes.
+    seconds : float
+        Acquisition time of a measurement.
     """
 
     surface_smcd_um: float
@@ -47,7 +70,18 @@ class CandidateFigures:
 
     @classmethod
     def of(cls, scores: Sequence[Score]) -> CandidateFigures:
-        """Of every artefact with every seed."""
+        """Average the scores of a candidate.
+
+        Parameters
+        ----------
+        scores : sequence of Score
+            Of every artefact with every seed.
+
+        Returns
+        -------
+        CandidateFigures
+            The means.
+        """
 
         def mean(name: str) -> float:
             return float(np.mean([getattr(score, name) for score in scores]))
@@ -70,12 +104,23 @@ class CandidateFigures:
 
 
 def seed_means(scores: Sequence[Score]) -> Mapping[int, float]:
-    """Mean surface SMCD over the artefacts in µm, by seed."""
+    """Average the surface SMCD over the artefacts, for each seed.
+
+    Parameters
+    ----------
+    scores : sequence of Score
+        Of every artefact with every seed.
+
+    Returns
+    -------
+    mapping of int to float
+        Mean distance in µm by seed.
+    """
     return _means(scores, "seed")
 
 
 def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
-    """Mean surface SMCD by seed, or by artefact."""
+    """Average the surface SMCD by seed, or by artefact."""
     grouped = defaultdict(list)
     for score in scores:
         grouped[getattr(score, key)].append(score.surface_smcd_um)
@@ -84,9 +129,20 @@ def _means(scores: Sequence[Score], key: str) -> Mapping[Any, float]:
 
 @dataclass(frozen=True)
 class MeasuredCandidate:
-    """A candidate that was measured, or why it could not be.
+    """A candidate with its scores, or the reason why it has none.
 
-    refused: why no rig of the study can show it. failed: why nothing came of measuring it.
+    Attributes
+    ----------
+    point : Point
+        Point of the search space.
+    candidate : Candidate
+        What the point stands for.
+    scores : tuple of Score
+        Of every artefact with every seed; empty if not measured.
+    refused : str or None
+        Why the rig or the study does not allow it.
+    failed : str or None
+        Why the measurement failed.
     """
 
     point: Point
@@ -97,7 +153,7 @@ class MeasuredCandidate:
 
     @cached_property
     def figures(self) -> CandidateFigures:
-        """What it came to; only where it was measured."""
+        """Mean figures; only of one that was measured."""
         return CandidateFigures.of(self.scores)
 
     @property
@@ -106,7 +162,13 @@ class MeasuredCandidate:
         return self.refused is None and self.failed is None
 
     def summary(self) -> dict[str, Any]:
-        """For a machine to read."""
+        """Describe the candidate and its figures.
+
+        Returns
+        -------
+        dict
+            Plain data for JSON.
+        """
         known = asdict(self.candidate)
         known["fringes"] = list(known["fringes"])
         return {
@@ -116,20 +178,40 @@ class MeasuredCandidate:
 
 
 Rank = tuple[float, tuple[float, ...], float]
-"""By how much limits are broken, the objectives, the mean distance: less is better, in this order."""
+"""Violation of limits, objectives, mean distance: compared in this order, the lower the better."""
 
 
 @dataclass(frozen=True)
-class Judge:
-    """What a study makes of trials, given what its start came to."""
+class CandidateRanking:
+    """How a study compares its candidates.
+
+    Attributes
+    ----------
+    study : Study
+        Limits and objectives.
+    start : CandidateFigures
+        Figures of the start, to which some limits are relative.
+    """
 
     study: Study
     start: CandidateFigures
 
     def violations(self, trial: MeasuredCandidate) -> dict[str, float]:
-        """By how much each limit is broken, 0 or less where it is kept; shares, and relative excesses.
+        """Compute by how much each limit is exceeded.
 
-        What the start itself has of wrong orders is no fault of a plan that has no more.
+        A share of wrong orders that the start has as well is not counted.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        dict of str to float
+            Excess by name of the limit, 0 or less where the limit is kept: as a share for shares, else
+            relative to
+            the limit.
         """
         if not trial.measured:
             return {"measured": UNMEASURED}
@@ -146,11 +228,33 @@ class Judge:
         return broken
 
     def violation(self, trial: MeasuredCandidate) -> float:
-        """By how much limits are broken in all, 0 where all are kept."""
+        """Add up the excess over all limits.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        float
+            Total excess, 0 if every limit is kept.
+        """
         return sum(max(excess, 0.0) for excess in self.violations(trial).values())
 
     def values(self, trial: MeasuredCandidate) -> tuple[float, ...]:
-        """The study's objectives, each the less the better."""
+        """Compute the study's objectives, signed so that lower is better.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        tuple of float
+            In the study's order; infinite for a candidate that was not measured.
+        """
         if not trial.measured:
             return (math.inf,) * len(self.study.objectives)
         found = trial.figures
@@ -159,25 +263,68 @@ class Judge:
         )
 
     def rank(self, trial: MeasuredCandidate) -> Rank:
-        """Feasible before infeasible, then by objectives, then by the mean distance."""
+        """Compute a sort key: acceptable before others, then by the objectives, then by the mean distance.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        Rank
+            The lower the better.
+        """
         distance = trial.figures.surface_smcd_um if trial.measured else math.inf
         return self.violation(trial), self.values(trial), distance
 
-    def by_distance(self, trial: MeasuredCandidate) -> Rank:
-        """Feasible before infeasible, then by the mean distance alone, whatever the objectives."""
+    def rank_by_distance(self, trial: MeasuredCandidate) -> Rank:
+        """Compute a sort key that ignores the objectives: acceptable before others, then the mean distance.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        Rank
+            The lower the better.
+        """
         violation, _, distance = self.rank(trial)
         return violation, (distance,), distance
 
-    def wanted(self, trial: MeasuredCandidate) -> bool:
-        """Whether it keeps every limit."""
+    def is_acceptable(self, trial: MeasuredCandidate) -> bool:
+        """Check whether a candidate keeps every limit.
+
+        Parameters
+        ----------
+        trial : MeasuredCandidate
+            The candidate.
+
+        Returns
+        -------
+        bool
+            Whether no limit is exceeded.
+        """
         return self.violation(trial) == 0.0
 
     def front(self, trials: Sequence[MeasuredCandidate]) -> list[MeasuredCandidate]:
-        """Those that keep every limit and that no other is better than in everything, by the last objective.
+        """Select the Pareto front: acceptable candidates that no other dominates.
 
-        Of several with the same figures the first.
+        Of several candidates with equal objectives the first is kept.
+
+        Parameters
+        ----------
+        trials : sequence of MeasuredCandidate
+            All candidates.
+
+        Returns
+        -------
+        list of MeasuredCandidate
+            The front, in descending order of the last objective.
         """
-        wanted = [trial for trial in trials if self.wanted(trial)]
+        wanted = [trial for trial in trials if self.is_acceptable(trial)]
         values = {trial.candidate: self.values(trial) for trial in wanted}
         kept: dict[tuple[float, ...], MeasuredCandidate] = {}
         for trial in wanted:

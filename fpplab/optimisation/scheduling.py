@@ -1,7 +1,6 @@
-"""Who measures: this process, processes beside it, or those of a scheduler on other machines.
+"""Distributes measurements to this process, to others beside it, or to the workers of a dask scheduler.
 
-The order of what comes back means nothing: whoever asks puts it in the order asked. A measurement whose
-worker dies is done again by another.
+Results come back in any order; the caller sorts them. A measurement whose worker dies is repeated by another.
 """
 
 from __future__ import annotations
@@ -19,62 +18,109 @@ from fpplab.optimisation.candidate import Candidate, Evaluator, Score
 from fpplab.optimisation.storage import ScoresOrReason
 from fpplab.optimisation.study import Study
 
-PATIENCE_S = 10.0
-"""How long a scheduler may take to answer."""
-DEATHS = 10
-"""How many workers may die of one measurement before it is given up."""
-ALLOCATION = {
+CONNECT_TIMEOUT_S = 10.0
+"""Seconds that a scheduler may take to answer, and to have a worker."""
+MAX_WORKER_DEATHS = 10
+"""Workers that may die of one measurement before it is given up."""
+WORKER_ENVIRONMENT = {
     "MALLOC_ARENA_MAX": 1,
     "MALLOC_MMAP_THRESHOLD_": 32 << 20,
     "MALLOC_TRIM_THRESHOLD_": 1 << 30,
 }
-"""Environment of a worker, for glibc: memory is kept for the next image, which needs as much again.
+"""Environment of a worker, for glibc: freed memory is kept for the next image, which needs as much again.
 
-dask's own setting gives it back after every array, and pages are mapped anew half a million times for
-each measurement: a third of its time.
+dask's own setting returns it to the system after every array, so that pages are mapped anew half a million
+times in each measurement, which takes a third of its time.
 """
 
 Task = tuple[Candidate, int]
 """A candidate and a seed."""
-Done = Callable[[int, ScoresOrReason], None]
-"""Told the place of a task and what came of it."""
+OutcomeCallback = Callable[[int, ScoresOrReason], None]
+"""Called with the index of a task and its outcome."""
 
 
-class Opener(Protocol):
-    """Opens a rig to measure on; it is sent to every worker, where it is told from others by its equality."""
+class EvaluatorFactory(Protocol):
+    """Opens a rig to measure on.
 
-    def __call__(self) -> Evaluator: ...
+    It is pickled and sent to every worker, which keeps the evaluator open as long as it gets equal factories.
+    """
+
+    def __call__(self) -> Evaluator:
+        """Open the rig. Called in the worker, before its first measurement."""
+        ...
 
     def __hash__(self) -> int: ...
 
 
 @dataclass(frozen=True)
-class OpenRig:
-    """Opens the rig of a study."""
+class RigEvaluatorFactory:
+    """Opens the rig of a study.
+
+    Attributes
+    ----------
+    rig : str
+        Rig file, by path or name, as the worker finds it.
+    study : Study
+        What is measured.
+    """
 
     rig: str
     study: Study
 
     def __call__(self) -> Evaluator:
+        """Make an evaluator, which opens the rig when it measures first."""
         from fpplab.optimisation.measuring import RigEvaluator
 
         return RigEvaluator(self.rig, self.study)
 
 
 class Workers(Protocol):
-    """Whoever measures."""
+    """Interface of what distributes measurements."""
 
-    def measure(self, tasks: Sequence[Task], done: Done) -> None:
-        """Measure all, telling `done` of each as it is there. Raises the `FppError` of a rig that fails."""
+    def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
+        """Measure all tasks.
+
+        Parameters
+        ----------
+        tasks : sequence of Task
+            Candidates and seeds.
+        on_outcome : OutcomeCallback
+            Called in this process as soon as a task is done, in any order.
+
+        Raises
+        ------
+        FppError
+            A fault of the rig.
+        """
         ...
 
     def close(self) -> None:
-        """Let go of rigs and processes."""
+        """Close rigs and end processes."""
         ...
 
 
-def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
-    """Scores, or why nothing came of measuring: what the candidate is to blame for is no fault of the rig."""
+def measure_outcome(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresOrReason:
+    """Measure, and turn failures that are the candidate's into a reason; those of the rig are raised.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        Measures on the open rig.
+    candidate : Candidate
+        What to measure with.
+    seed : int
+        Seed of the noise, or number of the repeat.
+
+    Returns
+    -------
+    tuple of Score or str
+        Scores, or why the measurement failed.
+
+    Raises
+    ------
+    FppError
+        A fault of the rig.
+    """
     try:
         scores = evaluator.measure(candidate, seed)
     except (DataError, CalibrationError) as error:
@@ -85,62 +131,95 @@ def outcome_of(evaluator: Evaluator, candidate: Candidate, seed: int) -> ScoresO
     return scores
 
 
-class Here:
-    """This process, one measurement after another."""
+class InProcessWorkers:
+    """Measures in this process, one task after another.
 
-    def __init__(self, opener: Opener) -> None:
-        self._opener = opener
+    Parameters
+    ----------
+    factory : EvaluatorFactory
+        Opens the rig when the first task comes.
+    """
+
+    def __init__(self, factory: EvaluatorFactory) -> None:
+        self._factory = factory
         self._evaluator: Evaluator | None = None
 
-    def measure(self, tasks: Sequence[Task], done: Done) -> None:
+    def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
+        """Measure all tasks, as `Workers.measure`.
+
+        Parameters
+        ----------
+        tasks : sequence of Task
+            Candidates and seeds.
+        on_outcome : OutcomeCallback
+            Called after each task, in order.
+
+        Raises
+        ------
+        FppError
+            A fault of the rig.
+        """
         for place, (candidate, seed) in enumerate(tasks):
             if self._evaluator is None:
-                self._evaluator = self._opener()
-            done(place, outcome_of(self._evaluator, candidate, seed))
+                self._evaluator = self._factory()
+            on_outcome(place, measure_outcome(self._evaluator, candidate, seed))
 
     def close(self) -> None:
+        """Close the rig."""
         if self._evaluator is not None:
             self._evaluator.close()
 
 
-_opened: dict[Opener, Evaluator] = {}
-"""Rigs that this worker process has open, by who opened them."""
+_opened: dict[EvaluatorFactory, Evaluator] = {}
+"""The rig that this worker process has open, by its factory."""
 
 
-def _measure_there(opener: Opener, candidate: Candidate, seed: int) -> ScoresOrReason:
-    if opener not in _opened:
-        _close_there()  # one rig at a time: the devices of two may be the same
-        _opened[opener] = opener()
-    return outcome_of(_opened[opener], candidate, seed)
+def _measure_on_worker(factory: EvaluatorFactory, candidate: Candidate, seed: int) -> ScoresOrReason:
+    if factory not in _opened:
+        _close_on_worker()  # one rig at a time: two may have the same devices
+        _opened[factory] = factory()
+    return measure_outcome(_opened[factory], candidate, seed)
 
 
-def _close_there() -> None:
+def _close_on_worker() -> None:
     while _opened:
         _, evaluator = _opened.popitem()
         evaluator.close()
 
 
-class Cluster:
-    """Workers of a `dask` scheduler: at `address`, or `workers` processes of one's own.
+class DaskWorkers:
+    """Measures on the workers of a `dask` scheduler: an existing one, or processes started here.
 
-    Raises `DeviceError` when nothing answers at the address.
+    Parameters
+    ----------
+    factory : EvaluatorFactory
+        Opens the rig on every worker.
+    workers : int
+        Processes to start, without an address.
+    address : str, optional
+        Address of an existing scheduler.
+
+    Raises
+    ------
+    DeviceError
+        Nothing answers at the address, or the scheduler has no workers.
     """
 
-    def __init__(self, opener: Opener, workers: int = 1, address: str | None = None) -> None:
+    def __init__(self, factory: EvaluatorFactory, workers: int = 1, address: str | None = None) -> None:
         import dask
         import distributed
 
         library: Any = distributed
-        self._opener = opener
+        self._factory = factory
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         with ExitStack() as opening:
-            spawned = "distributed.nanny.pre-spawn-environ"  # what must be there as a process begins
-            settings = {f"{spawned}.{name}": value for name, value in ALLOCATION.items()}
-            settings["distributed.scheduler.allowed-failures"] = DEATHS
+            spawned = "distributed.nanny.pre-spawn-environ"  # must be set before the process starts
+            settings = {f"{spawned}.{name}": value for name, value in WORKER_ENVIRONMENT.items()}
+            settings["distributed.scheduler.allowed-failures"] = MAX_WORKER_DEATHS
             opening.enter_context(dask.config.set(settings))
-            where: Any = address or opening.enter_context(_processes(library, workers))
+            where: Any = address or opening.enter_context(_start_processes(library, workers))
             try:
-                self._client: Any = opening.enter_context(library.Client(where, timeout=PATIENCE_S))
+                self._client: Any = opening.enter_context(library.Client(where, timeout=CONNECT_TIMEOUT_S))
             except (OSError, ValueError, ImportError) as error:
                 raise DeviceError(
                     "scheduler",
@@ -148,17 +227,17 @@ class Cluster:
                     f"nothing answers at '{address}' ({error})",
                     "start one with `dask scheduler`, and its workers with `dask worker`",
                 ) from error
-            opening.callback(self._let_go)
+            opening.callback(self._close_rigs)
             if address is not None:
                 self._await_workers(address)
             self._stack = opening.pop_all()
 
     def _await_workers(self, address: str) -> None:
-        from distributed import TimeoutError as NoneCame
+        from distributed import TimeoutError as DaskTimeoutError
 
         try:
-            self._client.wait_for_workers(1, timeout=PATIENCE_S)
-        except NoneCame as error:
+            self._client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+        except DaskTimeoutError as error:
             raise DeviceError(
                 "scheduler",
                 "connect",
@@ -166,17 +245,33 @@ class Cluster:
                 f"start some with `dask worker {address}` where fpplab is installed",
             ) from error
 
-    def measure(self, tasks: Sequence[Task], done: Done) -> None:
+    def measure(self, tasks: Sequence[Task], on_outcome: OutcomeCallback) -> None:
+        """Measure all tasks, as `Workers.measure`.
+
+        Parameters
+        ----------
+        tasks : sequence of Task
+            Candidates and seeds.
+        on_outcome : OutcomeCallback
+            Called as soon as a task is done, in any order.
+
+        Raises
+        ------
+        DeviceError
+            A fault of the rig, or too many workers died of one measurement.
+        FppError
+            Any other fault of the rig.
+        """
         from distributed import as_completed
 
         ended: Any = as_completed
         futures = [
-            self._client.submit(_measure_there, self._opener, candidate, seed, pure=False)
+            self._client.submit(_measure_on_worker, self._factory, candidate, seed, pure=False)
             for candidate, seed in tasks
         ]
         places = {future.key: place for place, future in enumerate(futures)}
         for future in ended(futures):
-            done(places[future.key], self._result(future))
+            on_outcome(places[future.key], self._result(future))
 
     def _result(self, future: Any) -> ScoresOrReason:
         from distributed.scheduler import KilledWorker
@@ -187,20 +282,21 @@ class Cluster:
             raise DeviceError(
                 "scheduler",
                 "measure",
-                f"{DEATHS} workers died of one measurement",
-                "see to their memory and their logs, and run the same command again",
+                f"{MAX_WORKER_DEATHS} workers died of one measurement",
+                "check their memory and their logs, and run the same command again",
             ) from error
         return found
 
-    def _let_go(self) -> None:
-        self._client.run(_close_there)
+    def _close_rigs(self) -> None:
+        self._client.run(_close_on_worker)
 
     def close(self) -> None:
+        """Close the rigs of all workers, and end the processes started here."""
         self._stack.close()
 
 
-def _processes(library: Any, workers: int) -> Any:
-    """Processes beside this one, which share its cores."""
+def _start_processes(library: Any, workers: int) -> Any:
+    """Start worker processes on this computer, which share its cores."""
     threads = max(1, (os.cpu_count() or 1) // workers)
     return library.LocalCluster(
         n_workers=workers,
@@ -211,8 +307,28 @@ def _processes(library: Any, workers: int) -> Any:
     )
 
 
-def workers_of(opener: Opener, count: int, address: str | None) -> Workers:
-    """This process for one worker, processes beside it for more, or those of the scheduler at an address."""
+def make_workers(factory: EvaluatorFactory, count: int, address: str | None) -> Workers:
+    """Choose who measures: this process for one worker, other processes for more, or those of a scheduler.
+
+    Parameters
+    ----------
+    factory : EvaluatorFactory
+        Opens the rig.
+    count : int
+        Number of workers.
+    address : str or None
+        Address of a dask scheduler; takes precedence over `count`.
+
+    Returns
+    -------
+    Workers
+        To be closed by the caller.
+
+    Raises
+    ------
+    DeviceError
+        Nothing answers at the address, or the scheduler has no workers.
+    """
     if count == 1 and address is None:
-        return Here(opener)
-    return Cluster(opener, count, address)
+        return InProcessWorkers(factory)
+    return DaskWorkers(factory, count, address)

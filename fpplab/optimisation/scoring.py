@@ -1,9 +1,10 @@
-"""A decoded measurement -> its score: compared with the true shape at a fixed sample of pixels and surface.
+"""Scores a decoded measurement at a fixed sample of pixels and points of the true surface.
 
-Everything that does not depend on what was measured is computed once (`TrueShape`): which pixels look at the
-shape and what of the projector they must see, what of the shape counts, and in which pixels it is compared.
-The figures are those of `fpplab.comparison`, whose means over all points are taken over the sample here: the
-same sample for every candidate, so that what it gets wrong of one it gets wrong of the next.
+Everything that does not depend on the measurement is computed once (`TrueShape`): which pixels see the shape
+and which projector coordinates they must have, what part of the surface counts, and which pixels are
+compared.
+The figures are those of `fpplab.comparison`, but means over all points are taken over the sample here. It is
+the same sample for every candidate, so that its errors cancel when candidates are compared.
 """
 
 from __future__ import annotations
@@ -36,54 +37,75 @@ from fpplab.reconstruction.filtering import removal
 from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
 SAMPLES = 12_000
-"""About as many pixels, and points of the true surface, are compared."""
-ALIGNED = 4_000
-"""So many of these tell how the true shape lies: to a thirtieth of one point's noise or so."""
-SURELY_SAMPLED = 2.0
-"""A point of the shape counts where a sample of what counts is within so many of their mean distances."""
+"""Approximate number of pixels, and of points of the true surface, that are compared."""
+ALIGNMENT_POINTS = 4_000
+"""Approximate number of points by which the shape is aligned: to about a thirtieth of one point's noise."""
+NEAR_SPACINGS = 2.0
+"""A point of the shape counts if a surface sample that counts lies within so many mean sample distances."""
 _UM = 1e3
 
 
-Bounds = dict[Axis, tuple[Map, Map]]
-"""By axis the least and greatest projector coordinate in px that a pixel may see.
+CoordinateBounds = dict[Axis, tuple[Map, Map]]
+"""By axis the least and greatest projector coordinate in px that each pixel may have.
 
-Of the pixels around it too, because a pixel at an edge sees more than its centre does.
+The pixels around it are included, because a pixel at an edge sees more than its centre does.
 """
 
 
 @dataclass(frozen=True)
 class ArtefactFigures(Accuracy):
-    """surface_spread_um: standard error of `surface_smcd_um` by the choice of the sample."""
+    """Figures of one artefact, with the uncertainty due to the sample.
+
+    Attributes
+    ----------
+    surface_spread_um : float
+        Standard error of `surface_smcd_um` due to the choice of the sample, in µm.
+    """
 
     surface_spread_um: float
 
 
 class TrueShape:
-    """A true shape as a calibrated rig sees it.
+    """A true shape as a calibrated rig sees it, with everything precomputed for comparisons.
 
-    mesh: in the camera's frame in mm, where it is known or nearly. lit: whether only what the projector
-    reaches counts. Where a search moves the projector the truth must be one for all: it is then what the
-    camera sees, and shadow is what is missing of it. samples: of pixels and of surface, None for all.
-    density: as in `compare`. Raises `DataError` when nothing of the shape is seen.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        The shape in the camera's frame in mm, where it is known to be, at least nearly.
+    calibration : Calibration
+        Of the rig.
+    illuminated : bool
+        Whether only surface that the projector reaches counts. Where a search moves the projector, the same
+        surface has to count for all candidates: then it is what the camera sees, and shadow reduces
+        completeness.
+    samples : int or None
+        Approximate number of pixels and of surface points that are compared; None for all.
+    density : float
+        Surface samples per mm², as in `fpplab.comparison.compare`.
+
+    Raises
+    ------
+    DataError
+        Nothing of the shape is visible.
     """
 
     def __init__(
         self,
         mesh: trimesh.Trimesh,
         calibration: Calibration,
-        lit: bool = True,
+        illuminated: bool = True,
         samples: int | None = SAMPLES,
         density: float = DENSITY_PER_MM2,
     ) -> None:
         shape, random = RayTracedShape(mesh), np.random.default_rng(0)
         self._shape, self._target = shape, AlignmentMesh(mesh)
-        self._surface = visible_samples(mesh, shape, calibration, density, 0, lit)[0]
-        self._near_mm = SURELY_SAMPLED / np.sqrt(density)
+        self._surface = visible_samples(mesh, shape, calibration, density, 0, illuminated)[0]
+        self._near_mm = NEAR_SPACINGS / np.sqrt(density)
         self._hits = _hits(shape, calibration)
-        self._looked_at: Mask = np.isfinite(self._hits[..., 2])
-        self._compared: Mask = self._looked_at & _drawn(self._looked_at, samples, random)
-        self._sampled = self._surface[_drawn(np.ones(len(self._surface), np.bool_), samples, random)]
-        self._expected: tuple[Calibration, Bounds] | None = None
+        self._on_shape: Mask = np.isfinite(self._hits[..., 2])
+        self._compared: Mask = self._on_shape & _random_subset(self._on_shape, samples, random)
+        self._sampled = self._surface[_random_subset(np.ones(len(self._surface), np.bool_), samples, random)]
+        self._expected: tuple[Calibration, CoordinateBounds] | None = None
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -91,8 +113,8 @@ class TrueShape:
 
     @cached_property
     def floor_um(self) -> float:
-        """The point-set SMCD of a perfect measurement of what counts."""
-        hits = self._hits[self._looked_at]
+        """`smcd_um` that a perfect measurement of the counted surface would have, in µm."""
+        hits = self._hits[self._on_shape]
         perfect = hits[nearest(hits, self._surface)[0] < self._near_mm]
         back = nearest(self._sampled, perfect)[0]
         few = perfect[:: max(1, len(perfect) // SAMPLES)]
@@ -101,10 +123,28 @@ class TrueShape:
     def score(
         self, decoded: Decoded, plan: Plan, calibration: Calibration, align: bool = True
     ) -> ArtefactFigures:
-        """Triangulate, filter as the plan says, and compare.
+        """Triangulate a decoded measurement, filter it as its plan says, and compare it.
 
-        align: move the true shape onto the cloud first, from where it nearly is. Raises `DataError` when
-        nothing of the shape was measured.
+        Parameters
+        ----------
+        decoded : Decoded
+            Projector coordinates of every camera pixel, maps (height, width) in px.
+        plan : Plan
+            Plan of the measurement.
+        calibration : Calibration
+            Used for triangulation; may differ from that of the constructor.
+        align : bool
+            Whether the true shape is first aligned to the cloud, beginning near its pose.
+
+        Returns
+        -------
+        ArtefactFigures
+            Deviation from the true shape.
+
+        Raises
+        ------
+        DataError
+            Nothing of the shape was measured.
         """
         decoded, cloud = points_of(decoded, calibration, plan)
         removed = removal(decoded)
@@ -120,19 +160,42 @@ class TrueShape:
         outliers: float = 0.0,
         align: bool = True,
     ) -> ArtefactFigures:
-        """Figures of a cloud over the pixels of these maps; outliers: what a filter has removed.
+        """Compare a cloud with the true shape.
 
-        Raises `DataError` when no point looks at the shape, or the points span no surface.
+        Parameters
+        ----------
+        decoded : Decoded
+            Maps (height, width) that the cloud was triangulated from.
+        cloud : Cloud
+            Points in mm in the camera's frame, with their pixels.
+        plan : Plan
+            Plan of the measurement; its fringe periods decide which fringe orders are wrong.
+        calibration : Calibration
+            The calibration that the cloud was triangulated with.
+        outliers : float
+            Share of points that a filter has removed, which is only copied to the figures.
+        align : bool
+            Whether the true shape is first aligned to the cloud, beginning near its pose.
+
+        Returns
+        -------
+        ArtefactFigures
+            Deviation from the true shape.
+
+        Raises
+        ------
+        DataError
+            No point lies on the shape, or the points do not form a surface.
         """
         assert cloud.pixels is not None
         u, v = cloud.pixels.T
-        counted, compared = self._looked_at[v, u], self._compared[v, u]
+        counted, compared = self._on_shape[v, u], self._compared[v, u]
         faces = cloud.grid_mesh()[1]
         faces = faces[counted[faces].all(axis=1)]
         if not compared.any() or len(faces) == 0:
-            raise DataError("cloud: nothing of it looks at the true shape; is it where it is said to be?")
+            raise DataError("cloud: no point of it lies on the true shape; check the pose of the artefact")
         points = cloud.points.astype(np.float64)
-        T_true_camera = self._placed(points[compared]) if align else RigidTransform.identity()
+        T_true_camera = self._align(points[compared]) if align else RigidTransform.identity()
         points = T_true_camera.apply(points)
         measured = points[compared]
         square = igl.point_mesh_squared_distance(measured, self._target.vertices, self._target.faces)[0]
@@ -151,9 +214,9 @@ class TrueShape:
             surface_spread_um=_UM * float(spread),
         )
 
-    def _placed(self, points: Floats) -> RigidTransform:
-        """What brings the points onto the shape where it is."""
-        few = points[:: max(1, len(points) // ALIGNED)]
+    def _align(self, points: Floats) -> RigidTransform:
+        """Find the transformation that brings the points onto the shape."""
+        few = points[:: max(1, len(points) // ALIGNMENT_POINTS)]
         return refine(few, self._target, RigidTransform.identity(), FINE_ROUNDS)[0]
 
     def _wrong_orders(
@@ -164,10 +227,10 @@ class TrueShape:
         pixels: NDArray[np.int32],
         T_true_camera: RigidTransform,
     ) -> float:
-        """Share of these pixels whose coordinate, along any axis, is half a finest fringe off or more.
+        """Compute the share of pixels whose coordinate is off by half a period of the finest set or more.
 
-        T_true_camera: what brings the points onto the shape. Pixels that seem wrong are looked at again from
-        where the camera is by that: where the shape was said to be, its edges may be a pixel beside.
+        Pixels that seem wrong are checked again with rays from the camera as aligned by T_true_camera,
+        edges of the shape in its nominal pose may lie a pixel off.
         """
         wrong = 0
         for axis in plan.axes:
@@ -175,18 +238,20 @@ class TrueShape:
             half = axis_length(calibration.projector.size, axis) / stripes / 2.0
             coordinate = decoded.u if axis == "x" else decoded.v
             u, v = pixels.T
-            least, most = (bound[v, u] for bound in self._bounds(calibration)[axis])
+            least, most = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
             suspect = ~_within(coordinate[v, u], least, most, half)
-            again = pixels[suspect]
-            true = self._seen_around(again, calibration, T_true_camera)[..., 0 if axis == "x" else 1]
-            found = coordinate[again[:, 1], again[:, 0]]
+            rechecked = pixels[suspect]
+            true = self._seen_by_neighbours(rechecked, calibration, T_true_camera)[
+                ..., 0 if axis == "x" else 1
+            ]
+            found = coordinate[rechecked[:, 1], rechecked[:, 0]]
             right = _within(found, np.fmin.reduce(true, axis=1), np.fmax.reduce(true, axis=1), half)
             wrong += int(np.count_nonzero(~right))
             suspect[suspect] = ~right
-            pixels = pixels[~suspect]  # what is wrong along one axis is wrong
+            pixels = pixels[~suspect]  # wrong along one axis is wrong
         return wrong / (wrong + len(pixels))
 
-    def _seen_around(
+    def _seen_by_neighbours(
         self, pixels: NDArray[np.int32], calibration: Calibration, T_true_camera: RigidTransform
     ) -> Floats:
         """Projector coordinates, (P, 9, 2), that each pixel and those around it see; NaN beside the shape."""
@@ -202,14 +267,14 @@ class TrueShape:
         pose = calibration.T_projector_camera @ T_true_camera.inverse()
         return calibration.projector.project(pose.apply(hits)).reshape(len(pixels), len(around), 2)
 
-    def _bounds(self, calibration: Calibration) -> Bounds:
-        """What each pixel must see; kept for the calibration that was asked for last."""
+    def _coordinate_bounds(self, calibration: Calibration) -> CoordinateBounds:
+        """Bound the projector coordinate of each pixel; kept for the calibration that was asked for last."""
         if self._expected is None or self._expected[0] is not calibration:
-            self._expected = calibration, self._bounds_of(calibration)
+            self._expected = calibration, self._compute_bounds(calibration)
         return self._expected[1]
 
-    def _bounds_of(self, calibration: Calibration) -> Bounds:
-        pose, seen = calibration.T_projector_camera, self._looked_at
+    def _compute_bounds(self, calibration: Calibration) -> CoordinateBounds:
+        pose, seen = calibration.T_projector_camera, self._on_shape
         true = calibration.projector.project(pose.apply(self._hits[seen]))
         bounds = []
         for values in true.T:
@@ -220,19 +285,19 @@ class TrueShape:
 
 
 def _within(found: Floats | Map, least: Floats | Map, most: Floats | Map, half: float) -> Mask:
-    """Where a coordinate is less than so much beside what may be seen."""
+    """Select where a coordinate is less than `half` outside its bounds."""
     return np.asarray((found > least - half) & (found < most + half))
 
 
-def _drawn(of: Mask, count: int | None, random: np.random.Generator) -> Mask:
-    """About `count` of those that are true, or all."""
+def _random_subset(of: Mask, count: int | None, random: np.random.Generator) -> Mask:
+    """Select about `count` of the elements that are true, or all of them."""
     if count is None:
         return of
     return np.asarray(random.random(of.shape) < count / max(1, np.count_nonzero(of)))
 
 
 def _hits(shape: RayTracedShape, calibration: Calibration) -> Floats:
-    """Where each pixel's ray meets the shape, (height, width, 3) in mm, NaN where it does not."""
+    """Intersect each pixel's ray with the shape: (height, width, 3) in mm, NaN where it misses."""
     rays = camera_rays(calibration.camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     depth = shape.depth(np.zeros(3), rays.reshape(-1, 3)).reshape(rays.shape[:2])

@@ -1,6 +1,6 @@
-"""The search space: points of parameters, and the candidates that they stand for.
+"""The search space: parameters with their ranges, points, and the candidates that they stand for.
 
-A point that no rig can show is refused with its reason; it is never moved to one that can be shown.
+A point that the rig cannot show is refused with the reason; it is never moved to one that it can.
 """
 
 from __future__ import annotations
@@ -12,98 +12,201 @@ from itertools import pairwise
 
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.candidate import Candidate, Fringes
-from fpplab.optimisation.goal import Group
 from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.scope import ParameterGroup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]
-"""One value for each parameter of a space, in its own unit; of an axis its place among those to choose."""
+"""One value for each parameter, in its unit; for the axis its index among those to choose from."""
 
 DECIMALS = {"stripes": 3, "exposure_s": 6, "stage_mm": 3, "convergence_deg": 3}
-"""To which values are rounded, so that a plan is read easily."""
+"""Decimals to which values are rounded, to keep plans readable."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One thing that is searched.
+    """One parameter of a search.
 
-    name: as in a study file. whole: integers alone. ratio: whether its ratios count and not its
-    differences. every: between two values that may be asked for, None for all.
+    Attributes
+    ----------
+    name : str
+        As in a study file, for example "stripes[1]".
+    group : ParameterGroup
+        What it belongs to.
+    lower : float
+        Least value, in the parameter's unit.
+    upper : float
+        Greatest value.
+    is_integer : bool
+        Whether only integers are allowed.
+    is_logarithmic : bool
+        Whether equal ratios of values count as equal distances.
+    grid_step : float or None
+        Distance between allowed values, counted from `lower`; None if all are allowed.
     """
 
     name: str
-    group: Group
-    least: float
-    most: float
-    whole: bool = False
-    ratio: bool = False
-    every: float | None = None
+    group: ParameterGroup
+    lower: float
+    upper: float
+    is_integer: bool = False
+    is_logarithmic: bool = False
+    grid_step: float | None = None
 
-    def share(self, value: float) -> float:
-        """Where in its range a value lies, 0 … 1."""
-        if self.most == self.least:
+    def fraction(self, value: float) -> float:
+        """Compute where in its range a value lies.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        float
+            0 at the lower end of the range, 1 at the upper.
+        """
+        if self.upper == self.lower:
             return 0.0
-        if self.ratio:
-            return math.log(value / self.least) / math.log(self.most / self.least)
-        return (value - self.least) / (self.most - self.least)
+        if self.is_logarithmic:
+            return math.log(value / self.lower) / math.log(self.upper / self.lower)
+        return (value - self.lower) / (self.upper - self.lower)
 
-    def at(self, share: float) -> float:
-        """The value at a share of its range; whole or rounded."""
-        if self.ratio:
-            value = self.least * (self.most / self.least) ** share
+    def value_at(self, fraction: float) -> float:
+        """Compute the value at a fraction of the range.
+
+        Parameters
+        ----------
+        fraction : float
+            0 at the lower end of the range, 1 at the upper.
+
+        Returns
+        -------
+        float
+            The value, rounded as by `rounded`.
+        """
+        if self.is_logarithmic:
+            value = self.lower * (self.upper / self.lower) ** fraction
         else:
-            value = self.least + share * (self.most - self.least)
-        return self.tidy(value)
+            value = self.lower + fraction * (self.upper - self.lower)
+        return self.rounded(value)
 
-    def tidy(self, value: float) -> float:
-        """The value as a candidate has it."""
-        if self.whole:
+    def rounded(self, value: float) -> float:
+        """Round a value to an integer, to the grid, or to a few decimals, within the range.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        float
+            The value that a candidate gets.
+        """
+        if self.is_integer:
             return float(round(value))
-        if self.every is not None:
-            value = self.least + self.every * round((value - self.least) / self.every)
+        if self.grid_step is not None:
+            value = self.lower + self.grid_step * round((value - self.lower) / self.grid_step)
         tidy = round(value, DECIMALS[self.name.partition("[")[0]])
-        return min(max(tidy, self.least), self.most)  # rounding alone must not leave the range
+        return min(max(tidy, self.lower), self.upper)  # rounding alone must not leave the range
 
-    def holds(self, value: float) -> bool:
-        """Whether a value lies in the range."""
-        return self.least <= value <= self.most
+    def contains(self, value: float) -> bool:
+        """Check whether a value lies in the range.
+
+        Parameters
+        ----------
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        bool
+            Whether it is within the bounds, inclusive.
+        """
+        return self.lower <= value <= self.upper
 
 
 @dataclass(frozen=True)
-class Space:
-    """The parameters of a study on a rig, and the point where the search starts."""
+class SearchSpace:
+    """The parameters of a study on a rig.
+
+    Attributes
+    ----------
+    study : Study
+        What is searched.
+    limits : RigLimits
+        Limits of the rig.
+    parameters : tuple of Parameter
+        Those whose range is more than one value.
+    template : Candidate
+        The start with as many fringe sets as the study allows at most; what is not searched is taken from it.
+    start : Point
+        Where the search begins.
+    """
 
     study: Study
     limits: RigLimits
     parameters: tuple[Parameter, ...]
-    begin: Candidate
+    template: Candidate
     start: Point
 
     @classmethod
-    def of(cls, study: Study, limits: RigLimits, source: str) -> Space:
-        """The space of a study on a rig. Raises `ConfigError` for one that is empty or contradictory."""
-        begin = _template(study, source)
-        parameters = tuple(p for p in _parameters(study) if p.least < p.most)
+    def of(cls, study: Study, limits: RigLimits, source: str) -> SearchSpace:
+        """Make the space of a study on a rig.
+
+        Parameters
+        ----------
+        study : Study
+            What is searched.
+        limits : RigLimits
+            Limits of the rig.
+        source : str
+            Name of the study in messages.
+
+        Returns
+        -------
+        SearchSpace
+            The space.
+
+        Raises
+        ------
+        ConfigError
+            The space is empty, contradicts itself or the start, or exceeds the limits of the rig.
+        """
+        template = _template_candidate(study, source)
+        parameters = tuple(p for p in _parameters(study) if p.lower < p.upper)
         if not parameters:
             raise ConfigError(f"{source}: 'space' leaves nothing to search; name a parameter and its bounds")
-        start = tuple(_value(p.name, study, begin, source) for p in parameters)
-        space = cls(study, limits, parameters, begin, start)
+        start = tuple(_start_value(p.name, study, template, source) for p in parameters)
+        space = cls(study, limits, parameters, template, start)
         _check_bounds(space, source)
         return space
 
     def candidate(self, point: Point) -> Candidate:
-        """What a point stands for."""
+        """Make the candidate that a point stands for.
+
+        Parameters
+        ----------
+        point : Point
+            Point of the space.
+
+        Returns
+        -------
+        Candidate
+            The candidate, whether it can be measured or not.
+        """
         values = {p.name: v for p, v in zip(self.parameters, point, strict=True)}
-        begin = self.begin
+        template = self.template
         fringes = [
             replace(
                 fringe,
                 steps=int(values.get(f"steps[{i}]", fringe.steps)),
                 stripes=values.get(f"stripes[{i}]", fringe.stripes),
             )
-            for i, fringe in enumerate(begin.fringes)
+            for i, fringe in enumerate(template.fringes)
         ]
         if "axis" in values:
             axis = self.study.space.axis[int(values["axis"])]
@@ -111,13 +214,24 @@ class Space:
         count = int(values.get("sets", len(fringes)))
         return Candidate(
             fringes=tuple(fringes[:1] + fringes[len(fringes) - count + 1 :]),
-            exposure_s=values.get("exposure_s", begin.exposure_s),
-            stage_mm=values.get("stage_mm", begin.stage_mm),
-            convergence_deg=values.get("convergence_deg", begin.convergence_deg),
+            exposure_s=values.get("exposure_s", template.exposure_s),
+            stage_mm=values.get("stage_mm", template.stage_mm),
+            convergence_deg=values.get("convergence_deg", template.convergence_deg),
         )
 
     def refusal(self, candidate: Candidate) -> str | None:
-        """Why a candidate cannot be measured, or None."""
+        """Tell why a candidate cannot be measured.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            The candidate.
+
+        Returns
+        -------
+        str or None
+            The first reason; None if it can be measured.
+        """
         return next(self._refusals(candidate), None)
 
     def _refusals(self, candidate: Candidate) -> Iterator[str]:
@@ -125,22 +239,33 @@ class Space:
         for axis in ("x", "y"):
             stripes = [f.stripes for f in candidate.fringes if f.axis == axis]
             if any(finer <= coarser for coarser, finer in pairwise(stripes)):
-                yield f"stripes along {axis} do not grow from set to set"
+                yield f"stripes along {axis} do not increase from set to set"
         if wanted.images is not None and candidate.images > wanted.images:
             yield f"more than {wanted.images} images"
         yield from self.limits.refusals(candidate, wanted.pixels_per_period)
 
-    def of_group(self, *groups: Group) -> tuple[int, ...]:
-        """Places of the parameters of some groups."""
+    def of_group(self, *groups: ParameterGroup) -> tuple[int, ...]:
+        """Find the parameters of some groups.
+
+        Parameters
+        ----------
+        *groups : ParameterGroup
+            Groups.
+
+        Returns
+        -------
+        tuple of int
+            Indices of the parameters.
+        """
         return tuple(i for i, p in enumerate(self.parameters) if p.group in groups)
 
 
-def _template(study: Study, source: str) -> Candidate:
-    """The start with as many sets as there may be. Raises `ConfigError` when it cannot start a search."""
+def _template_candidate(study: Study, source: str) -> Candidate:
+    """Make the start with the greatest number of sets. Raises `ConfigError` when it cannot start a search."""
     plan, space = study.start, study.space
     check_unwrapping(plan, source)
     if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
-        raise ConfigError(f"{source}: 'start' has fringes made elsewhere, which no rig projects")
+        raise ConfigError(f"{source}: 'start' has fringes of imported images, which no rig projects")
     if (space.sets or space.axis) and len(plan.axes) > 1:
         raise ConfigError(f"{source}: 'space' searches sets or axis, and 'start' has fringes along both axes")
     fringes = [Fringes(f.axis, f.stripes, f.images) for f in plan.fringes]
@@ -152,13 +277,13 @@ def _template(study: Study, source: str) -> Candidate:
                 f"{source}: 'space.{name}' has {given} bounds for {count} sets; give each its own, or null"
             )
     for i in range(1, count - len(fringes) + 1):
-        fringes.insert(i, _middle(study, i, source))
-    turned = 0.0 if space.convergence_deg is not None else None
-    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, turned)
+        fringes.insert(i, _additional_set(study, i, source))
+    convergence_deg = 0.0 if space.convergence_deg is not None else None
+    return Candidate(tuple(fringes), plan.exposure_s, plan.stage_mm, convergence_deg)
 
 
-def _middle(study: Study, i: int, source: str) -> Fringes:
-    """A set that the start has not, in the middle of its bounds."""
+def _additional_set(study: Study, i: int, source: str) -> Fringes:
+    """Make a set that the start does not have, in the middle of its bounds."""
     steps, stripes = ((*getattr(study.space, name), None)[i] for name in ("steps", "stripes"))
     if steps is None or stripes is None:
         raise ConfigError(
@@ -171,53 +296,53 @@ def _middle(study: Study, i: int, source: str) -> Fringes:
 def _parameters(study: Study) -> Iterator[Parameter]:
     space = study.space
     if space.sets:
-        yield Parameter("sets", "steps", *space.sets, whole=True)
+        yield Parameter("sets", "steps", *space.sets, is_integer=True)
     for i, steps in enumerate(space.steps):
         if steps:
-            yield Parameter(f"steps[{i}]", "steps", *steps, whole=True)
+            yield Parameter(f"steps[{i}]", "steps", *steps, is_integer=True)
     for i, stripes in enumerate(space.stripes):
         if stripes:
-            yield Parameter(f"stripes[{i}]", "stripes", *stripes, ratio=True)
+            yield Parameter(f"stripes[{i}]", "stripes", *stripes, is_logarithmic=True)
     if space.axis:
-        yield Parameter("axis", "stripes", 0, len(space.axis) - 1, whole=True)
+        yield Parameter("axis", "stripes", 0, len(space.axis) - 1, is_integer=True)
     if space.exposure_s:
-        yield Parameter("exposure_s", "light", *space.exposure_s, ratio=True)
+        yield Parameter("exposure_s", "light", *space.exposure_s, is_logarithmic=True)
     if space.stage_mm:
-        yield Parameter("stage_mm", "geometry", *space.stage_mm, every=space.stage_every_mm)
+        yield Parameter("stage_mm", "geometry", *space.stage_mm, grid_step=space.stage_every_mm)
     if space.convergence_deg:
         yield Parameter("convergence_deg", "geometry", *space.convergence_deg)
 
 
-def _value(name: str, study: Study, begin: Candidate, source: str) -> float:
-    """A parameter's value at the start."""
+def _start_value(name: str, study: Study, template: Candidate, source: str) -> float:
+    """Look up a parameter's value at the start."""
     kind, _, index = name.rstrip("]").partition("[")
     if index:
-        return float(getattr(begin.fringes[int(index)], kind))
+        return float(getattr(template.fringes[int(index)], kind))
     if kind == "sets":
         return len(study.start.fringes)
     if kind == "axis":
-        axis, choice = begin.fringes[0].axis, study.space.axis
+        axis, choice = template.fringes[0].axis, study.space.axis
         return choice.index(axis) if axis in choice else -1
-    value = getattr(begin, kind)
+    value = getattr(template, kind)
     if value is None:
         raise ConfigError(f"{source}: 'space.{kind}' is searched, and 'start' has no {kind} to begin with")
     return float(value)
 
 
-def _check_bounds(space: Space, source: str) -> None:
+def _check_bounds(space: SearchSpace, source: str) -> None:
     """Refuse bounds that contradict the start, each other, or the rig."""
     study, start = space.study, space.start
     for parameter, value in zip(space.parameters, start, strict=True):
-        if not parameter.holds(value):
+        if not parameter.contains(value):
             raise ConfigError(
-                f"{source}: 'space.{parameter.name}' is [{parameter.least:g}, {parameter.most:g}]: it does "
+                f"{source}: 'space.{parameter.name}' is [{parameter.lower:g}, {parameter.upper:g}]: it does "
                 f"not hold the start's {value:g}"
             )
     _check_stripes(space, source)
     space.limits.check(space.candidate(start), f"{source}: 'start'")
     for i, parameter in enumerate(space.parameters):
-        for bound in (parameter.least, parameter.most):
-            _check_reach(space, i, bound, source)
+        for bound in (parameter.lower, parameter.upper):
+            _check_rig_reach(space, i, bound, source)
     fewest, most = _fewest_images(space), study.constraints.images
     if most is not None and fewest > most:
         raise ConfigError(
@@ -225,11 +350,11 @@ def _check_bounds(space: Space, source: str) -> None:
         )
 
 
-def _check_stripes(space: Space, source: str) -> None:
-    """Refuse a base that is searched, and bounds within which stripes cannot grow from set to set."""
+def _check_stripes(space: SearchSpace, source: str) -> None:
+    """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
     bounds = space.study.space.stripes
     reached: dict[str, float] = {}
-    for i, fringe in enumerate(space.begin.fringes):
+    for i, fringe in enumerate(space.template.fringes):
         given = bounds[i] if bounds else None
         if given and fringe.axis not in reached:
             raise ConfigError(f"{source}: 'space.stripes[{i}]' is the base, which is held: write null")
@@ -237,18 +362,18 @@ def _check_stripes(space: Space, source: str) -> None:
         if most <= reached.get(fringe.axis, 0.0):
             raise ConfigError(
                 f"{source}: 'space.stripes[{i}]' ends at {most:g}, and the set before begins at "
-                f"{reached[fringe.axis]:g}: stripes must grow from set to set"
+                f"{reached[fringe.axis]:g}: stripes must increase from set to set"
             )
         reached[fringe.axis] = max(least, reached.get(fringe.axis, 0.0))
 
 
-def _check_reach(space: Space, i: int, bound: float, source: str) -> None:
-    """Refuse a bound that the rig cannot show, along whichever axis."""
+def _check_rig_reach(space: SearchSpace, i: int, bound: float, source: str) -> None:
+    """Refuse a bound that the rig cannot show, along any axis."""
     names = [p.name for p in space.parameters]
     point = list(space.start)
     point[i] = bound
     if "sets" in names:
-        point[names.index("sets")] = space.parameters[names.index("sets")].most
+        point[names.index("sets")] = space.parameters[names.index("sets")].upper
     for axis in range(len(space.study.space.axis) or 1):
         if "axis" in names:
             point[names.index("axis")] = axis
@@ -259,8 +384,8 @@ def _check_reach(space: Space, i: int, bound: float, source: str) -> None:
             )
 
 
-def _fewest_images(space: Space) -> int:
+def _fewest_images(space: SearchSpace) -> int:
     given, sets = space.study.space.steps, space.study.space.sets
-    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.begin.fringes)]
+    least = [(given[i] if given else None) or (f.steps,) for i, f in enumerate(space.template.fringes)]
     count = sets[0] if sets else len(least)
     return sum(bounds[0] for bounds in (least[:1] + least[len(least) - count + 1 :]))

@@ -1,7 +1,8 @@
-"""What was measured, on disk before it is used: one JSON line each, from which a killed search goes on.
+"""The journal of a search: measurements are stored before they are used, to continue a killed search.
 
-Searches are deterministic: run again, one asks for the same candidates in the same order, and is answered
-from here until it reaches what was not measured yet. So nothing else of its state needs to be kept.
+Searches are deterministic: when one is run again it asks for the same candidates in the same order, and gets
+the results from the journal up to what was not measured yet. So no other state has to be stored. The file has
+a header line and then one JSON line for each measurement.
 """
 
 from __future__ import annotations
@@ -20,25 +21,44 @@ from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.study import Study
 
-MEASURED_BY = ("artefacts", "start", "calibrations")
-"""What of a study its measurements depend on."""
+IDENTITY_FIELDS = ("artefacts", "start", "calibrations")
+"""Fields of a study on which its measurements depend; they identify the journal."""
 
 ScoresOrReason = tuple[Score, ...] | str
-"""Scores of the artefacts, or why nothing came of measuring them."""
+"""Scores of the artefacts, or why the measurement failed."""
 
 _candidate, _scores = TypeAdapter(Candidate), TypeAdapter(tuple[Score, ...])
 
 
 class Journal:
-    """The measurements of one study on one rig, the latter as its file says.
+    """The measurements of one study on one rig.
 
-    Raises `ConfigError` when the file holds those of another, `DataError` when it is damaged.
+    Parameters
+    ----------
+    path : Path
+        File of the journal; it need not exist.
+    study : Study
+        Its `IDENTITY_FIELDS` have to equal those of the journal.
+    rig : dict
+        Plain data of the rig's file, which have to equal those of the journal.
+
+    Attributes
+    ----------
+    path : Path
+        File of the journal.
+
+    Raises
+    ------
+    ConfigError
+        The file holds the measurements of another study or rig.
+    DataError
+        The file is damaged.
     """
 
     def __init__(self, path: Path, study: Study, rig: dict[str, Any]) -> None:
         self.path = path
         plain = study.model_dump(mode="json")
-        self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in MEASURED_BY}}
+        self._header: dict[str, Any] = {"rig": rig, **{name: plain[name] for name in IDENTITY_FIELDS}}
         self._known: dict[tuple[Candidate, int], ScoresOrReason] = {}
         if path.is_file():
             self._read()
@@ -47,11 +67,39 @@ class Journal:
         return len(self._known)
 
     def get(self, candidate: Candidate, seed: int) -> ScoresOrReason | None:
-        """What is known of a candidate with one seed."""
+        """Look up a measurement.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What was measured.
+        seed : int
+            Seed of the noise, or number of the repeat.
+
+        Returns
+        -------
+        tuple of Score or str or None
+            Scores, or why the measurement failed; None if there was none.
+        """
         return self._known.get((candidate, seed))
 
     def add(self, candidate: Candidate, seed: int, outcome: ScoresOrReason) -> None:
-        """Put one on disk before returning."""
+        """Store a measurement, on disk before this returns.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            What was measured.
+        seed : int
+            Seed of the noise, or number of the repeat.
+        outcome : tuple of Score or str
+            Scores, or why the measurement failed.
+
+        Raises
+        ------
+        DataError
+            The file cannot be written.
+        """
         if not (self.path.is_file() and self.path.stat().st_size):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.touch()
@@ -63,7 +111,7 @@ class Journal:
         self._known[candidate, seed] = outcome
 
     def _read(self) -> None:
-        cut_torn_line(self.path)  # it is a measurement that was not recorded
+        cut_torn_line(self.path)  # a measurement whose recording was interrupted
         for number, line in enumerate(whole_lines(self.path), 1):
             try:
                 data = json.loads(line)
@@ -73,7 +121,7 @@ class Journal:
                     self._known[_candidate.validate_python(data["candidate"]), data["seed"]] = _outcome(data)
             except (ValidationError, ValueError, KeyError, TypeError) as error:
                 words = config.describe(error) if isinstance(error, ValidationError) else str(error)
-                raise DataError(f"{self.path} line {number}: is no measurement ({words})") from error
+                raise DataError(f"{self.path} line {number}: is not a measurement ({words})") from error
 
     def _check_header(self, found: dict[str, Any]) -> None:
         for name, own in self._header.items():

@@ -1,4 +1,4 @@
-"""A study: what to search, within which bounds, for which objectives, and how (study_*.yaml).
+"""Study files (study_*.yaml): what to search, within which bounds, for which objectives, and by which method.
 
     name: Stripe counts
     rig: any
@@ -8,7 +8,7 @@
     objectives: [surface_smcd_um]
     method: {kind: coordinate}
 
-What `space` does not name is held as the start has it.
+What `space` does not name keeps its value at the start.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
+from fpplab.core.kinds import ByKind, members_by_kind
+from fpplab.optimisation import methods  # noqa: F401 - defines the members of SearchMethod
+from fpplab.optimisation.search_method import SearchMethod
 from fpplab.patterns.plan import Plan
 
 ANY_RIG = "any"
+"""Value of `Study.rig` for a study that suits any rig."""
 
 Objective = Literal["surface_smcd_um", "worst_smcd_um", "surface_rms_um", "completeness", "images", "seconds"]
-"""What a study may ask for: completeness the most, of all else the least."""
+"""What a study may ask for: completeness is maximised, all others are minimised."""
 
 StepRange = tuple[Annotated[int, Field(ge=3, le=1000)], Annotated[int, Field(ge=3, le=1000)]]
 Positive = Annotated[float, Field(gt=0)]
@@ -36,22 +40,30 @@ Range = tuple[float, float]
 
 
 class SpaceFile(Document):
-    """Bounds [least, most] of what is searched.
-
-    sets: how many fringe sets. steps, stripes: of each set, null where it is held; with `sets` as many as
-    the most, and fewer sets are the base and the last ones. axis: those to choose from. stage_mm: the
-    baseline; stage_every_mm: its positions from the least on, all if None: candidates at one position share
-    what is rendered there. convergence_deg: turn of the projector towards the camera from how it stands.
-    """
+    """Bounds [least, most] of what is searched."""
 
     sets: tuple[Annotated[int, Field(ge=1, le=8)], Annotated[int, Field(ge=1, le=8)]] | None = None
+    """Number of fringe sets."""
     steps: tuple[StepRange | None, ...] = ()
+    """Phase steps of each set, null where they are kept.
+
+    With `sets`, as many entries as its greatest number; a plan of fewer sets has the base and the last ones.
+    """
     stripes: tuple[Positives | None, ...] = ()
+    """Stripe counts of each set, null where they are kept; entries as in `steps`."""
     axis: tuple[Axis, ...] = ()
+    """Fringe directions to choose from."""
     exposure_s: Positives | None = None
+    """Exposure of every image in seconds."""
     stage_mm: Range | None = None
+    """Position of the stage in mm, which sets the baseline."""
     stage_every_mm: Positive | None = None
+    """Distance in mm between the positions of the stage that are tried, from the least on; any if null.
+
+    On a simulation, candidates at one position share what is rendered there.
+    """
     convergence_deg: Range | None = None
+    """Rotation of the projector towards the camera in degrees, relative to its given orientation."""
 
     @model_validator(mode="after")
     def _in_order(self) -> SpaceFile:
@@ -65,7 +77,13 @@ class SpaceFile(Document):
         return self
 
     def bounds(self) -> list[tuple[str, tuple[float, float]]]:
-        """Every [least, most] by its name in the file."""
+        """List every range that is given.
+
+        Returns
+        -------
+        list of (str, (float, float))
+            Name in the file, and [least, most].
+        """
         named: list[tuple[str, tuple[float, float] | None]] = [("sets", self.sets)]
         named += [(f"steps[{i}]", bounds) for i, bounds in enumerate(self.steps)]
         named += [(f"stripes[{i}]", bounds) for i, bounds in enumerate(self.stripes)]
@@ -74,102 +92,71 @@ class SpaceFile(Document):
 
 
 class Constraints(Document):
-    """What a plan must keep to be wanted.
-
-    pixels_per_period: least projector pixels under one fringe. images, seconds: the most. wrong_orders: most
-    share of points a fringe or more off, or the start's where that is more. completeness_of_start,
-    smcd_of_start: the least and the most, as multiples of what the start has.
-    """
+    """Limits that a plan has to keep to be accepted."""
 
     pixels_per_period: Annotated[float, Field(ge=2)] = 4.0
+    """Least length of a fringe period in projector pixels."""
     images: Annotated[int, Field(ge=3)] | None = None
+    """Greatest number of images."""
     seconds: Positive | None = None
+    """Longest acquisition time."""
     wrong_orders: Annotated[float, Field(ge=0, le=1)] = 0.001
+    """Greatest share of points with a wrong fringe order; that of the start if it is greater."""
     completeness_of_start: Annotated[float, Field(ge=0, le=1)] = 0.95
+    """Least completeness, as a multiple of the start's."""
     smcd_of_start: Positive | None = None
-
-
-class Gradient(Document):
-    """Gradient descent, for comparison with the paper.
-
-    rate: share of a parameter's range that it goes down a slope of one start's worth per range. difference:
-    to both sides that the slope is taken over, a share of the range. gain: over `patience` epochs, in the
-    objective's own unit, below which it stops.
-    """
-
-    kind: Literal["gradient"]
-    rate: Annotated[float, Field(gt=0, le=1)] = 0.05
-    difference: Annotated[float, Field(gt=0, le=0.5)] = 0.02
-    gain: Annotated[float, Field(ge=0)] = 1.0
-    patience: Annotated[int, Field(ge=1)] = 5
-
-
-class Coordinate(Document):
-    """Moves along one parameter at a time, and exchanges of steps, of lengths that halve down to `finest`.
-
-    first, finest: shares of a parameter's range.
-    """
-
-    kind: Literal["coordinate"]
-    first: Annotated[float, Field(gt=0, le=1)] = 0.25
-    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
-
-
-class Bayesian(Document):
-    """Tree-structured Parzen estimators, `batch` candidates at a time."""
-
-    kind: Literal["bayesian"]
-    batch: Annotated[int, Field(ge=1)] = 8
-
-
-class Nsga2(Document):
-    """NSGA-II over all parameters together, begun with what single-parameter searches find."""
-
-    kind: Literal["nsga2"]
-    population: Annotated[int, Field(ge=4)] = 24
-
-
-SearchMethod = Annotated[Gradient | Coordinate | Bayesian | Nsga2, Field(discriminator="kind")]
+    """Greatest mean distance to the surface, as a multiple of the start's."""
 
 
 class CalibrationAt(Document):
-    """A characterisation with the stage at a position, or as it stands."""
+    """A calibration of the rig with its stage at a position."""
 
     file: str
+    """Calibration file; a relative path is looked up beside the study."""
     stage_mm: float | None = None
+    """Position of the stage in mm; null for where it is."""
 
 
 class Board(Document):
-    """How a rig without calibrations is characterised: with which item of its fixture, in how many poses."""
+    """How a rig without calibrations is characterised before the search."""
 
     item: str = "board"
+    """Item of the fixture that is the calibration board."""
     target: str = "target_paper.yaml"
+    """File of the calibration board."""
     plan: str = "plan_board.yaml"
+    """Plan with which the board is measured."""
     poses: Annotated[int, Field(ge=3)] = 12
+    """Number of poses of the board."""
 
 
 class Study(Document):
-    """Schema of a study file; `load` puts the start's plan in place of its name.
-
-    rig: the name in the rig's file that the study is for, or `any`. artefacts: items of the rig's fixture.
-    start: a plan file, or the plan itself. calibrations: of the rig; without, it is characterised first, with
-    `board`.
-    seeds: of the noise, the same for every candidate; as many repeats on a real rig. budget: most candidates
-    measured.
-    """
+    """Schema of a study file; `load` replaces the name of the start's plan by the plan itself."""
 
     name: str
+    """Name of the study in reports."""
     rig: str = ANY_RIG
+    """Name, as in the rig's file, of the rig that the study is for; or `any`."""
     artefacts: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Items of the rig's fixture that are measured."""
     start: Plan
+    """Where the search begins: a plan file, or the plan itself."""
     calibrations: tuple[CalibrationAt, ...] = ()
+    """Calibrations of the rig; without them it is characterised first, with `board`."""
     board: Board = Board()
+    """How the rig is characterised if it has to be."""
     space: SpaceFile
+    """What is searched, within which bounds."""
     constraints: Constraints = Constraints()
+    """Limits that a plan has to keep."""
     objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
+    """What is optimised; several objectives need a method that finds a Pareto front."""
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (1, 2, 3)
-    method: SearchMethod
+    """Seeds of the noise, the same for every candidate; on a real rig, as many repeats."""
+    method: Annotated[SearchMethod, ByKind()]
+    """How the space is searched: one of the methods in `fpplab.optimisation.methods`, chosen by `kind`."""
     budget: Annotated[int, Field(ge=1)] = 400
+    """Greatest number of candidates measured."""
 
     @model_validator(mode="after")
     def _named_once(self) -> Study:
@@ -182,17 +169,32 @@ class Study(Document):
     @model_validator(mode="after")
     def _method_fits(self) -> Study:
         several = len(self.objectives) > 1
-        if several != (self.method.kind == "nsga2"):
-            wanted = "nsga2" if several else "gradient, coordinate or bayesian"
+        if several != self.method.several_objectives:
             raise ValueError(
                 f"'method.kind' is '{self.method.kind}': with {len(self.objectives)} of 'objectives' it "
-                f"must be {wanted}"
+                f"must be {_kinds(several)}"
             )
         return self
 
     @classmethod
     def load(cls, path: Path | str) -> Study:
-        """Read a study file, by path or by the name of one that comes with fpplab."""
+        """Read a study file.
+
+        Parameters
+        ----------
+        path : Path or str
+            Path, or the name of a study that comes with fpplab.
+
+        Returns
+        -------
+        Study
+            With the start's plan in place, and absolute paths of files found beside the study.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be read or is not a study; names file, field, value and allowed range.
+        """
         found = config.find_config(path)
         data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict):
@@ -200,15 +202,38 @@ class Study(Document):
         return config.validate(data, cls, found)
 
     def check_rig(self, name: str, source: Path | str) -> None:
-        """Refuse a study that is for another rig: `ConfigError`."""
+        """Refuse to be used on a rig that the study is not for.
+
+        Parameters
+        ----------
+        name : str
+            Name in the rig's file.
+        source : Path or str
+            Name of the study in the message.
+
+        Raises
+        ------
+        ConfigError
+            The study is for another rig.
+        """
         if self.rig not in (ANY_RIG, name):
             raise ConfigError(
                 f"{source}: 'rig' is '{self.rig}', but the rig given is '{name}'; name that one, or `any`"
             )
 
 
+def _kinds(several_objectives: bool) -> str:
+    """List the search methods for one objective, or for several, in words."""
+    kinds = [
+        kind
+        for kind, member in members_by_kind(SearchMethod).items()
+        if issubclass(member, SearchMethod) and member.several_objectives is several_objectives
+    ]
+    return " or ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
+
+
 def _resolved(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The study with its start's plan in place, and files by where they are."""
+    """Put the start's plan in place, and make the paths of files found beside the study absolute."""
     data = dict(data)
     if isinstance(data.get("board"), dict):
         beside = {

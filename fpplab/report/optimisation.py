@@ -14,9 +14,10 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from fpplab.optimisation.candidate import Candidate
+from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.measuring import RigEvaluator
 from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
-from fpplab.optimisation.run import Confirmed, SearchResult
+from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
 from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, pair, picture, sheet
@@ -71,7 +72,7 @@ CONFIRMED = (
 
 
 def write_optimisation_report(
-    path: Path, found: SearchResult, confirmed: Sequence[Confirmed] = (), looks: Looks | None = None
+    path: Path, found: SearchResult, confirmed: Sequence[ConfirmedPlan] = (), looks: Looks | None = None
 ) -> None:
     """Write a search as one HTML file. Raises `DataError`."""
     sections = [_confirmed_section(confirmed)] if confirmed else []
@@ -95,12 +96,14 @@ def look(rig: str, found: SearchResult) -> Looks:
             name: (_errors(evaluator, name, plans[0], seed), _errors(evaluator, name, plans[1], seed))
             for name in found.study.artefacts
         }
-        angles = {mm: evaluator.angle_deg(one) for mm, one in candidates.items() if mm is not None}
+        angles = {
+            mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None
+        }
     return Looks(maps, angles)
 
 
 def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:
-    cloud, found = evaluator.compared(name, candidate, seed)
+    cloud, found = evaluator.compare(name, candidate, seed)
     return error_map(cloud, found.distances_mm, found.counted)
 
 
@@ -137,7 +140,7 @@ def _summary(found: SearchResult) -> list[ReportTable]:
 
 def _row(name: str, trial: MeasuredCandidate, found: SearchResult) -> tuple[str, ...]:
     figures, candidate = trial.figures, trial.candidate
-    again = found.again.get(candidate)
+    again = found.rescored.get(candidate)
     stage = candidate.stage_mm
     return (
         name,
@@ -162,7 +165,7 @@ def _with_spread(figures: CandidateFigures) -> str:
     return f"{figures.surface_smcd_um:.2f}{spread}"
 
 
-def _confirmed_section(confirmed: Sequence[Confirmed]) -> ReportSection:
+def _confirmed_section(confirmed: Sequence[ConfirmedPlan]) -> ReportSection:
     rows = []
     for one in confirmed:
         known = one.confirmation
@@ -208,7 +211,7 @@ def convergence(found: SearchResult) -> Sheet:
         panels = (axes,)
     for axes, (name, value) in zip(panels, names, strict=False):
         for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
-            chosen = [(i, value(t.figures)) for i, t in measured if found.judge.wanted(t) is keeps]
+            chosen = [(i, value(t.figures)) for i, t in measured if found.ranking.is_acceptable(t) is keeps]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
         axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
         axes.set(xlabel="candidate", ylabel=name)
@@ -252,7 +255,9 @@ def front(found: SearchResult) -> Sheet:
         (False, "x", SECOND, "breaks a limit"),
     ):
         chosen = [
-            (t.figures.images, t.figures.surface_smcd_um) for t in measured if found.judge.wanted(t) is keeps
+            (t.figures.images, t.figures.surface_smcd_um)
+            for t in measured
+            if found.ranking.is_acceptable(t) is keeps
         ]
         axes.plot(*_columns(chosen), mark, color=colour, markersize=3, label=words)
     images = [trial.figures.images for trial in found.front]
@@ -264,7 +269,7 @@ def front(found: SearchResult) -> Sheet:
         markersize=4,
         label="front",
     )
-    again = [(n, found.again[t.candidate]) for n, t in zip(images, found.front, strict=True)]
+    again = [(n, found.rescored[t.candidate]) for n, t in zip(images, found.front, strict=True)]
     known = [(n, CandidateFigures.of(scores)) for n, scores in again if scores]
     axes.errorbar(
         [n for n, _ in known],
@@ -332,7 +337,7 @@ def along(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
     figure, axes = sheet(HALF, 3.0)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
-        chosen = [trial for trial in measured if found.judge.wanted(trial) is keeps]
+        chosen = [trial for trial in measured if found.ranking.is_acceptable(trial) is keeps]
         axes.errorbar(
             [trial.point[i] for trial in chosen],
             [trial.figures.surface_smcd_um for trial in chosen],
@@ -345,7 +350,7 @@ def along(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
     for trial, colour, words in ((found.start, ALARM, "start"), (found.optimum, ACCENT, "found")):
         axes.plot(trial.point[i], trial.figures.surface_smcd_um, "o", color=colour, markersize=5, label=words)
     axes.set(xlabel=parameter.name, ylabel=DISTANCE)
-    if parameter.ratio:
+    if parameter.is_logarithmic:
         _ratios(axes.xaxis, axes.set_xscale)
     _from_least(axes, [trial.figures.surface_smcd_um for trial in measured])
     axes.legend()

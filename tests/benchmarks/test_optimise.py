@@ -32,9 +32,11 @@ from fpplab.core.errors import DataError
 from fpplab.core.system import cache_directory
 from fpplab.optimisation.candidate import Candidate, Fringes
 from fpplab.optimisation.confirm import Confirmation, RepeatedFigures
-from fpplab.optimisation.goal import Goal
+from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.objectives import seed_means
-from fpplab.optimisation.run import Confirmed, SearchResult, run_search
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search
+from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.scoring import ArtefactFigures, TrueShape
 from fpplab.pipeline import CALIBRATION
 from sim.worker import Blender
@@ -121,8 +123,8 @@ def trial(folder: Path) -> OptimiseBenchmarkSetup:
 def results(folder: Path, trial: OptimiseBenchmarkSetup, blender: Blender) -> dict[str, Result]:
     """All figures; one Blender process renders, few points are compared, and workers measure a formula."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fpplab.optimisation.measuring.Truth", partial(TrueShape, density=2.0))
-        patch.setattr("benchmarks.optimise.OpenRig", lambda rig, study: Formula())
+        patch.setattr("fpplab.optimisation.measuring.TrueShape", partial(TrueShape, density=2.0))
+        patch.setattr("benchmarks.optimise.RigEvaluatorFactory", lambda rig, study: Formula())
         patch.setattr("sim.devices.Blender", lambda name: blender)
         patch.setattr(blender, "close", lambda: None)
         return {result.name: result for result in optimise_figures(folder, trial)}
@@ -177,7 +179,7 @@ def test_a_search_that_has_ended_is_not_run_again(
         raise AssertionError("measured again")
 
     monkeypatch.setattr("fpplab.optimisation.measuring.RigEvaluator.measure", refused)
-    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, 1)
+    found = searched(SearchScope.STRIPES, trial.search, trial.stripes, folder, 1)
     assert found.gain is not None
 
 
@@ -186,7 +188,7 @@ def test_plans_are_confirmed_side_by_side(
     folder: Path, trial: OptimiseBenchmarkSetup, results: dict[str, Result]
 ) -> None:
     """By processes of their own, which compare all points."""
-    found = searched(Goal.STRIPES, trial.search, trial.stripes, folder, 1)
+    found = searched(SearchScope.STRIPES, trial.search, trial.stripes, folder, 1)
     ((twin, hidden),) = on_both(replace(trial, workers=2), found, folder)
     assert (twin.rig, hidden.rig) == ("twin", "hidden")
     for one, name in ((twin, "stripes_down"), (hidden, "stripes_down_hidden")):
@@ -218,10 +220,10 @@ def repeats(um: float) -> RepeatedFigures:
     return {"pyramid": (measured(surface_smcd_um=um),) * 2}
 
 
-def confirmed(gain: float, uncertainty: float) -> Confirmed:
+def confirmed(gain: float, uncertainty: float) -> ConfirmedPlan:
     """On a bench whose calibration alone is uncertain."""
     found = Confirmation(repeats(10.0), repeats(10.0 * (1.0 - gain)), uncertainty)
-    return Confirmed("Bench", Path("plan.yaml"), 9, found)
+    return ConfirmedPlan("Bench", Path("plan.yaml"), 9, found)
 
 
 def test_gains_deviate_by_so_many_of_both_their_uncertainties() -> None:
@@ -242,7 +244,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
         method=method,
     )
     out = tmp_path_factory.mktemp("front")
-    return run_search(Goal.PARETO, "rig_demo", wanted, out, "study", opener=Formula(noise_um=1.0))
+    return run_search(SearchScope.PARETO, "rig_demo", wanted, out, "study", factory=Formula(noise_um=1.0))
 
 
 def test_a_front_is_held_against_plans_of_one_change(found: SearchResult) -> None:
@@ -254,7 +256,7 @@ def test_a_front_is_held_against_plans_of_one_change(found: SearchResult) -> Non
     }  # fmt: skip
     assert beside_singles(found) == pytest.approx(1.0)  # at the start's images only the stage counts
     worst = max(
-        (t for t in found.trials if found.judge.wanted(t) and t.candidate.images == 15),
+        (t for t in found.trials if found.ranking.is_acceptable(t) and t.candidate.images == 15),
         key=lambda t: t.figures.surface_smcd_um,
     )
     best = min(
@@ -269,10 +271,10 @@ def test_a_front_is_held_against_plans_of_one_change(found: SearchResult) -> Non
 
 def test_the_gain_is_that_of_seeds_which_chose_nothing(found: SearchResult) -> None:
     before, after = (
-        seed_means(found.again[trial.candidate]).values() for trial in (found.start, found.optimum)
+        seed_means(found.rescored[trial.candidate]).values() for trial in (found.start, found.optimum)
     )
     assert gain_of(found) == pytest.approx(1 - sum(after) / sum(before))
-    nothing = replace(found, again={**found.again, found.optimum.candidate: ()})
+    nothing = replace(found, rescored={**found.rescored, found.optimum.candidate: ()})
     with pytest.raises(DataError, match="could not be measured with other seeds"):
         gain_of(nothing)
 

@@ -1,4 +1,4 @@
-"""A gain and its uncertainty, from an evaluator whose truth is known."""
+"""The gain of a plan and its uncertainty, from an evaluator with known results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.core import config
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation import confirm as module
-from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.candidate import Candidate
 from fpplab.optimisation.confirm import Confirmation, confirm
 from fpplab.optimisation.scoring import ArtefactFigures
@@ -43,7 +43,7 @@ def study() -> Study:
 class Evaluator:
     """100 µm before and 40 µm after, with 5 and 1 µm of noise; each px of focal length adds 2 µm to both."""
 
-    known = Calibrations({None: EXACT})
+    known = StageCalibrations({None: EXACT})
     random = np.random.default_rng(3)
 
     def __init__(self, rig: str, study: Study, samples: int) -> None:
@@ -51,7 +51,7 @@ class Evaluator:
         Evaluator.last = self  # type: ignore[attr-defined]
 
     def figures(
-        self, name: str, candidate: Candidate, seed: int, calibrations: Calibrations | None = None
+        self, name: str, candidate: Candidate, seed: int, calibrations: StageCalibrations | None = None
     ) -> ArtefactFigures:
         fine = candidate.fringes[1].stripes == 64
         if calibrations is None:
@@ -71,7 +71,7 @@ def evaluator(monkeypatch: pytest.MonkeyPatch) -> type[Evaluator]:
     return Evaluator
 
 
-def test_the_gain_is_within_its_uncertainty_and_the_plans_take_turns(evaluator: Any) -> None:
+def test_gain_is_within_its_uncertainty_and_plans_alternate(evaluator: Any) -> None:
     found = confirm("rig", study(), BEFORE, AFTER, repeats=50)
     assert abs(found.gain - 0.6) < 4.0 * found.uncertainty
     # Of two artefacts and 50 repeats: 1 µm of 100 after, 5 µm of 100 times 0.4 before.
@@ -84,7 +84,7 @@ def test_the_gain_is_within_its_uncertainty_and_the_plans_take_turns(evaluator: 
     assert evaluator.last.closed
 
 
-def test_the_sample_is_the_same_for_all_repeats() -> None:
+def test_sample_uncertainty_does_not_average_out_over_repeats() -> None:
     of_one = tuple(replace(FIGURES, surface_smcd_um=50.0 + k) for k in (-1.0, 0.0, 1.0))
     better = tuple(replace(one, surface_smcd_um=one.surface_smcd_um / 2) for one in of_one)
     found = Confirmation({"steps": of_one}, {"steps": better}, 0.0)
@@ -97,10 +97,10 @@ def test_the_sample_is_the_same_for_all_repeats() -> None:
     assert summary["after"]["surface_smcd_um"] == pytest.approx(25.0)
 
 
-def test_a_calibration_that_is_not_exact_is_common_to_both(
+def test_calibration_uncertainty_is_common_to_both_plans(
     evaluator: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluator, "known", Calibrations({None: UNSURE}))
+    monkeypatch.setattr(evaluator, "known", StageCalibrations({None: UNSURE}))
     found = confirm("rig", study(), BEFORE, AFTER, repeats=2)
     # 2 µm per px on both, so the gain moves by 2 (0.4 - 1)/100 per px.
     expected = 2.0 * 0.6 / 100.0 * SIGMA_PX
@@ -108,7 +108,7 @@ def test_a_calibration_that_is_not_exact_is_common_to_both(
     assert found.uncertainty >= found.by_calibration
 
 
-def test_what_cannot_be_told_is_refused(evaluator: Any) -> None:
+def test_incomparable_plans_and_single_repeats_are_refused(evaluator: Any) -> None:
     with pytest.raises(ConfigError, match="--repeats: 1: at least 2"):
         confirm("rig", study(), BEFORE, AFTER, repeats=1)
     other = AFTER.model_copy(update={"unwrapping": "heterodyne"})
@@ -116,7 +116,7 @@ def test_what_cannot_be_told_is_refused(evaluator: Any) -> None:
         confirm("rig", study(), BEFORE, other)
 
 
-def test_the_rig_is_let_go_also_when_measuring_fails(evaluator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rig_is_closed_when_measuring_fails(evaluator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*asked: object) -> ArtefactFigures:
         raise ConfigError("no")
 

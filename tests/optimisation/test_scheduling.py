@@ -1,4 +1,4 @@
-"""Measuring by several processes: the same as by one, whatever happens to them."""
+"""Measuring by several processes gives the same results as by one, even if some are killed."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ from fpplab.core.errors import DeviceError, LimitError
 from fpplab.optimisation import scheduling
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
-from fpplab.optimisation.methods.coordinate import coordinates
-from fpplab.optimisation.scheduling import Cluster, Here, Opener, Task, Workers, workers_of
-from fpplab.optimisation.space import Space
+from fpplab.optimisation.scheduling import (
+    DaskWorkers,
+    EvaluatorFactory,
+    InProcessWorkers,
+    Task,
+    Workers,
+    make_workers,
+)
+from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal, ScoresOrReason
 from tests.support.searching import LIMITS, Formula, study
 
@@ -38,50 +44,50 @@ def measured(workers: Workers, tasks: list[Task]) -> dict[int, ScoresOrReason]:
 
 
 @pytest.fixture(scope="module")
-def pair() -> Iterator[Cluster]:
-    cluster = Cluster(Formula(noise_um=2.0), workers=2)
+def pair() -> Iterator[DaskWorkers]:
+    cluster = DaskWorkers(Formula(noise_um=2.0), workers=2)
     yield cluster
     cluster.close()
 
 
-def opening(opener: Opener, pair: Cluster) -> Cluster:
-    """The same workers, of another rig."""
-    other = object.__new__(Cluster)
-    other._opener, other._client = opener, pair._client
+def opening(factory: EvaluatorFactory, pair: DaskWorkers) -> DaskWorkers:
+    """The same workers with another rig."""
+    other = object.__new__(DaskWorkers)
+    other._factory, other._client = factory, pair._client
     return other
 
 
-def test_one_worker_needs_no_other_process() -> None:
-    assert isinstance(workers_of(Formula(), 1, None), Here)
+def test_one_worker_measures_in_this_process() -> None:
+    assert isinstance(make_workers(Formula(), 1, None), InProcessWorkers)
 
 
 @pytest.mark.slow
-def test_two_processes_measure_what_one_does(pair: Cluster) -> None:
-    assert measured(pair, TASKS) == measured(Here(Formula(noise_um=2.0)), TASKS)
+def test_two_processes_give_the_same_scores_as_one(pair: DaskWorkers) -> None:
+    assert measured(pair, TASKS) == measured(InProcessWorkers(Formula(noise_um=2.0)), TASKS)
 
 
 @pytest.mark.slow
-def test_the_optimum_and_the_order_are_the_same_with_any_number(tmp_path: Path, pair: Cluster) -> None:
+def test_optimum_and_order_do_not_depend_on_the_number_of_workers(tmp_path: Path, pair: DaskWorkers) -> None:
     wanted, found = study(budget=30), []
-    for name, workers in (("one", Here(Formula(noise_um=2.0))), ("two", pair)):
-        space = Space.of(wanted, LIMITS, "study.yaml")
-        lab = CandidateRunner(space, workers, Journal(tmp_path / f"{name}.jsonl", wanted, {}))
+    for name, workers in (("one", InProcessWorkers(Formula(noise_um=2.0))), ("two", pair)):
+        space = SearchSpace.of(wanted, LIMITS, "study.yaml")
+        runner = CandidateRunner(space, workers, Journal(tmp_path / f"{name}.jsonl", wanted, {}))
         with pytest.raises(BudgetExhausted):
-            coordinates(lab, wanted.method)  # type: ignore[arg-type]
-        found.append((lab.best, lab.trials))
+            wanted.method.search(runner)
+        found.append((runner.best, runner.trials))
     assert found[0] == found[1]
 
 
 @pytest.mark.slow
-def test_a_killed_workers_measurement_is_done_again(tmp_path: Path) -> None:
+def test_measurement_of_a_killed_worker_is_repeated(tmp_path: Path) -> None:
     formula = Formula(dies_once=tmp_path / "died")
-    cluster = Cluster(formula, workers=2)
+    cluster = DaskWorkers(formula, workers=2)
     try:
         found = measured(cluster, TASKS)
     finally:
         cluster.close()
     assert (tmp_path / "died").exists()
-    assert found == measured(Here(Formula()), TASKS)
+    assert found == measured(InProcessWorkers(Formula()), TASKS)
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ class Filling:
         return self
 
     def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
-        import resource  # which there is where there is glibc
+        import resource  # exists on systems with glibc
 
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
         for _ in range(IMAGES):
@@ -106,7 +112,7 @@ class Filling:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="what glibc does with memory")
-def test_memory_of_an_image_is_there_for_the_next(pair: Cluster) -> None:
+def test_worker_memory_is_reused_for_the_next_image(pair: DaskWorkers) -> None:
     (found,) = measured(opening(Filling(), pair), TASKS[:1]).values()
     assert not isinstance(found, str)
     assert found[0].points < IMAGES * IMAGE_BYTES / mmap.PAGESIZE / 10
@@ -126,40 +132,40 @@ class Stuck:
 
 
 @pytest.mark.slow
-def test_a_fault_of_a_rig_comes_from_its_process(pair: Cluster) -> None:
+def test_rig_fault_is_raised_from_the_worker_process(pair: DaskWorkers) -> None:
     with pytest.raises(LimitError, match="70 mm was asked for"):
         measured(opening(Stuck(), pair), TASKS[:1])
 
 
-def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as closed:
         port = closed.getsockname()[1]
     with pytest.raises(DeviceError, match=f"nothing answers at 'tcp://127.0.0.1:{port}'"):
-        Cluster(Formula(), address=f"tcp://127.0.0.1:{port}")
+        DaskWorkers(Formula(), address=f"tcp://127.0.0.1:{port}")
 
 
 @pytest.mark.slow
-def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+def test_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
     distributed: Any = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty:
         address = empty.scheduler_address
         with pytest.raises(DeviceError, match=f"'{address}' has no workers"):
-            Cluster(Formula(), address=address)
+            DaskWorkers(Formula(), address=address)
 
 
 @pytest.mark.slow
-def test_workers_of_a_scheduler_elsewhere_measure(pair: Cluster) -> None:
-    elsewhere = Cluster(Formula(noise_um=2.0), address=pair._client.scheduler.address)
+def test_workers_of_an_existing_scheduler_measure(pair: DaskWorkers) -> None:
+    elsewhere = DaskWorkers(Formula(noise_um=2.0), address=pair._client.scheduler.address)
     try:
-        assert measured(elsewhere, TASKS) == measured(Here(Formula(noise_um=2.0)), TASKS)
+        assert measured(elsewhere, TASKS) == measured(InProcessWorkers(Formula(noise_um=2.0)), TASKS)
     finally:
         elsewhere.close()
 
 
 @pytest.mark.parametrize("address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1"])
-def test_an_address_that_is_none(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduling, "PATIENCE_S", 0.5)
+def test_invalid_scheduler_address_is_reported(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
     with pytest.raises(DeviceError, match="start one with `dask scheduler`"):
-        Cluster(Formula(), address=address)
+        DaskWorkers(Formula(), address=address)

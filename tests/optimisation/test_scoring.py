@@ -1,4 +1,4 @@
-"""Scores against exact truths: planes, perfect clouds, orders wrong where they were made wrong."""
+"""Scores against exact references: planes, perfect clouds, and wrong fringe orders put in on purpose."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def mesh_of(name: str) -> trimesh.Trimesh:
     return plate() if name == "plate" else placed(name)
 
 
-def test_without_a_sample_the_figures_are_those_of_the_comparison() -> None:
+def test_figures_of_all_points_equal_those_of_the_comparison() -> None:
     mesh = placed("pillars")
     cloud = perfect_cloud(mesh, noise_mm=0.05)
     found = truth_of("pillars", samples=None).compare(maps_of(cloud), cloud, PLAN, CALIBRATION, align=False)
@@ -73,7 +73,7 @@ def test_without_a_sample_the_figures_are_those_of_the_comparison() -> None:
 
 
 @pytest.mark.parametrize("name", ["pyramid", "pillars", "steps"])
-def test_a_sample_differs_from_all_by_what_it_says(name: str) -> None:
+def test_sampled_figures_differ_within_their_stated_spread(name: str) -> None:
     cloud = perfect_cloud(placed(name), noise_mm=0.05)
     thin, full = (
         truth_of(name, samples=samples).compare(maps_of(cloud), cloud, PLAN, CALIBRATION, align=False)
@@ -84,12 +84,12 @@ def test_a_sample_differs_from_all_by_what_it_says(name: str) -> None:
     assert full.smcd_floor_um == pytest.approx(thin.smcd_floor_um, rel=0.05)
 
 
-def test_a_plate_moved_along_the_rays_is_off_by_as_much_or_aligned_by_not_at_all() -> None:
+def test_plate_shifted_along_the_rays_is_off_by_the_shift_unless_aligned() -> None:
     cloud = perfect_cloud(plate())
     moved = replace(cloud, points=cloud.points * np.float32(1.0 + 0.2 / 445.0))
     truth = truth_of("plate")
     off = truth.compare(maps_of(cloud), moved, PLAN, CALIBRATION, align=False)
-    # The outermost pixels end before the plate does.
+    # The outermost pixels lie inside the edges of the plate.
     assert off.surface_smcd_um == pytest.approx(200.0, rel=0.03)
     assert off.surface_rms_um == pytest.approx(200.0, rel=0.01)
     still, aligned = (truth.compare(maps_of(cloud), one, PLAN, CALIBRATION) for one in (cloud, moved))
@@ -97,7 +97,7 @@ def test_a_plate_moved_along_the_rays_is_off_by_as_much_or_aligned_by_not_at_all
     assert still.surface_smcd_um < 10.0
 
 
-def test_the_floor_is_what_a_perfect_measurement_scores() -> None:
+def test_smcd_floor_is_the_score_of_a_perfect_measurement() -> None:
     cloud = perfect_cloud(placed("pyramid"))
     found = truth_of("pyramid").compare(maps_of(cloud), cloud, PLAN, CALIBRATION, align=False)
     assert found.smcd_um == pytest.approx(found.smcd_floor_um, rel=0.02)
@@ -106,7 +106,7 @@ def test_the_floor_is_what_a_perfect_measurement_scores() -> None:
 
 @pytest.mark.parametrize("wrong", [0, 1, 40])
 @pytest.mark.parametrize("turns", [1.0, -1.0, 0.75])
-def test_wrong_orders_are_counted_where_they_are(wrong: int, turns: float) -> None:
+def test_wrong_fringe_orders_are_counted(wrong: int, turns: float) -> None:
     decoded = maps_of(perfect_cloud(plate()))
     places = np.flatnonzero(np.isfinite(decoded.u.ravel()))
     chosen = np.random.default_rng(0).choice(places, wrong, replace=False)
@@ -117,13 +117,13 @@ def test_wrong_orders_are_counted_where_they_are(wrong: int, turns: float) -> No
     assert found.outliers == 0.0
 
 
-def test_less_than_half_a_fringe_is_no_wrong_order() -> None:
+def test_error_below_half_a_period_is_no_wrong_order() -> None:
     decoded = maps_of(perfect_cloud(plate()))
     decoded.u[::3] += np.float32(0.49 * PERIOD)
     assert truth_of("plate").score(decoded, UNFILTERED, CALIBRATION).wrong_orders == 0.0
 
 
-def test_what_the_filter_removes_is_said_and_not_counted_wrong() -> None:
+def test_filtered_points_count_as_outliers_not_as_wrong_orders() -> None:
     decoded = maps_of(perfect_cloud(plate()))
     row, column = H // 2, W // 2
     decoded.u[row, column] += np.float32(PERIOD)
@@ -132,7 +132,7 @@ def test_what_the_filter_removes_is_said_and_not_counted_wrong() -> None:
     assert found.outliers == pytest.approx(1.0 / np.isfinite(decoded.u).sum())
 
 
-def test_shadow_is_missing_where_the_truth_is_what_the_camera_sees() -> None:
+def test_shadow_reduces_completeness_if_all_visible_surface_counts() -> None:
     mesh = placed("pillars")
     cloud = perfect_cloud(mesh)
     lit, all_of_it = (
@@ -145,7 +145,7 @@ def test_shadow_is_missing_where_the_truth_is_what_the_camera_sees() -> None:
     assert all_of_it.surface_smcd_um > 5.0 * lit.surface_smcd_um
 
 
-def test_another_calibration_of_the_same_rig_is_compared_with_the_same_truth() -> None:
+def test_true_shape_can_be_compared_with_another_calibration_of_the_rig() -> None:
     """As where the projector has moved: decoded with it and triangulated with it, the shape is the same."""
     mesh = placed("pyramid")
     shift = RigidTransform(np.eye(3), np.array([20.0, 0.0, 0.0]))
@@ -157,14 +157,14 @@ def test_another_calibration_of_the_same_rig_is_compared_with_the_same_truth() -
     assert found.wrong_orders == 0.0
 
 
-def test_nothing_measured_is_refused() -> None:
+def test_empty_measurement_is_refused() -> None:
     nothing = maps_of(perfect_cloud(plate()))
     nothing.u[:] = np.nan
     with pytest.raises(DataError, match="no pixel has a projector coordinate"):
         truth_of("plate").score(nothing, PLAN, CALIBRATION)
 
 
-def test_a_shape_that_lies_beside_where_it_was_said_to_has_no_wrong_orders_for_that() -> None:
+def test_misplaced_shape_causes_no_wrong_orders_after_alignment() -> None:
     """The fixture knows poses in the true camera's frame, and a measured calibration has its own."""
     fine = (PLAN.fringes[0], Sinusoid(axis="x", stripes=128, steps=3))
     plan = UNFILTERED.model_copy(update={"fringes": fine})

@@ -16,17 +16,14 @@ from fpplab.core import config, errors
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted, CandidateRunner
-from fpplab.optimisation.methods.bayesian import bayes
-from fpplab.optimisation.methods.coordinate import coordinates
-from fpplab.optimisation.methods.gradient import descend
-from fpplab.optimisation.methods.pareto import pareto
-from fpplab.optimisation.objectives import CandidateFigures, Judge, MeasuredCandidate
-from fpplab.optimisation.scheduling import Here, outcome_of
-from fpplab.optimisation.space import Parameter, Space
+from fpplab.optimisation.methods.gradient import Gradient
+from fpplab.optimisation.objectives import CandidateFigures, CandidateRanking, MeasuredCandidate
+from fpplab.optimisation.scheduling import InProcessWorkers, measure_outcome
+from fpplab.optimisation.space import Parameter, SearchSpace
 from fpplab.optimisation.storage import Journal
-from fpplab.optimisation.study import Gradient, Study
+from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
-from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, lab_of, study, with_stage
+from tests.support.searching import FRINGES, LIMITS, PLAIN, Formula, runner_of, study, with_stage
 
 PHASES = {
     "space": {"steps": [[3, 12], [3, 12], [3, 16]]},
@@ -51,7 +48,7 @@ GRADIENT = {"kind": "gradient"}
 # Candidates and plans
 
 
-def test_plan_of_a_candidate_differs_in_its_arrangement_alone() -> None:
+def test_plan_of_a_candidate_keeps_the_rest_of_the_template() -> None:
     like = Plan.load("plan_paper.yaml").model_copy(update={"settle_s": 0.1})
     candidate = Candidate((Fringes("y", 1.0, 3), Fringes("y", 9.5, 4)), 0.04, stage_mm=-3.0)
     plan = candidate.plan(like)
@@ -69,31 +66,33 @@ def test_plan_of_a_candidate_differs_in_its_arrangement_alone() -> None:
     bounds=st.tuples(st.floats(0.01, 10), st.floats(10.1, 1000)),
     ratio=st.booleans(),
 )
-def test_a_value_and_its_share_are_one(share: float, bounds: tuple[float, float], ratio: bool) -> None:
-    parameter = Parameter("stripes[1]", "stripes", *bounds, ratio=ratio)
-    value = parameter.at(share)
-    assert parameter.holds(value)
+def test_parameter_fraction_and_value_are_inverse(
+    share: float, bounds: tuple[float, float], ratio: bool
+) -> None:
+    parameter = Parameter("stripes[1]", "stripes", *bounds, is_logarithmic=ratio)
+    value = parameter.value_at(share)
+    assert parameter.contains(value)
     slack = 0.0005 * (
         1 / bounds[0] / math.log(bounds[1] / bounds[0]) if ratio else 1 / (bounds[1] - bounds[0])
     )
-    assert parameter.share(value) == pytest.approx(share, abs=slack + 1e-9)
+    assert parameter.fraction(value) == pytest.approx(share, abs=slack + 1e-9)
 
 
 @given(share=st.floats(0, 1))
-def test_a_stage_may_stand_in_few_places(share: float) -> None:
-    parameter = Parameter("stage_mm", "geometry", -60, 50, every=25)
-    assert parameter.at(share) in {-60, -35, -10, 15, 40, 50}
-    assert abs(parameter.at(share) - (-60 + 110 * share)) <= 12.5
+def test_stage_parameter_is_rounded_to_its_grid(share: float) -> None:
+    parameter = Parameter("stage_mm", "geometry", -60, 50, grid_step=25)
+    assert parameter.value_at(share) in {-60, -35, -10, 15, 40, 50}
+    assert abs(parameter.value_at(share) - (-60 + 110 * share)) <= 12.5
 
 
-def test_start_is_the_starts_plan(tmp_path: Path) -> None:
-    space = lab_of(tmp_path, **FRONT).space
+def test_start_point_stands_for_the_plan_of_the_start(tmp_path: Path) -> None:
+    space = runner_of(tmp_path, **FRONT).space
     begin = space.candidate(space.start)
     assert begin == Candidate(tuple(Fringes("x", float(s), 7) for s in (1, 8, 64)), 0.02, 0.0)
 
 
-def test_fewer_sets_are_the_base_and_the_last(tmp_path: Path) -> None:
-    space = lab_of(
+def test_plan_of_fewer_sets_has_the_base_and_the_last_sets(tmp_path: Path) -> None:
+    space = runner_of(
         tmp_path,
         space={
             "sets": [2, 4],
@@ -109,8 +108,8 @@ def test_fewer_sets_are_the_base_and_the_last(tmp_path: Path) -> None:
     assert [(f.stripes, f.steps) for f in four] == [(1, 12), (3, 5), (8, 12), (100, 12)]
 
 
-def test_axis_and_light_and_geometry_are_parameters(tmp_path: Path) -> None:
-    space = lab_of(
+def test_axis_exposure_and_geometry_are_parameters(tmp_path: Path) -> None:
+    space = runner_of(
         tmp_path,
         space={"axis": ["x", "y"], "exposure_s": [0.01, 0.1], "convergence_deg": [-5, 5]},
     ).space
@@ -120,13 +119,13 @@ def test_axis_and_light_and_geometry_are_parameters(tmp_path: Path) -> None:
     assert (moved.exposure_s, moved.convergence_deg, moved.stage_mm) == (0.05, 2.0, 0.0)
 
 
-def test_what_cannot_be_shown_is_refused_with_its_reason(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, constraints={"images": 36})
-    crossed, shown = lab.measure([(30.0, 20.0), (5.0, 40.0)])
-    assert crossed.refused == "stripes along x do not grow from set to set"
+def test_infeasible_point_is_refused_with_its_reason(tmp_path: Path) -> None:
+    runner = runner_of(tmp_path, constraints={"images": 36})
+    crossed, shown = runner.measure([(30.0, 20.0), (5.0, 40.0)])
+    assert crossed.refused == "stripes along x do not increase from set to set"
     assert shown.measured
-    assert lab.refused == {crossed.refused: 1}
-    assert crossed.candidate not in [t.candidate for t in lab.trials]
+    assert runner.refused == {crossed.refused: 1}
+    assert crossed.candidate not in [t.candidate for t in runner.trials]
 
 
 BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
@@ -170,40 +169,40 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "foreign fringes": (
         {"start": {"fringes": [{**FRINGES[0], "shift_sign": -1}, FRINGES[2]]}},
-        "fringes made elsewhere",
+        "fringes of imported images",
     ),
     "cannot be unwrapped": ({"start": {"fringes": FRINGES[1:]}}, "hierarchical unwrapping needs"),
 }
 
 
 @pytest.mark.parametrize(("changes", "words"), BAD_SPACES.values(), ids=BAD_SPACES.keys())
-def test_contradictions_are_named(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+def test_contradictory_studies_are_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError) as refused:
-        lab_of(tmp_path, **changes)
+        runner_of(tmp_path, **changes)
     assert str(refused.value).startswith("study.yaml")
     assert words in str(refused.value)
 
 
 def test_a_stage_is_needed_for_a_baseline(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no stage"):
-        lab_of(tmp_path, limits=with_stage(None), space={"stage_mm": [-5, 5]})
+        runner_of(tmp_path, limits=with_stage(None), space={"stage_mm": [-5, 5]})
 
 
-def test_a_study_is_for_its_rig() -> None:
+def test_study_for_another_rig_is_refused() -> None:
     study(rig="Formula").check_rig("Formula", "study.yaml")
     with pytest.raises(ConfigError, match="'rig' is 'Formula', but the rig given is 'Other'"):
         study(rig="Formula").check_rig("Other", "study.yaml")
 
 
 @pytest.mark.parametrize("name", ["phases", "stripes", "stripes_gradient", "baseline", "pareto"])
-def test_studies_that_come_along_suit_the_demonstration(name: str) -> None:
+def test_shipped_studies_suit_the_demonstration_rig(name: str) -> None:
     from fpplab.devices.rig import Rig
     from fpplab.optimisation.limits import RigLimits
 
     with Rig.load("rig_demo") as rig:
         limits = RigLimits.of(rig)
     known = Study.load(f"study_{name}")
-    space = Space.of(known, limits, name)
+    space = SearchSpace.of(known, limits, name)
     assert space.refusal(space.candidate(space.start)) is None
     assert limits.items is not None
     assert set(known.artefacts) <= limits.items
@@ -249,9 +248,9 @@ def _trial(images: int, um: float, **others: Any) -> MeasuredCandidate:
     return MeasuredCandidate((images,), Candidate((Fringes("x", 1.0, images),), um), scores)
 
 
-def _judge(**changes: Any) -> Judge:
+def _ranking(**changes: Any) -> CandidateRanking:
     start = CandidateFigures.of(_scores({("a", 1): 20.0}))
-    return Judge(
+    return CandidateRanking(
         study(**{"objectives": ["surface_smcd_um", "images"], "method": {"kind": "nsga2"}, **changes}), start
     )
 
@@ -265,31 +264,31 @@ def _judge(**changes: Any) -> Judge:
         ({"um": 20.3}, "surface_smcd_um"),
     ],
 )
-def test_a_broken_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> None:
-    judge = _judge(constraints={"seconds": 1.5, "smcd_of_start": 1.01})
+def test_limit_outweighs_every_objective(others: dict[str, Any], limit: str) -> None:
+    ranking = _ranking(constraints={"seconds": 1.5, "smcd_of_start": 1.01})
     bad, good = _trial(3, **{"um": 0.1, **others}), _trial(36, 20.1)
-    assert [name for name, by in judge.violations(bad).items() if by > 0] == [limit]
-    assert judge.wanted(good)
-    assert not judge.wanted(bad)
-    assert judge.rank(good) < judge.rank(bad)
-    assert judge.front([bad, good]) == [good]
+    assert [name for name, by in ranking.violations(bad).items() if by > 0] == [limit]
+    assert ranking.is_acceptable(good)
+    assert not ranking.is_acceptable(bad)
+    assert ranking.rank(good) < ranking.rank(bad)
+    assert ranking.front([bad, good]) == [good]
 
 
-def test_what_cannot_be_measured_comes_last() -> None:
-    judge = _judge()
+def test_failed_candidate_ranks_last() -> None:
+    ranking = _ranking()
     failed = MeasuredCandidate((0.0,), Candidate((), 1.0), failed="nothing there")
-    assert judge.rank(_trial(3, 1e9, wrong_orders=1.0)) < judge.rank(failed)
+    assert ranking.rank(_trial(3, 1e9, wrong_orders=1.0)) < ranking.rank(failed)
 
 
 @given(st.lists(st.tuples(st.integers(3, 12), st.integers(1, 30)), min_size=1, max_size=40))
-def test_nothing_dominates_a_front_and_it_dominates_the_rest(points: list[tuple[int, int]]) -> None:
-    judge = _judge()
+def test_pareto_front_dominates_all_other_candidates(points: list[tuple[int, int]]) -> None:
+    ranking = _ranking()
     trials = [_trial(images, float(um)) for images, um in points]
-    front = judge.front(trials)
-    kept = {judge.values(t) for t in front}
+    front = ranking.front(trials)
+    kept = {ranking.values(t) for t in front}
     assert len(kept) == len(front)
     for trial in trials:
-        own = judge.values(trial)
+        own = ranking.values(trial)
         better = [v for v in kept if v != own and all(a <= b for a, b in zip(v, own, strict=True))]
         assert bool(better) != (own in kept)
     assert [t.candidate.images for t in front] == sorted((t.candidate.images for t in front), reverse=True)
@@ -298,57 +297,57 @@ def test_nothing_dominates_a_front_and_it_dominates_the_rest(points: list[tuple[
 # Methods
 
 
-def test_coordinates_find_the_stripes(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, Formula(best_stripes=100.0, noise_um=3.0))
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
+def test_coordinate_search_finds_the_stripes(tmp_path: Path) -> None:
+    runner = runner_of(tmp_path, Formula(best_stripes=100.0, noise_um=3.0))
+    runner.space.study.method.search(runner)
     # The valley is quadratic: half the finest move, 1 % of a range of log(228/12), is the most left.
-    assert abs(math.log(lab.best.candidate.fringes[-1].stripes / 100.0)) <= 0.01 * math.log(228 / 12)
-    assert lab.best.figures.wrong_orders == 0.0
+    assert abs(math.log(runner.best.candidate.fringes[-1].stripes / 100.0)) <= 0.01 * math.log(228 / 12)
+    assert runner.best.figures.wrong_orders == 0.0
 
 
-def test_coordinates_find_the_baseline(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert lab.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
+def test_coordinate_search_finds_the_baseline(tmp_path: Path) -> None:
+    runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space={"stage_mm": [-60, 60]})
+    runner.space.study.method.search(runner)
+    assert runner.best.candidate.stage_mm == pytest.approx(-31.0, abs=0.6)
 
 
-def test_what_is_searched_on_a_grid_stays_there(tmp_path: Path) -> None:
+def test_search_on_a_grid_stays_on_it(tmp_path: Path) -> None:
     space = {"stage_mm": [-60, 60], "stage_every_mm": 10}
-    lab = lab_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert lab.best.candidate.stage_mm == -30
-    assert {trial.candidate.stage_mm for trial in lab.trials} <= {*range(-60, 61, 10)}
+    runner = runner_of(tmp_path, Formula(best_stage_mm=-31.0), space=space)
+    runner.space.study.method.search(runner)
+    assert runner.best.candidate.stage_mm == -30
+    assert {trial.candidate.stage_mm for trial in runner.trials} <= {*range(-60, 61, 10)}
 
 
-def test_coordinates_find_the_fewest_images(tmp_path: Path) -> None:
+def test_coordinate_search_finds_the_fewest_images(tmp_path: Path) -> None:
     """Orders hold with 3 steps at ratio 8; the distance, which must not rise, is the finest set's alone."""
-    lab = lab_of(tmp_path, **PHASES)
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert [f.steps for f in lab.best.candidate.fringes] == [3, 3, 12]
+    runner = runner_of(tmp_path, **PHASES)
+    runner.space.study.method.search(runner)
+    assert [f.steps for f in runner.best.candidate.fringes] == [3, 3, 12]
 
 
-def test_orders_that_fail_stop_the_search(tmp_path: Path) -> None:
+def test_failing_fringe_orders_limit_the_search(tmp_path: Path) -> None:
     """With noisier orders, a ratio of 8 needs 8**2 / (4 throw)**2 steps in the coarser set: 6."""
-    lab = lab_of(tmp_path, Formula(throw=0.82), **PHASES)
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert [f.steps for f in lab.best.candidate.fringes] == [6, 6, 12]
+    runner = runner_of(tmp_path, Formula(throw=0.82), **PHASES)
+    runner.space.study.method.search(runner)
+    assert [f.steps for f in runner.best.candidate.fringes] == [6, 6, 12]
 
 
 def test_gradient_descent_as_in_the_paper(tmp_path: Path) -> None:
-    lab = lab_of(
+    runner = runner_of(
         tmp_path,
         start={"fringes": [{**f, "stripes": s} for f, s in zip(FRINGES, (1, 8, 16), strict=True)]},
         method=GRADIENT,
     )
-    ended = descend(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert ended == "not down by 1 for 5 epochs"
-    start, best = lab.start.figures.surface_smcd_um, lab.best.figures.surface_smcd_um
+    ended = runner.space.study.method.search(runner)
+    assert ended == "improved by less than 1 in 5 epochs"
+    start, best = runner.start.figures.surface_smcd_um, runner.best.figures.surface_smcd_um
     # Near the bottom each epoch leaves a share q of what is above it, and five gained less than 1 µm.
     curvature = 2 * 30.0 * math.log(228 / 12) ** 2 / start
-    q = (1 - Gradient(kind="gradient").rate * curvature) ** 2
+    q = (1 - Gradient().rate * curvature) ** 2
     least = best_of(Formula(), 12)
     assert least <= best < least + q**5 / (1 - q**5)
-    assert len(lab.epochs) > 5
+    assert len(runner.epochs) > 5
 
 
 def best_of(formula: Formula, steps: int) -> float:
@@ -356,44 +355,46 @@ def best_of(formula: Formula, steps: int) -> float:
 
 
 def test_gradient_stops_when_the_gain_is_small(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, Formula(best_stripes=64.0), method={**GRADIENT, "patience": 3, "rate": 0.0001})
-    assert descend(lab, lab.space.study.method) == "not down by 1 for 3 epochs"  # type: ignore[arg-type]
-    assert len(lab.epochs) == 3
+    runner = runner_of(
+        tmp_path, Formula(best_stripes=64.0), method={**GRADIENT, "patience": 3, "rate": 0.0001}
+    )
+    assert runner.space.study.method.search(runner) == "improved by less than 1 in 3 epochs"
+    assert len(runner.epochs) == 3
 
 
 def test_gradient_moves_steps_by_one(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, **{**PHASES, "method": GRADIENT})
-    descend(lab, lab.space.study.method)  # type: ignore[arg-type]
-    for before, after in zip([lab.start, *_steps(lab)], _steps(lab), strict=False):
+    runner = runner_of(tmp_path, **{**PHASES, "method": GRADIENT})
+    runner.space.study.method.search(runner)
+    for before, after in zip([runner.start, *_steps(runner)], _steps(runner), strict=False):
         assert max(abs(a - b) for a, b in zip(before.point, after.point, strict=True)) == 1
-    assert lab.best.candidate.images < 36
+    assert runner.best.candidate.images < 36
 
 
-def _steps(lab: CandidateRunner) -> list[MeasuredCandidate]:
-    return [epoch.trials[-1] for epoch in lab.epochs if epoch.step == "step"]
+def _steps(runner: CandidateRunner) -> list[MeasuredCandidate]:
+    return [epoch.trials[-1] for epoch in runner.epochs if epoch.step == "step"]
 
 
 def test_bayesian_search_finds_the_stripes(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, method={"kind": "bayesian", "batch": 8}, budget=64)
+    runner = runner_of(tmp_path, method={"kind": "bayesian", "batch": 8}, budget=64)
     with pytest.raises(BudgetExhausted):
-        bayes(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert lab.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
-    assert lab.judge.wanted(lab.best)
+        runner.space.study.method.search(runner)
+    assert runner.best.figures.surface_smcd_um < best_of(Formula(), 12) + 1.0
+    assert runner.ranking.is_acceptable(runner.best)
 
 
 @pytest.mark.slow
 def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path / "front", **FRONT)
-    pareto(lab, lab.space.study.method)  # type: ignore[arg-type]
-    front = {t.candidate.images: t.figures.surface_smcd_um for t in lab.front}
+    runner = runner_of(tmp_path / "front", **FRONT)
+    runner.space.study.method.search(runner)
+    front = {t.candidate.images: t.figures.surface_smcd_um for t in runner.front}
     assert set(front) == set(range(9, 22))
     for name in ("steps", "stripes", "stage_mm"):
-        single = lab_of(
+        single = runner_of(
             tmp_path / name,
             **{**FRONT, "space": {name: FRONT["space"][name]}, "objectives": ["surface_smcd_um"],  # type: ignore[index]
                "method": {"kind": "coordinate"}},
         )  # fmt: skip
-        coordinates(single, single.space.study.method)  # type: ignore[arg-type]
+        single.space.study.method.search(single)
         best = single.best.figures
         assert front[best.images] <= best.surface_smcd_um
 
@@ -401,17 +402,17 @@ def test_front_is_at_least_as_good_as_every_single_optimum(tmp_path: Path) -> No
 # The journal
 
 
-def test_a_killed_search_goes_on_where_it_was(tmp_path: Path) -> None:
-    whole = lab_of(tmp_path / "whole", Formula(noise_um=2.0))
-    coordinates(whole, whole.space.study.method)  # type: ignore[arg-type]
+def test_killed_search_continues_from_its_journal(tmp_path: Path) -> None:
+    whole = runner_of(tmp_path / "whole", Formula(noise_um=2.0))
+    whole.space.study.method.search(whole)
     journal = tmp_path / "whole" / "study.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     half = tmp_path / "half" / "study.jsonl"
     half.parent.mkdir()
     half.write_bytes(b"".join(lines[:21]) + lines[21][:40])  # the header, twenty, and a torn line
     log = tmp_path / "log"
-    again = lab_of(tmp_path / "half", Formula(noise_um=2.0, log=log))
-    coordinates(again, again.space.study.method)  # type: ignore[arg-type]
+    again = runner_of(tmp_path / "half", Formula(noise_um=2.0, log=log))
+    again.space.study.method.search(again)
     assert half.read_bytes() == journal.read_bytes()
     assert len(log.read_text().splitlines()) == len(lines) - 21
     assert again.best == whole.best
@@ -420,13 +421,13 @@ def test_a_killed_search_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_nothing_is_measured_twice(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    lab = lab_of(tmp_path, Formula(log=log))
-    coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert len(log.read_text().splitlines()) == 2 * len(lab.trials)
+    runner = runner_of(tmp_path, Formula(log=log))
+    runner.space.study.method.search(runner)
+    assert len(log.read_text().splitlines()) == 2 * len(runner.trials)
 
 
-def test_a_journal_is_of_one_study(tmp_path: Path) -> None:
-    lab_of(tmp_path).start  # noqa: B018 - measured for the journal
+def test_journal_of_another_study_is_refused(tmp_path: Path) -> None:
+    runner_of(tmp_path).start  # noqa: B018 - measured for the journal
     with pytest.raises(ConfigError, match="'artefacts' is another"):
         Journal(tmp_path / "study.jsonl", study(artefacts=["ball"]), {})
     with pytest.raises(ConfigError, match="'rig' is another"):
@@ -435,49 +436,49 @@ def test_a_journal_is_of_one_study(tmp_path: Path) -> None:
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    lab_of(tmp_path).start  # noqa: B018 - measured for the journal
+    runner_of(tmp_path).start  # noqa: B018 - measured for the journal
     path = tmp_path / "study.jsonl"
     path.write_text(path.read_text().replace('"points": 1000', '"points": "many"'))
-    with pytest.raises(DataError, match=r"study\.jsonl line 2: is no measurement"):
+    with pytest.raises(DataError, match=r"study\.jsonl line 2: is not a measurement"):
         Journal(path, study(), {})
 
 
 def test_a_budget_is_kept(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, budget=9)
+    runner = runner_of(tmp_path, budget=9)
     with pytest.raises(BudgetExhausted):
-        coordinates(lab, lab.space.study.method)  # type: ignore[arg-type]
-    assert 9 <= len(lab.trials) <= 9 + 6  # a round is not broken
+        runner.space.study.method.search(runner)
+    assert 9 <= len(runner.trials) <= 9 + 6  # a round is always completed
 
 
 # What cannot be measured
 
 
-def test_a_candidate_of_which_nothing_comes_is_no_fault_of_the_rig(tmp_path: Path) -> None:
-    lab = lab_of(tmp_path, Formula(fails_at=35), space=PHASES["space"])
-    failed, fine = lab.measure([(11, 12, 12), (10, 12, 12)])
+def test_failed_candidate_does_not_end_the_search(tmp_path: Path) -> None:
+    runner = runner_of(tmp_path, Formula(fails_at=35), space=PHASES["space"])
+    failed, fine = runner.measure([(11, 12, 12), (10, 12, 12)])
     assert failed.failed == "no pixel could be measured"
     assert fine.measured
-    assert lab.best.measured
-    again = lab_of(tmp_path, Formula(), space=PHASES["space"])
+    assert runner.best.measured
+    again = runner_of(tmp_path, Formula(), space=PHASES["space"])
     assert again.measure([(11, 12, 12)])[0].failed == failed.failed
 
 
-def test_a_score_of_nothing_is_a_failure() -> None:
+def test_infinite_score_is_a_failure() -> None:
     class Blind:
         def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
             return _scores({("pyramid", 1): float("inf")})
 
         def close(self) -> None: ...
 
-    assert outcome_of(Blind(), Candidate((), 1.0), 1) == "nothing of the pyramid could be measured"
+    assert measure_outcome(Blind(), Candidate((), 1.0), 1) == "nothing of the pyramid could be measured"
 
 
-def test_a_start_that_measures_nothing_ends_the_search(tmp_path: Path) -> None:
+def test_failed_start_ends_the_search(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the start of the study cannot be measured"):
-        lab_of(tmp_path, Formula(fails_at=36)).start  # noqa: B018
+        runner_of(tmp_path, Formula(fails_at=36)).start  # noqa: B018
 
 
-def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
+def test_rig_fault_ends_the_search(tmp_path: Path) -> None:
     class Broken:
         def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
             raise LimitError("stage", "move_to", "stuck")
@@ -485,15 +486,17 @@ def test_a_fault_of_the_rig_ends_the_search(tmp_path: Path) -> None:
         def close(self) -> None: ...
 
     wanted = study()
-    lab = CandidateRunner(
-        Space.of(wanted, LIMITS, "s"), Here(Broken), Journal(tmp_path / "j.jsonl", wanted, {})
+    runner = CandidateRunner(
+        SearchSpace.of(wanted, LIMITS, "s"),
+        InProcessWorkers(Broken),
+        Journal(tmp_path / "j.jsonl", wanted, {}),
     )
     with pytest.raises(LimitError):
-        lab.measure([lab.space.start])
+        runner.measure([runner.space.start])
 
 
 @pytest.mark.parametrize("kind", [errors.DeviceError, errors.LimitError, errors.DeviceTimeoutError])
-def test_faults_come_whole_from_another_process(kind: type[errors.DeviceError]) -> None:
+def test_device_errors_can_be_pickled(kind: type[errors.DeviceError]) -> None:
     fault = kind("stage", "move_to", "70 mm was asked for", "the travel is 0 to 60 mm")
     copy = pickle.loads(pickle.dumps(fault))
     assert type(copy) is kind

@@ -1,4 +1,4 @@
-"""A whole search from study to plans and page, on a formula behind the limits of a real rig file."""
+"""A whole search from study to plans and report, on a formula within the limits of a rig file."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError, LimitError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate_runner import SearchEpoch
-from fpplab.optimisation.goal import Goal
-from fpplab.optimisation.run import SearchResult, calibrated, processes, run_search
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import run_search, with_calibrations, worker_count
+from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
@@ -34,13 +35,13 @@ FRONT: dict[str, Any] = {
 }
 
 
-def searched(what: Goal, wanted: Study, out: Path, **more: Any) -> SearchResult:
-    return run_search(what, "rig_demo", wanted, out, "study.yaml", opener=Formula(noise_um=1.0), **more)
+def searched(what: SearchScope, wanted: Study, out: Path, **more: Any) -> SearchResult:
+    return run_search(what, "rig_demo", wanted, out, "study.yaml", factory=Formula(noise_um=1.0), **more)
 
 
-def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
+def test_front_is_written_as_a_folder_of_plans(tmp_path: Path) -> None:
     seen: list[SearchEpoch] = []
-    found = searched(Goal.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
+    found = searched(SearchScope.PARETO, study(**FRONT), tmp_path / "front", observe=seen.append)
     assert [p.name for p in found.plans] == [
         f"plan_{i:02d}_{n}images.yaml" for i, n in enumerate(range(19, 12, -1), 1)
     ]
@@ -56,11 +57,16 @@ def test_a_front_is_a_folder_of_plans(tmp_path: Path) -> None:
         assert words in page
 
 
-def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> None:
+def test_gain_is_measured_with_seeds_unused_by_the_search(tmp_path: Path) -> None:
     log = tmp_path / "log"
     wanted = study(artefacts=ITEMS, seeds=[3, 7])
     found = run_search(
-        Goal.STRIPES, "rig_demo", wanted, tmp_path / "p.yaml", "s", opener=Formula(log=log, noise_um=1.0)
+        SearchScope.STRIPES,
+        "rig_demo",
+        wanted,
+        tmp_path / "p.yaml",
+        "s",
+        factory=Formula(log=log, noise_um=1.0),
     )
     seeds = [int(line.split()[1]) for line in log.read_text().splitlines()]
     assert set(seeds) == {3, 7, 8, 9}
@@ -73,10 +79,10 @@ def test_the_gain_is_measured_with_seeds_that_chose_nothing(tmp_path: Path) -> N
     assert found.gain.uncertainty_um == pytest.approx(0.0, abs=1e-9)
 
 
-def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
+def test_search_without_acceptable_plan_is_an_error(tmp_path: Path) -> None:
     wanted = study(artefacts=ITEMS, constraints={"smcd_of_start": 0.5}, budget=40)
     with pytest.raises(DataError, match="keeps the study's limits; the best breaks surface_smcd_um by"):
-        searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
+        searched(SearchScope.STRIPES, wanted, tmp_path / "p.yaml")
     assert not (tmp_path / "p.yaml").exists()
     assert (tmp_path / "p.jsonl").exists()
 
@@ -84,33 +90,37 @@ def test_no_plan_within_the_limits_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("what", "changes", "words"),
     [
-        (Goal.PHASES, {"artefacts": ITEMS}, r"searches stripes\[1\], stripes\[2\], which `optimise phases`"),
-        (Goal.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
-        (Goal.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
-        (Goal.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
+        (
+            SearchScope.PHASES,
+            {"artefacts": ITEMS},
+            r"searches stripes\[1\], stripes\[2\], which `optimise phases`",
+        ),
+        (SearchScope.PARETO, {"artefacts": ITEMS}, "'objectives' must name several"),
+        (SearchScope.STRIPES, {"artefacts": ["ball"]}, "'artefacts' names 'ball', and the fixture of rig"),
+        (SearchScope.STRIPES, {"artefacts": ITEMS, "rig": "Bench 7"}, "'rig' is 'Bench 7'"),
     ],
 )
-def test_a_study_for_something_else_is_refused(
-    tmp_path: Path, what: Goal, changes: dict[str, Any], words: str
+def test_study_for_another_scope_or_rig_is_refused(
+    tmp_path: Path, what: SearchScope, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         searched(what, study(**changes), tmp_path / "p.yaml")
 
 
-def test_a_plan_keeps_what_the_start_says_beside_its_fringes(tmp_path: Path) -> None:
+def test_plan_found_keeps_other_settings_of_the_start(tmp_path: Path) -> None:
     start = {"fringes": FRINGES, "filter": None, "settle_s": 0.05, "masks": {"modulation_min": 7.0}}
     wanted = study(artefacts=ITEMS, start=start, constraints={"completeness_of_start": 0.9}, budget=12)
-    found = searched(Goal.STRIPES, wanted, tmp_path / "p.yaml")
+    found = searched(SearchScope.STRIPES, wanted, tmp_path / "p.yaml")
     written = Plan.load(tmp_path / "p.yaml")
     assert written == found.optimum.candidate.plan(wanted.start)
     assert written.filter is None
     assert written.masks.modulation_min == 7.0
 
 
-def test_a_search_shows_in_the_viewer(tmp_path: Path) -> None:
+def test_search_is_shown_in_the_viewer(tmp_path: Path) -> None:
     with Viewer.open(tmp_path / "search.rrd") as viewer:
         searched(
-            Goal.BASELINE,
+            SearchScope.BASELINE,
             study(artefacts=ITEMS, space={"stage_mm": [-40, 40]}),
             tmp_path / "p.yaml",
             observe=viewer.search,
@@ -119,7 +129,7 @@ def test_a_search_shows_in_the_viewer(tmp_path: Path) -> None:
     assert (tmp_path / "search.rrd").stat().st_size > 1000
 
 
-def test_a_plan_says_where_the_stage_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plan_sets_the_stage_position(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
     stood: list[float] = []
 
@@ -135,7 +145,7 @@ def test_a_plan_says_where_the_stage_stands(tmp_path: Path, monkeypatch: pytest.
     assert stood == [12.5]
 
 
-def test_nothing_is_replaced_where_the_stage_cannot_go(
+def test_session_is_kept_when_the_stage_position_is_out_of_range(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
@@ -151,7 +161,7 @@ def test_nothing_is_replaced_where_the_stage_cannot_go(
 @pytest.mark.parametrize(
     ("stands", "wanted"), [(None, [-40, 0, 40]), ([-40.0, -30.0], [-40, 0]), ([20.0], [0, 20]), ([0.0], [0])]
 )
-def test_a_rig_is_characterised_where_the_stage_will_stand(
+def test_rig_is_characterised_at_the_ends_of_its_stage_positions(
     stands: list[float] | None, wanted: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[list[float]] = []
@@ -162,14 +172,14 @@ def test_a_rig_is_characterised_where_the_stage_will_stand(
 
     monkeypatch.setattr("fpplab.optimisation.run.characterise_positions", characterised)
     with Rig.load("rig_demo_quick") as rig:
-        known = calibrated(rig, study(**FRONT), tmp_path, stands=stands).calibrations
+        known = with_calibrations(rig, study(**FRONT), tmp_path, stage_positions=stands).calibrations
     assert asked == [wanted]
     assert [(one.stage_mm, one.file) for one in known] == [
         (mm, str((tmp_path / f"{mm:g}.yaml").resolve())) for mm in wanted
     ]
 
 
-def test_a_plan_with_a_stage_needs_one() -> None:
+def test_stage_position_without_a_stage_is_refused() -> None:
     with Rig.load("rig_demo_quick") as rig:
         rig.stage = None
         with pytest.raises(ConfigError, match="'stage' is missing, and the plan's stage_mm 5 needs one"):
@@ -180,15 +190,15 @@ def test_a_plan_with_a_stage_needs_one() -> None:
     ("copies", "gigabytes", "wanted", "count"),
     [(True, 40, None, 8), (True, 9, None, 2), (True, 1, None, 1), (True, 1, 5, 5), (False, 30, None, 1)],
 )
-def test_every_core_measures_on_a_simulation(
+def test_worker_count_follows_cores_and_memory_on_a_simulation(
     copies: bool, gigabytes: int, wanted: int | None, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 8)
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=gigabytes << 30))
-    assert processes(replace(LIMITS, copies=copies), wanted) == count
+    assert worker_count(replace(LIMITS, allows_copies=copies), wanted) == count
 
 
-def test_instruments_serve_one_process() -> None:
-    assert processes(LIMITS, 1) == 1
+def test_real_rig_is_measured_by_one_process() -> None:
+    assert worker_count(LIMITS, 1) == 1
     with pytest.raises(ConfigError, match="--workers 2: rig 'Formula' is no simulation"):
-        processes(LIMITS, 2)
+        worker_count(LIMITS, 2)

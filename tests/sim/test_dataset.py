@@ -25,11 +25,11 @@ from fpplab.core.conventions import TWO_PI
 from fpplab.core.errors import ConfigError, DataError, DeviceError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.dataset import Dataset
-from fpplab.dataset.card import begin
-from fpplab.dataset.labels import labels_of
-from fpplab.dataset.making import DatasetRequest, Maker, need_simulation
-from fpplab.dataset.scenes import Scenes, draw
-from fpplab.dataset.shard import claimed, shard_name
+from fpplab.dataset.card import prepare_folder
+from fpplab.dataset.labels import trace_labels
+from fpplab.dataset.making import DatasetMaker, DatasetRequest, need_simulation
+from fpplab.dataset.scenes import SceneRanges, draw_scene
+from fpplab.dataset.shard import claim_shard, shard_name
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
@@ -50,22 +50,24 @@ PLAN = Plan(
         Sinusoid(axis=axis, stripes=stripes, steps=4) for axis in ("x", "y") for stripes in (0.95, 6, 30)
     )
 )
-ALL = Scenes.load("dataset_demo.yaml")
+ALL = SceneRanges.load("dataset_demo.yaml")
 BOARDS = ALL.model_copy(
     update={"artefacts": (), "reflectance": (0.6, 0.65), "ink": (0.58, 0.59), "charge": (0.1, 0.3)}
 )
-"""Light on boards is computed, so these need no Blender. Pixels are as great as what is printed, so there is
-so little contrast and so much noise that print does not move the phase by as much as noise does."""
+"""Images of boards are computed without Blender. Pixels are as large as the printed features, so
+contrast is low and noise high, for the print to shift the phase by less than the noise does."""
 
 
 @contextmanager
-def opened(folder: Path, scenes: Scenes = BOARDS, samples: int = 5, **options: Any) -> Iterator[Maker]:
-    """A maker of small samples, two to a shard."""
+def opened(
+    folder: Path, scenes: SceneRanges = BOARDS, samples: int = 5, **options: Any
+) -> Iterator[DatasetMaker]:
+    """Make small samples, two to a shard."""
     write_world(folder, plain(render={"subpixels": 3}))
     (folder / "rig.yaml").write_text(RIG_OF_BOARDS)
     with Rig.load(folder / "rig.yaml") as rig:
         wanted = DatasetRequest(PLAN, scenes, samples, **{"seed": 3, "shard_size": 2, **options})
-        yield Maker(rig, wanted)
+        yield DatasetMaker(rig, wanted)
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +136,11 @@ def check_sample(sample: dict[str, np.ndarray[Any, Any]], edges_px: int) -> None
 
 
 def check_noise(deviations: np.ndarray[Any, Any]) -> None:
-    """In standard deviations as decoding states them, which from four steps and few pixels is rough; but that
-    the labels are in the middle of the noise is sharp, in every part of the picture."""
+    """Check the spread roughly, since decoding estimates it from four steps, and the median sharply.
+
+    Deviations are in the standard deviations that decoding states; the median is checked in every part of the
+    image.
+    """
     assert 0.6 < 1.4826 * np.median(np.abs(deviations)) < 1.7
     for part in np.array_split(deviations, 4):
         assert abs(np.median(part)) < 6 * 1.2533 / np.sqrt(len(part)) + 0.02
@@ -150,7 +155,7 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     meshes = [trimesh.creation.box(bounds=np.array(bounds, float)) for bounds in corners]
     mesh = trimesh.util.concatenate(meshes).apply_transform(pose.matrix)
     devices = Calibration(of.camera_model(), of.projector_model(), of.T_projector_camera(), {})
-    labels = labels_of(SceneTruth(mesh, devices))
+    labels = trace_labels(SceneTruth(mesh, devices))
     caster = Caster(devices.camera, devices.projector, devices.T_projector_camera, 475.0, 1.0)
     seen = caster.look(boxes, 1)
     wide, high = devices.projector.size
@@ -169,8 +174,8 @@ def test_labels_are_those_of_an_independent_ray_caster() -> None:
     assert (outward[np.abs(outward[:, 2]) == 1, 2] == 1).all(), "tops look up"
 
 
-def test_labels_of_a_plate_from_behind_are_dark() -> None:
-    """Camera and lamp on opposite sides of a flat item: it is seen but not illuminated."""
+def test_plate_lit_from_behind_is_visible_but_masked() -> None:
+    """Camera and projector on opposite sides of a flat sheet: it is visible, but not illuminated."""
     plate = trimesh.Trimesh(
         [[-30, -30, 450], [30, -30, 450], [30, 30, 450], [-30, 30, 450]],
         [[0, 1, 2], [0, 2, 3]],
@@ -178,12 +183,12 @@ def test_labels_of_a_plate_from_behind_are_dark() -> None:
     )
     camera = Pinhole.from_focal((64, 48), (400.0, 400.0), (31.5, 23.5))
     behind = RigidTransform.from_vectors(np.array([0.0, np.pi, 0.0]), np.array([0.0, 0.0, 900.0]))
-    labels = labels_of(SceneTruth(plate, Calibration(camera, camera, behind, {})))
+    labels = trace_labels(SceneTruth(plate, Calibration(camera, camera, behind, {})))
     assert np.isfinite(labels.depth).sum() > 1000
     assert not labels.mask.any()
     assert (labels.normals[2][np.isfinite(labels.depth)] == -1).all()
     beside = RigidTransform.from_vectors(np.zeros(3), np.array([-1.0, 0.0, 0.0]))
-    assert labels_of(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
+    assert trace_labels(SceneTruth(plate, Calibration(camera, camera, beside, {}))).mask.sum() > 1000
 
 
 def test_boards_agree_with_their_labels(boards: Dataset) -> None:
@@ -191,7 +196,7 @@ def test_boards_agree_with_their_labels(boards: Dataset) -> None:
         check_sample(boards[k], edges_px=2)
 
 
-def test_artefacts_agree_with_their_labels_in_any_order_of_scenes(tmp_path: Path) -> None:
+def test_artefacts_agree_with_their_labels_in_any_order(tmp_path: Path) -> None:
     """Rendered by Blender; each sample is the same by itself as after others."""
     scenes = ALL.model_copy(update={"targets": (), "gloss": (0.0, 0.0)})
     with opened(tmp_path, scenes) as maker:
@@ -218,9 +223,9 @@ DEVICES = Calibration(
 
 @given(seed=st.integers(0, 2**40), index=st.integers(0, 10**6))
 def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
-    scene = draw(ALL, seed, index, DEVICES, 0.0)
-    assert scene == draw(ALL, seed, index, DEVICES, 0.0)
-    assert scene != draw(ALL, seed, index + 1, DEVICES, 0.0)
+    scene = draw_scene(ALL, seed, index, DEVICES, 0.0)
+    assert scene == draw_scene(ALL, seed, index, DEVICES, 0.0)
+    assert scene != draw_scene(ALL, seed, index + 1, DEVICES, 0.0)
     for name, drawn in scene.model_dump().items():
         if isinstance(ends := getattr(ALL, name, None), tuple) and isinstance(drawn, float):
             assert ends[0] <= drawn <= ends[1], name
@@ -240,15 +245,15 @@ def test_scenes_are_drawn_within_their_ranges(seed: int, index: int) -> None:
     assert visible.mean() >= 0.5
 
 
-def test_an_unfinished_shard_of_a_killed_process_is_made_anew(boards: Dataset, tmp_path: Path) -> None:
+def test_draft_of_a_killed_process_is_started_again(boards: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "set"
     copied(boards, out)
     half = out / f".{shard_name(1)}"
     (out / shard_name(1)).rename(half)
     (half / "depth.npy").write_bytes(b"half")
     (half / "from an older version.npy").write_bytes(b"")
-    (out / "README.md").unlink()  # killed even before that was written
-    assert Dataset(out).indices == [0, 1, 4], "what is half is not there"
+    (out / "README.md").unlink()  # as if killed before it was written
+    assert Dataset(out).indices == [0, 1, 4], "incomplete shards are not listed"
     seen: list[float] = []
     with opened(tmp_path) as maker:
         maker.make(out, seen.append)
@@ -257,26 +262,26 @@ def test_an_unfinished_shard_of_a_killed_process_is_made_anew(boards: Dataset, t
     assert contents(out) == contents(boards.folder)
 
 
-def test_two_at_once_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
+def test_two_processes_do_not_make_the_same_shard(tmp_path: Path, boards: Dataset) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:
-        begin(out, maker.card())
-        with claimed(out, 1) as draft:
+        prepare_folder(out, maker.card())
+        with claim_shard(out, 1) as draft:
             assert draft is not None
-            with claimed(out, 1) as again:
+            with claim_shard(out, 1) as again:
                 assert again is None
             maker.make(out)
             assert Dataset(out).indices == [0, 1, 4]
-        with claimed(out, 1) as done:
+        with claim_shard(out, 1) as done:
             assert done is None
-        (out / shard_name(1)).rmdir()  # empty: nobody filled that draft
+        (out / shard_name(1)).rmdir()  # empty: that draft was never filled
         maker.make(out)
     assert contents(out) == contents(boards.folder)
 
 
-def test_a_failing_process_leaves_no_files(tmp_path: Path) -> None:
+def test_failed_shard_leaves_no_draft(tmp_path: Path) -> None:
     def fail() -> None:
-        with claimed(tmp_path, 0) as draft:
+        with claim_shard(tmp_path, 0) as draft:
             assert draft is not None
             (draft / "half").write_bytes(b"half")
             raise DeviceError("camera", "snap", "unplugged")
@@ -308,7 +313,7 @@ def test_the_loader_indexes_as_a_list(boards: Dataset) -> None:
     boards.check()
 
 
-def test_the_loader_can_be_sent_to_other_processes(boards: Dataset) -> None:
+def test_loader_can_be_pickled(boards: Dataset) -> None:
     chosen = Dataset(boards.folder, ["depth", "mask"])
     sent = pickle.loads(pickle.dumps(chosen))
     assert list(sent[1]) == ["depth", "mask"]
@@ -328,8 +333,8 @@ def test_splits_share_no_scene(boards: Dataset) -> None:
         boards.split("dev")
 
 
-def test_a_sample_s_world_is_a_world_file(boards: Dataset, tmp_path: Path) -> None:
-    """The recorded world reproduces the recorded frames."""
+def test_recorded_world_reproduces_the_recorded_frames(boards: Dataset, tmp_path: Path) -> None:
+    """Rendering the recorded world again gives the recorded frames."""
     record, recorded = boards.scene(2), boards[2]
     (tmp_path / "world.yaml").write_text(config.to_yaml(record["world"]))
     (tmp_path / "rig.yaml").write_text(RIG_OF_BOARDS)
@@ -357,14 +362,14 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
     with opened(tmp_path) as maker, pytest.raises(DataError, match=r"normals\.npy: is damaged"):
         maker.make(out)
     path.unlink()
-    with pytest.raises(DataError, match="is no whole shard"):
+    with pytest.raises(DataError, match="is not a complete shard"):
         Dataset(out).check()
     with pytest.raises(DataError, match=r"normals\.npy: is missing or damaged"):
         Dataset(out)[2]
     (out / "card.json").write_text("{")
     with pytest.raises(DataError, match=r"card\.json: cannot be read"):
         Dataset(out)
-    with pytest.raises(DataError, match="is no data set"):
+    with pytest.raises(DataError, match="is not a data set"):
         Dataset(tmp_path)
     with pytest.raises(ConfigError, match=r"has no field 'dept'; it has frames, .*, depth,"):
         Dataset(boards.folder, ["dept"])
@@ -379,7 +384,7 @@ def test_damage_is_found_and_named(boards: Dataset, tmp_path: Path) -> None:
         ({"scenes": BOARDS.model_copy(update={"tilt_deg": 20.0})}, "another 'scenes'; name another output"),
     ],
 )
-def test_another_data_set_is_not_resumed(
+def test_folder_with_another_card_is_refused(
     boards: Dataset, tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     copied(boards, tmp_path / "set")
@@ -388,7 +393,7 @@ def test_another_data_set_is_not_resumed(
     assert contents(tmp_path / "set") == contents(boards.folder)
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+def test_folder_without_a_data_set_is_left_unchanged(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "thesis.tex").write_text("years of work")
     with opened(tmp_path) as maker, pytest.raises(ConfigError, match="exists and is not a data set"):
@@ -396,12 +401,12 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "set").iterdir()] == ["thesis.tex"]
 
 
-def test_a_full_disk_is_told_and_leaves_no_half_shard(
+def test_full_disk_is_reported_and_leaves_no_incomplete_shard(
     tmp_path: Path, boards: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "set"
     with opened(tmp_path) as maker:
-        begin(out, maker.card())
+        prepare_folder(out, maker.card())
         for n in (1, 5):
             with monkeypatch.context() as patch:
                 patch.setattr(os, "fsync", FullAt(n, os.fsync))
@@ -412,7 +417,7 @@ def test_a_full_disk_is_told_and_leaves_no_half_shard(
     assert contents(out) == contents(boards.folder)
 
 
-def test_what_the_rig_cannot_do_is_refused_before_the_first_scene(tmp_path: Path) -> None:
+def test_ranges_beyond_the_rig_are_refused_before_the_first_scene(tmp_path: Path) -> None:
     for update, named in (
         ({"stage_mm": (-80.0, 0.0)}, r"'stage_mm' is \[-80, 0\]: outside the stage's travel, -60 to 60"),
         ({"exposure_s": (0.01, 20.0)}, r"'exposure_s' is \[0.01, 20\]: outside the camera's exposure"),
@@ -442,9 +447,9 @@ def test_wrong_ranges_are_refused(tmp_path: Path, change: dict[str, Any], named:
     data = {**config.parse_yaml(config.read_text(config.find_config("dataset_demo.yaml")), ""), **change}
     (tmp_path / "ranges.yaml").write_text(config.to_yaml(data))
     with pytest.raises(ConfigError, match=named):
-        Scenes.load(tmp_path / "ranges.yaml")
+        SceneRanges.load(tmp_path / "ranges.yaml")
 
 
 def test_ranges_that_leave_no_pose_are_refused() -> None:
     with pytest.raises(ConfigError, match="hardly any item lies there in the camera's image and"):
-        draw(ALL.model_copy(update={"distance_mm": (20.0, 25.0)}), 0, 0, DEVICES, 0.0)
+        draw_scene(ALL.model_copy(update={"distance_mm": (20.0, 25.0)}), 0, 0, DEVICES, 0.0)

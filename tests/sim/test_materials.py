@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import members_by_kind
-from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light import Light, Setup, Show
 from sim.worker import Blender

@@ -17,7 +17,7 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
-from fpplab.optimisation.measuring import RigEvaluator, candidate_of
+from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -68,7 +68,7 @@ def measured(folder: Path, *asked: tuple[Candidate, int]) -> list[tuple[Score, .
 
 
 @pytest.mark.slow
-def test_a_score_does_not_depend_on_the_process_or_the_order(folder: Path) -> None:
+def test_score_does_not_depend_on_evaluator_or_order(folder: Path) -> None:
     coarse, fine = candidate(1, 8, 32, stage_mm=0.0), candidate(1, 8, 64, stage_mm=0.0)
     moved = candidate(1, 8, 64, steps=6, stage_mm=10.0)
     asked = [(coarse, 1), (fine, 1), (moved, 1), (fine, 2)]
@@ -83,10 +83,10 @@ def test_a_score_does_not_depend_on_the_process_or_the_order(folder: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Path) -> None:
-    """Only the noise differs, by another draw."""
-    plan = candidate_of(START).plan(START).model_copy(update={"stage_mm": 0.0})
-    score = measured(folder, (candidate_of(plan), 1))[0][0]
+def test_score_agrees_with_a_scan_and_its_comparison(folder: Path, tmp_path: Path) -> None:
+    """Only the noise differs."""
+    plan = candidate_from_plan(START).plan(START).model_copy(update={"stage_mm": 0.0})
+    score = measured(folder, (candidate_from_plan(plan), 1))[0][0]
     with Rig.load(folder / "rig.yaml") as rig:
         session = take(rig, plan, tmp_path / "scan", ("pillars", 0))
         true = artefacts.make("pillars")
@@ -101,8 +101,8 @@ def test_a_score_is_what_a_scan_and_a_comparison_give(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_an_artefact_of_unknown_pose_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a real bench, where an operator mounts it."""
+def test_artefact_of_unknown_pose_is_located(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a real rig, where an operator places it."""
     asked = candidate(1, 8, 64, stage_mm=0.0), 1
     known = measured(folder, asked)[0][0]
     monkeypatch.setattr("sim.devices.SimFixture._pose", lambda self, item, pose: None)
@@ -112,7 +112,7 @@ def test_an_artefact_of_unknown_pose_is_found(folder: Path, monkeypatch: pytest.
     assert found.wrong_orders == 0.0
 
 
-def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> None:
+def test_triangulation_angle_follows_from_the_triangle(folder: Path) -> None:
     """Camera at the origin, projector, and the middle of the artefact: by the lengths of the sides."""
     world = World.load(folder / "world.yaml")
     with closing(RigEvaluator(str(folder / "rig.yaml"), study(folder))) as evaluator:
@@ -121,16 +121,16 @@ def test_the_angle_of_triangulation_is_that_of_the_triangle(folder: Path) -> Non
             middle, projector = true.bounds.mean(axis=0), world.T_projector_camera(mm).inverse().translation
             a, b, c = (float(np.linalg.norm(side)) for side in (middle, middle - projector, projector))
             angle = math.degrees(math.acos((a**2 + b**2 - c**2) / (2 * a * b)))
-            assert evaluator.angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
+            assert evaluator.triangulation_angle_deg(candidate(1, 8, 64, stage_mm=mm)) == pytest.approx(angle)
 
 
-def test_a_study_without_what_it_needs_is_refused(folder: Path) -> None:
+def test_study_without_calibrations_or_artefact_is_refused(folder: Path) -> None:
     rig = str(folder / "rig.yaml")
     with pytest.raises(CalibrationError, match="'calibrations' names none"):
         RigEvaluator(rig, study(folder, calibrations=[])).measure(candidate(1, 8, 64), 1)
     evaluator = RigEvaluator(rig, study(folder, artefacts=["card"]))
     try:
-        with pytest.raises(CalibrationError, match="at 0, 20 mm; 'stage_mm' must say"):
+        with pytest.raises(CalibrationError, match="at 0, 20 mm; 'stage_mm' must give"):
             evaluator.measure(candidate(1, 8, 64), 1)
         with pytest.raises(CalibrationError, match="'stage_mm' is 21"):
             evaluator.measure(candidate(1, 8, 64, stage_mm=21.0), 1)

@@ -15,19 +15,19 @@ from fpplab.core.errors import DataError
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import CandidateRunner
 from fpplab.optimisation.limits import RigLimits
-from fpplab.optimisation.scheduling import Here
-from fpplab.optimisation.space import Space
+from fpplab.optimisation.scheduling import InProcessWorkers
+from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import Study
 
 LIMITS = RigLimits(
     name="Formula",
     size=(912, 1140),
-    patterns=1000,
+    max_patterns=1000,
     exposure_s=(0.008333, 1.0),
-    dead_s=0.0,
+    dead_time_s=0.0,
     stage_mm=(-60.0, 60.0),
-    turns=True,
+    can_turn_projector=True,
     items=frozenset({"ball", "cube"}),
 )
 FRINGES = [{"axis": "x", "stripes": s, "steps": 12} for s in (1, 8, 64)]
@@ -121,13 +121,15 @@ class Calculated:
         return float(np.clip(max([*excess, 0.0]), 0.0, 1.0))
 
 
-def lab_of(
+def runner_of(
     folder: Path, formula: Formula | None = None, limits: RigLimits = LIMITS, **changes: Any
 ) -> CandidateRunner:
-    """A lab in this process."""
+    """A runner in this process."""
     wanted = study(**changes)
-    space = Space.of(wanted, limits, "study.yaml")
-    return CandidateRunner(space, Here(formula or Formula()), Journal(folder / "study.jsonl", wanted, {}))
+    space = SearchSpace.of(wanted, limits, "study.yaml")
+    return CandidateRunner(
+        space, InProcessWorkers(formula or Formula()), Journal(folder / "study.jsonl", wanted, {})
+    )
 
 
 def with_stage(travel: tuple[float, float] | None) -> RigLimits:

@@ -33,17 +33,17 @@ def dataset_command(
     Example: `fpplab dataset --rig rig_demo_quick --count 100 --out captures`
     """
     from fpplab.dataset.making import need_simulation
-    from fpplab.dataset.scenes import Scenes
+    from fpplab.dataset.scenes import SceneRanges
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
 
-    wanted_plan, ranges, devices = Plan.load(plan), Scenes.load(scenes), Rig.load(rig)
+    wanted_plan, ranges, devices = Plan.load(plan), SceneRanges.load(scenes), Rig.load(rig)
     need_simulation(devices, rig)
     with console.stopwatch() as seconds, devices as bench:
         from fpplab.dataset import Dataset
-        from fpplab.dataset.making import DatasetRequest, Maker
+        from fpplab.dataset.making import DatasetMaker, DatasetRequest
 
-        maker = Maker(bench, DatasetRequest(wanted_plan, ranges, count, seed, shard_size))
+        maker = DatasetMaker(bench, DatasetRequest(wanted_plan, ranges, count, seed, shard_size))
         with console.progress("Making samples") as report:
             card = maker.make(out, report)
         result = {

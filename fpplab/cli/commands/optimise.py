@@ -11,7 +11,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, RigName, app
 from fpplab.core.errors import ConfigError
-from fpplab.optimisation.goal import Goal
+from fpplab.optimisation.scope import SearchScope
 
 if TYPE_CHECKING:
     from fpplab.optimisation.candidate_runner import SearchEpoch
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @app.command("optimise", rich_help_panel=TWIN)
 def optimise_command(
-    what: Annotated[Goal, typer.Argument(help="What to search.")],
+    what: Annotated[SearchScope, typer.Argument(help="What to search.")],
     rig: RigName,
     out: Annotated[
         Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
@@ -73,12 +73,12 @@ def optimise_command(
         )
     _make_way(what, out, force)
 
-    from fpplab.optimisation import run
+    from fpplab.optimisation import confirm_result, run
     from fpplab.report.optimisation import look, write_optimisation_report
     from fpplab.report.viewer import Viewer
 
     if confirm:
-        run.check_confirmable(confirm, wanted, name)
+        confirm_result.check_confirmable(confirm, wanted, name)
     with ExitStack() as stack, console.stopwatch() as elapsed:
         viewer = stack.enter_context(Viewer.open()) if view else None
         if viewer and viewer.fault is None:
@@ -101,11 +101,13 @@ def optimise_command(
                 observe=observe,
                 progress=report,
             )
-        confirmed: tuple[run.Confirmed, ...] = ()
+        confirmed: tuple[confirm_result.ConfirmedPlan, ...] = ()
         if confirm:
             with console.progress("Confirming") as report:
-                confirmed = run.confirm_found(confirm, found, run.folder_of(out) / "confirm", report)
-        page = run.page_of(what, out)
+                confirmed = confirm_result.confirm_result(
+                    confirm, found, run.work_folder(out) / "confirm", report
+                )
+        page = run.report_path(what, out)
         with console.progress("Comparing before and after"):
             write_optimisation_report(page, found, confirmed, look(rig, found))
         result = {
@@ -133,20 +135,20 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
     return study.model_copy(update=changed)
 
 
-def _make_way(what: Goal, out: Path, force: bool) -> None:
+def _make_way(what: SearchScope, out: Path, force: bool) -> None:
     """A search that ended is not overwritten; one that did not goes on."""
     from fpplab.core.files import need_suffix
-    from fpplab.optimisation.run import journal_of, plans_of
+    from fpplab.optimisation.run import journal_path, plan_paths
 
-    if what is not Goal.PARETO:
+    if what is not SearchScope.PARETO:
         need_suffix(out, ".yaml")
     elif out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
-    plans = plans_of(what, out)
+    plans = plan_paths(what, out)
     if plans and not force:
         raise ConfigError(f"{plans[0]}: exists already; name another output, or add --force to replace it")
     if force:
-        for path in (*plans, journal_of(what, out)):
+        for path in (*plans, journal_path(what, out)):
             path.unlink(missing_ok=True)
 
 

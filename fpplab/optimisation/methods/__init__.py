@@ -1,1 +1,5 @@
-"""Ways to search a space: each a function of a lab, deterministic, that tells why it ended."""
+"""Search methods, one module each; a module that is added here is found by listing the package."""
+
+from fpplab.core.kinds import import_members
+
+import_members(__name__, __path__)

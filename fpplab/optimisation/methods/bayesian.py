@@ -1,24 +1,61 @@
-"""Tree-structured Parzen estimators through optuna: for one objective with many valleys."""
+"""Bayesian optimisation (optuna's tree-structured Parzen estimators), for objectives with local minima."""
 
 from __future__ import annotations
 
-import optuna
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.methods.asking import enqueue, quiet, round_of, study_of
-from fpplab.optimisation.study import Bayesian
+from pydantic import Field
+
+from fpplab.optimisation.search_method import SearchMethod
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.candidate_runner import CandidateRunner
 
 
-def bayes(lab: CandidateRunner, settings: Bayesian) -> str:
-    """Search until the budget is used up, which raises `Spent`, or nothing is left to ask."""
-    with quiet():
-        seed = lab.space.study.seeds[0]
-        sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
-        study = study_of(lab, sampler)
-        enqueue(study, lab, [lab.start.point])
-        while True:
-            known = len(lab.trials)
-            trials = round_of(study, lab, settings.batch)
-            lab.epoch("batch", trials)
-            if len(lab.trials) == known and known > 1:
-                return "nothing new is asked"
+class Bayesian(SearchMethod):
+    """Bayesian optimisation with tree-structured Parzen estimators."""
+
+    kind: Literal["bayesian"] = "bayesian"
+    """Name of the method."""
+    batch: Annotated[int, Field(ge=1)] = 8
+    """Candidates that are proposed and measured together."""
+
+    def search(self, runner: CandidateRunner) -> str:
+        """Search until the budget is used up, or the sampler proposes nothing new.
+
+        Parameters
+        ----------
+        runner : CandidateRunner
+            Measures points of the space.
+
+        Returns
+        -------
+        str
+            Why the search ended.
+
+        Raises
+        ------
+        BudgetExhausted
+            The study's budget is used up, the usual end.
+        """
+        # Imported here because optuna is slow to import, and studies are read without searching.
+        import optuna
+
+        from fpplab.optimisation.optuna_rounds import (
+            enqueue_points,
+            make_optuna_study,
+            measure_round,
+            quiet_optuna,
+        )
+
+        with quiet_optuna():
+            seed = runner.space.study.seeds[0]
+            sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
+            study = make_optuna_study(runner, sampler)
+            enqueue_points(study, runner, [runner.start.point])
+            while True:
+                known = len(runner.trials)
+                trials = measure_round(study, runner, self.batch)
+                runner.epoch("batch", trials)
+                if len(runner.trials) == known and known > 1:
+                    return "nothing new is asked"

@@ -1,64 +1,123 @@
-"""Coordinate search: the best of all moves along one parameter, and of two kinds along several.
+"""Coordinate search: the best of all moves along one parameter, and of two kinds of moves along several.
 
-Steps are exchanged between sets, and all stripe counts stretched together, so that the ratio from set to set,
-at which orders begin to fail, grows everywhere alike.
+The two are: phase steps are exchanged between fringe sets; and all stripe counts are stretched together, so
+that the ratio from set to set, at which fringe orders begin to fail, grows equally everywhere.
 
-Moves are as long as `first` of a parameter's range, and half as long whenever none is better. A step taken
-once is tried again twice as long, so that long ways are short. Nothing but comparisons is used, which common
-random numbers make exact: a limit is as good a guide as a slope.
+Moves have the length `first` as a share of a parameter's range, and are halved whenever none improves. A move
+that improves is tried at double length at once. Only comparisons are used, which common random numbers make
+exact, so no slope is needed near a limit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.objectives import MeasuredCandidate, Rank
-from fpplab.optimisation.space import Parameter, Point
-from fpplab.optimisation.study import Coordinate
+from pydantic import Field
+
+from fpplab.optimisation.search_method import SearchMethod
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.candidate_runner import CandidateRunner
+    from fpplab.optimisation.objectives import MeasuredCandidate, Rank
+    from fpplab.optimisation.space import Parameter, Point
 
 
-def coordinates(
-    lab: CandidateRunner,
+class Coordinate(SearchMethod):
+    """Moves along one parameter at a time, of a length that is halved down to `finest` when none improves."""
+
+    kind: Literal["coordinate"] = "coordinate"
+    """Name of the method."""
+    first: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """Length of the first moves, as a share of a parameter's range."""
+    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Length of the last moves, as a share of a parameter's range."""
+
+    def search(self, runner: CandidateRunner) -> str:
+        """Search along all parameters from the start.
+
+        Parameters
+        ----------
+        runner : CandidateRunner
+            Measures points of the space.
+
+        Returns
+        -------
+        str
+            Why the search ended.
+
+        Raises
+        ------
+        BudgetExhausted
+            The study's budget is used up before.
+        """
+        return coordinate_search(runner, self)
+
+
+def coordinate_search(
+    runner: CandidateRunner,
     settings: Coordinate,
     begin: MeasuredCandidate | None = None,
     free: Sequence[int] | None = None,
     rank: Callable[[MeasuredCandidate], Rank] | None = None,
 ) -> str:
-    """Search along the parameters at places `free`, or all; returns why it ended. Raises `Spent`.
+    """Search along some parameters from a candidate that was measured.
 
-    begin: the start by default. rank: less is better; the study's by default.
+    Parameters
+    ----------
+    runner : CandidateRunner
+        Measures points of the space.
+    settings : Coordinate
+        Lengths of the moves.
+    begin : MeasuredCandidate, optional
+        Where the search begins; the start of the study by default.
+    free : sequence of int, optional
+        Indices of the parameters that are searched; all by default.
+    rank : callable, optional
+        Sort key of candidates, the lower the better; that of the study by default.
+
+    Returns
+    -------
+    str
+        Why the search ended.
+
+    Raises
+    ------
+    BudgetExhausted
+        The study's budget is used up before.
     """
-    here, rank = begin or lab.start, rank or lab.judge.rank
-    places = range(len(lab.space.parameters)) if free is None else free
+    here, rank = begin or runner.start, rank or runner.ranking.rank
+    places = range(len(runner.space.parameters)) if free is None else free
     length = settings.first
     while True:
-        points = list(dict.fromkeys(_moves(lab, here.point, places, length)))
-        trials = lab.measure(points)
+        points = list(dict.fromkeys(_moves(runner, here.point, places, length)))
+        trials = runner.measure(points)
         best = min([here, *trials], key=rank)
         if rank(best) < rank(here):
-            further = lab.measure(list(_further(lab, here.point, best.point)))
+            further = runner.measure(list(_doubled(runner, here.point, best.point)))
             here = min([best, *further], key=rank)
-            lab.epoch("move", [*trials, *further])
+            runner.epoch("move", [*trials, *further])
             continue
-        lab.epoch("poll", trials)
-        if length <= settings.finest and not any(_longer(lab.space.parameters[i], length) for i in places):
+        runner.epoch("poll", trials)
+        if length <= settings.finest and not any(
+            _moves_by_several(runner.space.parameters[i], length) for i in places
+        ):
             return "no move is better"
         length /= 2
 
 
-def _longer(parameter: Parameter, length: float) -> bool:
-    """Whether a whole parameter still moves by more than 1."""
-    return parameter.whole and _whole(parameter, length) > 1
+def _moves_by_several(parameter: Parameter, length: float) -> bool:
+    """Whether an integer parameter still moves by more than 1."""
+    return parameter.is_integer and _integer_move(parameter, length) > 1
 
 
-def _whole(parameter: Parameter, length: float) -> int:
-    return max(1, round(length * (parameter.most - parameter.least)))
+def _integer_move(parameter: Parameter, length: float) -> int:
+    return max(1, round(length * (parameter.upper - parameter.lower)))
 
 
-def _moves(lab: CandidateRunner, point: Point, places: Sequence[int], length: float) -> Iterator[Point]:
-    parameters = lab.space.parameters
+def _moves(runner: CandidateRunner, point: Point, places: Sequence[int], length: float) -> Iterator[Point]:
+    parameters = runner.space.parameters
     for i in places:
         for sign in (-1, 1):
             value = _moved(parameters[i], point[i], sign * length)
@@ -67,7 +126,7 @@ def _moves(lab: CandidateRunner, point: Point, places: Sequence[int], length: fl
     counts = [i for i in places if parameters[i].name.startswith("steps")]
     for i, j in permutations(counts, 2):
         less, more = point[i] - 1, point[j] + 1
-        if parameters[i].holds(less) and parameters[j].holds(more):
+        if parameters[i].contains(less) and parameters[j].contains(more):
             yield _changed(point, {i: less, j: more})
     stripes = [i for i in places if parameters[i].name.startswith("stripes")]
     if len(stripes) > 1:
@@ -82,26 +141,26 @@ def _changed(point: Point, values: dict[int, float]) -> Point:
 
 
 def _moved(parameter: Parameter, value: float, length: float) -> float | None:
-    """The value so far away, None where there is none in the range."""
-    if parameter.whole:
-        moved = value + _whole(parameter, abs(length)) * (1 if length > 0 else -1)
-        return moved if parameter.holds(moved) else None
-    share = parameter.share(value) + length
-    moved = parameter.at(min(max(share, 0.0), 1.0))  # the end of the range is a place to look at, too
+    """Move a value by a share of its range; None where nothing in the range lies there."""
+    if parameter.is_integer:
+        moved = value + _integer_move(parameter, abs(length)) * (1 if length > 0 else -1)
+        return moved if parameter.contains(moved) else None
+    share = parameter.fraction(value) + length
+    moved = parameter.value_at(min(max(share, 0.0), 1.0))  # the end of the range is tried too
     return moved if moved != value else None
 
 
-def _further(lab: CandidateRunner, here: Point, there: Point) -> Iterator[Point]:
-    """As far again in the direction that was better, where that is in the range."""
+def _doubled(runner: CandidateRunner, here: Point, there: Point) -> Iterator[Point]:
+    """Double a move that improved, where the range allows."""
     further = []
-    for parameter, a, b in zip(lab.space.parameters, here, there, strict=True):
-        if parameter.whole:
+    for parameter, a, b in zip(runner.space.parameters, here, there, strict=True):
+        if parameter.is_integer:
             value = 2 * b - a
-            inside = parameter.holds(value)
+            inside = parameter.contains(value)
         else:
-            share = 2 * parameter.share(b) - parameter.share(a)
+            share = 2 * parameter.fraction(b) - parameter.fraction(a)
             inside = 0.0 <= share <= 1.0
-            value = parameter.at(share) if inside else b
+            value = parameter.value_at(share) if inside else b
         if not inside:
             return
         further.append(value if a != b else a)

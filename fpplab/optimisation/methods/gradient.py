@@ -1,114 +1,151 @@
 """Gradient descent by finite differences, as in the paper, for comparison.
 
-Real parameters go down the slope by a fixed rate; whole ones by 1 towards whichever neighbour is lower. It
-stops when the objective has not come down by `gain` for `patience` epochs: 1 µm and five in the paper.
+Continuous parameters move down the slope at a fixed rate; integers by 1 towards the neighbour with the lower
+objective. The search stops when the objective has not decreased by `gain` within `patience` epochs: 1 µm and
+five epochs in the paper.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from fpplab.optimisation.candidate_runner import CandidateRunner
-from fpplab.optimisation.objectives import MeasuredCandidate
-from fpplab.optimisation.space import Parameter, Point
-from fpplab.optimisation.study import Gradient
+from pydantic import Field
+
+from fpplab.optimisation.search_method import SearchMethod
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.candidate_runner import CandidateRunner
+    from fpplab.optimisation.objectives import MeasuredCandidate
+    from fpplab.optimisation.space import Parameter, Point
 
 PENALTY = 10.0
-"""Loss, in the start's, of breaking a limit by as much as the limit is."""
-LONGEST = 0.1
-"""Share of a parameter's range that one step goes at most: the slope of a penalty is as good as a wall."""
+"""Penalty for a violation of 1 (see `CandidateRanking.violation`), as a multiple of the start's objective."""
+MAX_STEP = 0.1
+"""Longest step, as a share of a parameter's range: the slope of the penalty is much steeper than others."""
 HALVINGS = 5
+"""Lengths of a step that are tried, each half of the one before, until a point can be measured."""
 
 
-def descend(lab: CandidateRunner, settings: Gradient) -> str:
-    """Go down from the start; returns why it ended. Raises `Spent`."""
-    here = lab.start
-    lowest = [_objective(lab, here)]
-    while True:
-        around = _around(lab, here.point, settings)
-        trials = lab.measure([point for pair in around for point in pair])
-        pairs = list(zip(trials[::2], trials[1::2], strict=True))
-        moves = [
-            _move(lab, parameter, here, pair, settings, i)
-            for i, (parameter, pair) in enumerate(zip(lab.space.parameters, pairs, strict=True))
-        ]
-        if not any(moves):
-            lab.epoch("slope", trials)
-            return "no parameter goes down"
-        gone = _go(lab, here.point, moves)
-        if gone is None:
-            lab.epoch("slope", trials)
-            return "the way down leads to what cannot be shown or measured"
-        here = gone
-        lab.epoch("step", [*trials, here])
-        lowest.append(min(lowest[-1], _objective(lab, here)))
-        if len(lowest) > settings.patience and lowest[-1 - settings.patience] - lowest[-1] < settings.gain:
-            return f"not down by {settings.gain:g} for {settings.patience} epochs"
+class Gradient(SearchMethod):
+    """Gradient descent by finite differences, for comparison with the paper."""
+
+    kind: Literal["gradient"] = "gradient"
+    """Name of the method."""
+    rate: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """Step as a share of a parameter's range, for a slope of the start's objective per range."""
+    difference: Annotated[float, Field(gt=0, le=0.5)] = 0.02
+    """Distance to both sides over which the slope is taken, as a share of a parameter's range."""
+    gain: Annotated[float, Field(ge=0)] = 1.0
+    """Improvement over `patience` epochs, in the objective's own unit, below which the search stops."""
+    patience: Annotated[int, Field(ge=1)] = 5
+    """Epochs over which the improvement is judged."""
+
+    def search(self, runner: CandidateRunner) -> str:
+        """Descend from the start.
+
+        Parameters
+        ----------
+        runner : CandidateRunner
+            Measures points of the space.
+
+        Returns
+        -------
+        str
+            Why the search ended.
+
+        Raises
+        ------
+        BudgetExhausted
+            The study's budget is used up before.
+        """
+        here = runner.start
+        lowest = [_objective(runner, here)]
+        while True:
+            around = _around(runner, here.point, self)
+            trials = runner.measure([point for pair in around for point in pair])
+            pairs = list(zip(trials[::2], trials[1::2], strict=True))
+            moves = [
+                _move(runner, parameter, here, pair, self, i)
+                for i, (parameter, pair) in enumerate(zip(runner.space.parameters, pairs, strict=True))
+            ]
+            if not any(moves):
+                runner.epoch("slope", trials)
+                return "no parameter lowers the objective"
+            moved = _measure_step(runner, here.point, moves)
+            if moved is None:
+                runner.epoch("slope", trials)
+                return "the next step leads to what cannot be shown or measured"
+            here = moved
+            runner.epoch("step", [*trials, here])
+            lowest.append(min(lowest[-1], _objective(runner, here)))
+            if len(lowest) > self.patience and lowest[-1 - self.patience] - lowest[-1] < self.gain:
+                return f"improved by less than {self.gain:g} in {self.patience} epochs"
 
 
-def _objective(lab: CandidateRunner, trial: MeasuredCandidate) -> float:
-    """The objective; of a plan that breaks a limit with its penalty, in the objective's own unit."""
-    value, own = lab.judge.values(trial)[0], abs(lab.judge.values(lab.start)[0])
-    return value + PENALTY * own * lab.judge.violation(trial)
+def _objective(runner: CandidateRunner, trial: MeasuredCandidate) -> float:
+    """Compute the objective in its own unit, with a penalty where the plan exceeds a limit."""
+    value, own = runner.ranking.values(trial)[0], abs(runner.ranking.values(runner.start)[0])
+    return value + PENALTY * own * runner.ranking.violation(trial)
 
 
-def _around(lab: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
-    """For each parameter a point below and one above, the point itself where its range ends."""
+def _around(runner: CandidateRunner, point: Point, settings: Gradient) -> list[tuple[Point, Point]]:
+    """Choose a point below and one above along each parameter; the point itself at the end of a range."""
     pairs = []
-    for i, parameter in enumerate(lab.space.parameters):
+    for i, parameter in enumerate(runner.space.parameters):
         beside = []
         for sign in (-1, 1):
             value = _beside(parameter, point[i], sign * settings.difference, sign)
-            beside.append((*point[:i], value, *point[i + 1 :]) if parameter.holds(value) else point)
+            beside.append((*point[:i], value, *point[i + 1 :]) if parameter.contains(value) else point)
         pairs.append((beside[0], beside[1]))
     return pairs
 
 
 def _beside(parameter: Parameter, value: float, share: float, whole: int) -> float:
-    if parameter.whole:
+    if parameter.is_integer:
         return value + whole
-    return parameter.at(min(max(parameter.share(value) + share, 0.0), 1.0))
+    return parameter.value_at(min(max(parameter.fraction(value) + share, 0.0), 1.0))
 
 
 def _move(
-    lab: CandidateRunner,
+    runner: CandidateRunner,
     parameter: Parameter,
     here: MeasuredCandidate,
     pair: tuple[MeasuredCandidate, MeasuredCandidate],
     settings: Gradient,
     i: int,
 ) -> float:
-    """How far to go along parameter `i`: a share of its range, or 1 for a whole one; 0 to stay."""
+    """Compute the step along parameter `i`: a share of its range, or -1, 0 or 1 for an integer."""
     known = [trial for trial in pair if trial.measured]
-    if parameter.whole:
-        best = min([here, *known], key=lambda trial: _objective(lab, trial))
+    if parameter.is_integer:
+        best = min([here, *known], key=lambda trial: _objective(runner, trial))
         return best.point[i] - here.point[i]
-    # Where one side cannot be measured the slope is that of the other.
+    # Where one side cannot be measured, the slope is taken over the other side alone.
     low, high = (trial if trial.measured else here for trial in pair)
-    width = parameter.share(high.point[i]) - parameter.share(low.point[i])
+    width = parameter.fraction(high.point[i]) - parameter.fraction(low.point[i])
     if width == 0:
         return 0.0
-    own = abs(lab.judge.values(lab.start)[0])
-    slope = (_objective(lab, high) - _objective(lab, low)) / own / width
-    down = min(max(-settings.rate * slope, -LONGEST), LONGEST)
-    share = parameter.share(here.point[i])
+    own = abs(runner.ranking.values(runner.start)[0])
+    slope = (_objective(runner, high) - _objective(runner, low)) / own / width
+    down = min(max(-settings.rate * slope, -MAX_STEP), MAX_STEP)
+    share = parameter.fraction(here.point[i])
     return min(max(share + down, 0.0), 1.0) - share
 
 
-def _go(lab: CandidateRunner, point: Point, moves: Sequence[float]) -> MeasuredCandidate | None:
-    """The first that can be measured of the whole step, half of it, and so on."""
+def _measure_step(runner: CandidateRunner, point: Point, moves: Sequence[float]) -> MeasuredCandidate | None:
+    """Measure the whole step, half of it, and so on, until one can be measured; None if none can."""
     for halving in range(HALVINGS):
-        gone = lab.measure([_moved(lab, point, moves, 0.5**halving)])[0]
-        if gone.measured:
-            return gone
+        moved = runner.measure([_stepped(runner, point, moves, 0.5**halving)])[0]
+        if moved.measured:
+            return moved
     return None
 
 
-def _moved(lab: CandidateRunner, point: Point, moves: Sequence[float], length: float) -> Point:
+def _stepped(runner: CandidateRunner, point: Point, moves: Sequence[float], length: float) -> Point:
     return tuple(
         value + math.trunc(length * move)
-        if parameter.whole
-        else parameter.at(parameter.share(value) + length * move)
-        for parameter, value, move in zip(lab.space.parameters, point, moves, strict=True)
+        if parameter.is_integer
+        else parameter.value_at(parameter.fraction(value) + length * move)
+        for parameter, value, move in zip(runner.space.parameters, point, moves, strict=True)
     )

@@ -1,4 +1,4 @@
-"""Fringe sets: acquired once, shared between steps, with noise independent of the order of requests."""
+"""The cache of fringe sets: each acquired once, shared between step counts, with reproducible noise."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
-from fpplab.optimisation.arrangement import Calibrations
+from fpplab.optimisation.arrangement import StageCalibrations
 from fpplab.optimisation.candidate import Fringes
-from fpplab.optimisation.sets import FringeSets, MeasuringSetup
+from fpplab.optimisation.fringe_cache import FringeSetCache, MeasuringSetup
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
@@ -26,12 +26,12 @@ LIKE = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=3),))
 CARD = MeasuringSetup("card", 0.02)
 BASE, MIDDLE, FINE = Fringes("x", 1.0, 12), Fringes("x", 7.3, 12), Fringes("x", 61.7, 12)
 
-Sets = Callable[..., FringeSets]
+Sets = Callable[..., FringeSetCache]
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.02], ids=["still", "vibrating"])
 def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """A card, lit by formula."""
+    """A card whose illumination is computed analytically."""
     folder = tmp_path_factory.mktemp("rig")
     write_world(folder, plain(vibration_mm=request.param))
     text = RIG.replace("world.yaml}", "world.yaml, analytic: true}").replace("bits: 12", "bits: 8")
@@ -42,14 +42,14 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def sets(rig: Rig) -> Sets:
-    """New sets on the rig, without earlier acquisitions."""
-    return lambda **options: FringeSets(rig, LIKE, lambda view: rig.fixture.mount(view.item), **options)  # type: ignore[union-attr]
+    """Make an empty cache on the rig."""
+    return lambda **options: FringeSetCache(rig, LIKE, lambda setup: rig.fixture.mount(setup.item), **options)  # type: ignore[union-attr]
 
 
 def stack(
-    sets: FringeSets, *fringes: Fringes, seed: int = 1, view: MeasuringSetup = CARD
+    sets: FringeSetCache, *fringes: Fringes, seed: int = 1, setup: MeasuringSetup = CARD
 ) -> NDArray[np.uint8]:
-    return np.stack(sets.frames(view, fringes, seed))
+    return np.stack(sets.frames(setup, fringes, seed))
 
 
 def fewer(fringes: Fringes, steps: int) -> Fringes:
@@ -57,7 +57,7 @@ def fewer(fringes: Fringes, steps: int) -> Fringes:
 
 
 @pytest.mark.parametrize("steps", [6, 4, 3])
-def test_a_subsampled_set_is_the_set_acquired(sets: Sets, steps: int) -> None:
+def test_subset_of_a_set_equals_the_set_acquired_alone(sets: Sets, steps: int) -> None:
     of_twelve, alone = sets(), sets()
     stack(of_twelve, BASE, FINE)
     taken = stack(of_twelve, fewer(BASE, steps), fewer(FINE, steps))
@@ -66,14 +66,14 @@ def test_a_subsampled_set_is_the_set_acquired(sets: Sets, steps: int) -> None:
     assert alone.acquired == 2 * steps
 
 
-def test_five_steps_are_not_in_twelve(sets: Sets) -> None:
+def test_five_steps_are_no_subset_of_twelve(sets: Sets) -> None:
     store = sets()
     stack(store, BASE)
     stack(store, fewer(BASE, 5))
     assert store.acquired == 17
 
 
-def test_results_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
+def test_frames_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     one, other = sets(), sets()
     first = stack(one, BASE, MIDDLE, FINE)
     stack(other, fewer(BASE, 5), fewer(MIDDLE, 3), seed=4)
@@ -81,32 +81,32 @@ def test_results_do_not_depend_on_earlier_measurements(sets: Sets) -> None:
     np.testing.assert_array_equal(first, stack(other, BASE, MIDDLE, FINE))
 
 
-def test_a_plan_with_one_other_frequency_takes_one_set(sets: Sets) -> None:
+def test_changed_frequency_acquires_one_set_only(sets: Sets) -> None:
     store = sets()
     stack(store, BASE, MIDDLE, FINE)
     stack(store, BASE, Fringes("x", 8.0, 12), FINE)
     assert store.acquired == 48
 
 
-def test_seeds_places_and_steps_are_different_noise(sets: Sets) -> None:
-    """In most pixels, not only in a few."""
+def test_noise_differs_between_seeds_positions_and_steps(sets: Sets) -> None:
+    """In a large share of the pixels."""
     store = sets()
     one, again, elsewhere = stack(store, BASE), stack(store, BASE, seed=2), stack(store, FINE, BASE)[12:]
     assert (one != again).mean() > 0.3
     assert (one != elsewhere).mean() > 0.3
-    halves = one[:6].astype(int) + one[6:]  # half a turn apart: the fringes add up to the same everywhere
+    halves = one[:6].astype(int) + one[6:]  # half a period apart: the fringes cancel in the sum
     assert np.abs(halves - halves.mean(axis=0)).mean() > 0.3
 
 
-def test_similar_candidates_have_the_same_noise(sets: Sets) -> None:
-    """Differences between candidates are then not due to noise."""
+def test_similar_candidates_have_common_noise(sets: Sets) -> None:
+    """So that the noise cancels in their difference."""
     near = Fringes("x", 7.3001, 12)
     frames = [stack(sets(), BASE, one)[12:].astype(float) for one in (MIDDLE, near)]
     other = stack(sets(), BASE, near, seed=2)[12:].astype(float)
     assert np.std(frames[0] - frames[1]) < 0.5 * np.std(frames[0] - other)
 
 
-def test_sets_dropped_from_memory_are_acquired_again_identically(sets: Sets) -> None:
+def test_evicted_set_is_acquired_again_with_equal_frames(sets: Sets) -> None:
     store = sets(keep_bytes=1)
     before = stack(store, BASE)
     stack(store, FINE)
@@ -114,20 +114,20 @@ def test_sets_dropped_from_memory_are_acquired_again_identically(sets: Sets) -> 
     assert store.acquired == 36
 
 
-def test_nothing_moves_for_sets_in_memory(rig: Rig) -> None:
+def test_cached_frames_do_not_move_the_rig(rig: Rig) -> None:
     stood: list[MeasuringSetup] = []
-    store = FringeSets(rig, LIKE, stood.append)
+    store = FringeSetCache(rig, LIKE, stood.append)
     rig.fixture.mount("card")  # type: ignore[union-attr]
     stack(store, BASE)
     stack(store, fewer(BASE, 6))
     assert stood == [CARD]
     brighter = MeasuringSetup("card", 0.03)
-    assert stack(store, BASE, view=brighter).mean() > 1.2 * stack(store, BASE).mean()
+    assert stack(store, BASE, setup=brighter).mean() > 1.2 * stack(store, BASE).mean()
     assert stood == [CARD, brighter]
 
 
-def test_without_given_numbers_noise_follows_the_frame_count(rig: Rig) -> None:
-    """The virtual bench uses each number once, and then counts frames again."""
+def test_noise_numbers_are_used_once_then_frames_are_counted(rig: Rig) -> None:
+    """The simulation uses each number for one frame, and then counts frames again."""
     rig.fixture.mount("card")  # type: ignore[union-attr]
     camera, projector = rig.camera, rig.projector
     camera.configure(CameraSettings(0.02))
@@ -142,10 +142,10 @@ def test_without_given_numbers_noise_follows_the_frame_count(rig: Rig) -> None:
     assert (told[0][2] != told[1][2]).any()
 
 
-def test_a_projector_turned_towards_the_camera_is_where_the_calibration_says(tmp_path: Path) -> None:
+def test_turned_projector_agrees_with_the_turned_calibration(tmp_path: Path) -> None:
     world = World.load(write_world(tmp_path, plain()))
     known = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(12.0), {})
     turned = Setup("card", stage_mm=12.0, convergence_deg=1.5).T_projector_camera(world)
     np.testing.assert_allclose(
-        turned.matrix, Calibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
+        turned.matrix, StageCalibrations({12.0: known}).at(12.0, 1.5).T_projector_camera.matrix, atol=1e-12
     )

@@ -1,0 +1,127 @@
+"""Confirms the plans that a search has found by measuring on a rig, the same or another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fpplab.core.progress import Progress, no_progress
+from fpplab.devices.rig import Rig
+from fpplab.optimisation.confirm import Confirmation, confirm
+from fpplab.optimisation.limits import RigLimits
+from fpplab.optimisation.result import SearchResult
+from fpplab.optimisation.run import check_artefacts, with_calibrations
+from fpplab.optimisation.study import Study
+from fpplab.patterns.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedPlan:
+    """A plan that was found, compared with the plan of the start on a rig.
+
+    Attributes
+    ----------
+    rig : str
+        Name in the rig's file.
+    plan : Path
+        File of the plan.
+    images : int
+        Images that the plan takes.
+    confirmation : Confirmation
+        Figures of both plans, and the gain.
+    """
+
+    rig: str
+    plan: Path
+    images: int
+    confirmation: Confirmation
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the gain and the figures.
+
+        Returns
+        -------
+        dict
+            Plain data for JSON.
+        """
+        return {
+            "rig": self.rig,
+            "plan": str(self.plan),
+            "images": self.images,
+            **self.confirmation.summary(),
+        }
+
+
+def check_confirmable(rig: str, study: Study, source: str) -> None:
+    """Refuse a rig that cannot hold the artefacts of a study.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name.
+    study : Study
+        Names the artefacts.
+    source : str
+        Name of the study in the message.
+
+    Raises
+    ------
+    ConfigError
+        The fixture does not hold one of the artefacts.
+    """
+    with Rig.load(rig) as opened:
+        check_artefacts(study, RigLimits.of(opened), source)
+
+
+def confirm_result(
+    rig: str, found: SearchResult, folder: Path, progress: Progress = no_progress
+) -> tuple[ConfirmedPlan, ...]:
+    """Measure the artefacts on a rig with the plan of the start and with the plans that were found.
+
+    Of a front the first, the middle and the last plan are measured. The rig is characterised unless it is the
+    one
+    that was searched on.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name.
+    found : SearchResult
+        What the search has found.
+    folder : Path
+        Where the rig's characterisation is kept.
+    progress : Progress
+        Told the share that is done.
+
+    Returns
+    -------
+    tuple of ConfirmedPlan
+        One for each plan measured.
+
+    Raises
+    ------
+    ConfigError
+        A plan exceeds the limits of the rig.
+    FppError
+        From characterising and measuring.
+    """
+    chosen = sorted({0, len(found.plans) // 2, len(found.plans) - 1})
+    trials = [(found.plans[i], found.planned[i]) for i in chosen]
+    study = found.study
+    with Rig.load(rig) as opened:
+        limits = RigLimits.of(opened)
+        for path, trial in trials:
+            limits.check(trial.candidate, str(path))
+        if limits.name != found.rig:
+            stage_positions = [mm for _, trial in trials if (mm := trial.candidate.stage_mm) is not None]
+            study = with_calibrations(opened, study, folder, progress, stage_positions)
+    return tuple(
+        ConfirmedPlan(
+            rig=limits.name,
+            plan=path,
+            images=trial.candidate.images,
+            confirmation=confirm(rig, study, study.start, Plan.load(path), progress=progress),
+        )
+        for path, trial in trials
+    )

@@ -1,0 +1,190 @@
+"""A cache of fringe sets, each acquired once, from which the measurements of plans are put together.
+
+What a search changes most is one frequency, so the fringe set is the unit of measuring. A set of N steps is
+also taken from the images of one with a multiple of N: every second image of 12 steps are 6 steps with the
+same patterns.
+
+Where the rig is a simulation, candidates are compared with common random numbers: the noise of an image
+depends on the seed, the item, the position of its set in the plan and its phase shift, and on nothing else.
+So it does not depend on the order of measurements or on the process, and is equal for the same image in a set
+of 6 steps and in one of 12. On a real rig the noise is the rig's, and a seed is a repeat.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+
+from fpplab.acquisition.acquire import capture
+from fpplab.core.conventions import Axis, Image
+from fpplab.devices.rig import Rig
+from fpplab.optimisation.candidate import Fringes
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.simulation.seeded import Seeded
+
+CACHE_BYTES = 3 << 28
+"""Memory for frames, by default."""
+
+
+@dataclass(frozen=True)
+class MeasuringSetup:
+    """Everything but the fringes that an image depends on.
+
+    Attributes
+    ----------
+    item : str
+        Item of the fixture that the camera looks at.
+    exposure_s : float
+        Exposure of every image in seconds.
+    stage_mm : float or None
+        Position of the stage in mm; None leaves it.
+    convergence_deg : float or None
+        Rotation of the projector towards the camera in degrees; None leaves it.
+    """
+
+    item: str
+    exposure_s: float
+    stage_mm: float | None = None
+    convergence_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What fringe sets share images by. place: position in the plan if the noise depends on it, else 0."""
+
+    setup: MeasuringSetup
+    axis: Axis
+    stripes: float
+    seed: int
+    place: int
+
+
+class FringeSetCache:
+    """The frames of fringe sets on an open rig, acquired when they are first asked for.
+
+    Parameters
+    ----------
+    rig : Rig
+        The open rig.
+    template : Plan
+        Plan from which everything but fringes and exposure is taken.
+    arrange : callable
+        Brings the rig to a `MeasuringSetup`; called before anything is acquired there.
+    keep_bytes : int
+        Memory for frames; the sets unused for longest are removed beyond that.
+
+    Attributes
+    ----------
+    acquired : int
+        Images taken so far.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        template: Plan,
+        arrange: Callable[[MeasuringSetup], None],
+        keep_bytes: int = CACHE_BYTES,
+    ) -> None:
+        self._rig, self._template, self._arrange, self._limit = rig, template, arrange, keep_bytes
+        self._seeded = rig.simulation if isinstance(rig.simulation, Seeded) else None
+        self._kept: OrderedDict[_Key, dict[int, list[Image]]] = OrderedDict()
+        self.acquired = 0
+        """Images taken since the beginning."""
+
+    def frames(self, setup: MeasuringSetup, fringes: Sequence[Fringes], seed: int) -> list[Image]:
+        """Return the images of fringe sets, acquiring those that are missing.
+
+        Parameters
+        ----------
+        setup : MeasuringSetup
+            Item, exposure and geometry.
+        fringes : sequence of Fringes
+            The sets of a plan in its order.
+        seed : int
+            Seed of the noise, or number of the repeat.
+
+        Returns
+        -------
+        list of Image
+            Raw images (height, width), set by set.
+
+        Raises
+        ------
+        DeviceError, ConfigError
+            From the rig.
+        """
+        keys = [self._key(setup, one, place, seed) for place, one in enumerate(fringes)]
+        missing = [i for i, key in enumerate(keys) if self._found(key, fringes[i].steps) is None]
+        if missing:
+            self._arrange(setup)
+            self._acquire(setup, [fringes[i] for i in missing], [keys[i] for i in missing])
+        sets = [self._found(key, one.steps) for key, one in zip(keys, fringes, strict=True)]
+        self._evict_unused(keys)
+        return [frame for frames in sets if frames is not None for frame in frames]
+
+    def _key(self, setup: MeasuringSetup, fringes: Fringes, place: int, seed: int) -> _Key:
+        return _Key(setup, fringes.axis, fringes.stripes, seed, place if self._seeded else 0)
+
+    def _found(self, key: _Key, steps: int) -> list[Image] | None:
+        """Frames of a set from the set itself, or else from the smallest that contains it."""
+        kept = self._kept.get(key, {})
+        holding = min((count for count in kept if count % steps == 0), default=None)
+        return None if holding is None else kept[holding][:: holding // steps]
+
+    def _acquire(self, setup: MeasuringSetup, fringes: list[Fringes], keys: list[_Key]) -> None:
+        sets = tuple(Sinusoid(**asdict(one)) for one in fringes)
+        if self._seeded is not None:
+            self._seeded.draw(
+                number
+                for key, one in zip(keys, fringes, strict=True)
+                for number in noise_numbers(key, one.steps)
+            )
+        plan = self._template.model_copy(update={"fringes": sets, "exposure_s": setup.exposure_s})
+        frames = iter(capture(self._rig, plan))
+        for key, one in zip(keys, fringes, strict=True):
+            self._kept.setdefault(key, {})[one.steps] = [next(frames) for _ in range(one.steps)]
+        self.acquired += plan.images
+
+    def _evict_unused(self, used: Iterable[_Key]) -> None:
+        for key in used:
+            self._kept.move_to_end(key)
+        held = sum(_frame_bytes(sets) for sets in self._kept.values())
+        while held > self._limit and len(self._kept) > 1:
+            held -= _frame_bytes(self._kept.popitem(last=False)[1])
+
+
+def _frame_bytes(sets: dict[int, list[Image]]) -> int:
+    return sum(frame.nbytes for frames in sets.values() for frame in frames)
+
+
+def noise_numbers(key: _Key, steps: int) -> list[int]:
+    """Compute the number that seeds the noise of each image of a set.
+
+    It depends neither on the stripe count nor on the number of steps, so that similar candidates have equal
+    noise.
+
+    Parameters
+    ----------
+    key : _Key
+        The fringe set.
+    steps : int
+        Its number of images.
+
+    Returns
+    -------
+    list of int
+        One number for each image.
+    """
+    return [
+        _hash_number(key.seed, key.setup.item, key.axis, key.place, Fraction(n, steps)) for n in range(steps)
+    ]
+
+
+def _hash_number(*parts: object) -> int:
+    digest = hashlib.blake2b("/".join(map(str, parts)).encode(), digest_size=7)
+    return int.from_bytes(digest.digest(), "big")

@@ -1,0 +1,156 @@
+"""NSGA-II (optuna) over all parameters together, seeded with the results of single-parameter searches.
+
+First come the single-parameter optima, which a front must contain or dominate: phase counts, added image by
+image from the fewest on; stripes and geometry by coordinate search. Then every phase plan with the stripes
+and the geometry found, which makes up most of a front. Then the generations of NSGA-II, and finally a
+refinement of the continuous parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from fpplab.optimisation.methods.coordinate import Coordinate, coordinate_search
+from fpplab.optimisation.search_method import SearchMethod
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.candidate_runner import CandidateRunner
+    from fpplab.optimisation.objectives import MeasuredCandidate
+    from fpplab.optimisation.space import Point
+
+SINGLE_SEARCH = Coordinate(first=0.25, finest=0.02)
+"""Of the single-parameter searches at the beginning."""
+REFINEMENT = Coordinate(first=0.08, finest=0.02)
+"""Of the continuous parameters of each plan of the front at the end."""
+MAX_UNCHANGED = 3
+"""Generations without a change of the front after which evolution ends."""
+
+
+class Nsga2(SearchMethod):
+    """NSGA-II over all parameters together, seeded with the results of single-parameter searches."""
+
+    kind: Literal["nsga2"] = "nsga2"
+    """Name of the method."""
+    population: Annotated[int, Field(ge=4)] = 24
+    """Candidates of a generation."""
+
+    several_objectives: ClassVar[bool] = True
+
+    def search(self, runner: CandidateRunner) -> str:
+        """Search until the Pareto front no longer changes, then refine it.
+
+        Parameters
+        ----------
+        runner : CandidateRunner
+            Measures points of the space.
+
+        Returns
+        -------
+        str
+            Why the search ended.
+
+        Raises
+        ------
+        BudgetExhausted
+            The study's budget is used up before.
+        """
+        # Imported here because optuna is slow to import, and studies are read without searching.
+        import optuna
+
+        from fpplab.optimisation.optuna_rounds import (
+            enqueue_points,
+            make_optuna_study,
+            measure_round,
+            quiet_optuna,
+        )
+
+        first = _single_optima(runner)
+        with quiet_optuna():
+            seed = runner.space.study.seeds[0]
+            sampler = optuna.samplers.NSGAIISampler(population_size=self.population, seed=seed)
+            study = make_optuna_study(runner, sampler)
+            enqueue_points(study, runner, first)
+            runner.epoch("seeds", measure_round(study, runner, max(len(first), self.population)))
+            unchanged, front = 0, runner.front
+            while unchanged < MAX_UNCHANGED:
+                runner.epoch("generation", measure_round(study, runner, self.population))
+                unchanged = unchanged + 1 if runner.front == front else 0
+                front = runner.front
+        _refine(runner)
+        return f"the front did not change for {MAX_UNCHANGED} generations, and was refined"
+
+
+def _refine(runner: CandidateRunner) -> None:
+    """Refine the continuous parameters of each plan of the front, which evolution finds only roughly.
+
+    Then measure every plan of the front with one image more and one less in each set, until none is new.
+    """
+    continuous = [i for i, parameter in enumerate(runner.space.parameters) if not parameter.is_integer]
+    for trial in runner.front if continuous else ():
+        coordinate_search(runner, REFINEMENT, trial, continuous, runner.ranking.rank_by_distance)
+    seen: set[Point] = set()
+    while asked := [
+        point
+        for point in dict.fromkeys(p for trial in runner.front for p in _step_neighbours(runner, trial.point))
+        if point not in seen and runner.is_feasible(point)
+    ]:
+        seen.update(asked)
+        runner.epoch("neighbours", runner.measure(asked))
+
+
+def _step_neighbours(runner: CandidateRunner, point: Point) -> Iterator[Point]:
+    for i, parameter in enumerate(runner.space.parameters):
+        for value in (point[i] - 1, point[i] + 1):
+            if parameter.name.startswith("steps") and parameter.contains(value):
+                yield (*point[:i], value, *point[i + 1 :])
+
+
+def _single_optima(runner: CandidateRunner) -> list[Point]:
+    """Find the start, the single-parameter optima, and phase plans at the best stripes and geometry."""
+    space = runner.space
+    phases, stripes, geometry = (space.of_group(group) for group in ("steps", "stripes", "geometry"))
+    grown = _grow_phase_plan(runner, runner.start.point, phases)
+    begin = runner.start if space.refusal(runner.start.candidate) is None or not grown else grown[-1]
+    best, singles = begin.point, [runner.start.point, *(trial.point for trial in grown)]
+    for places in (stripes, geometry):
+        if places:
+            coordinate_search(runner, SINGLE_SEARCH, begin, places, runner.ranking.rank_by_distance)
+            found = min(
+                (t for t in runner.trials if _differs_only_in(t, begin, places)),
+                key=runner.ranking.rank_by_distance,
+            )
+            best = tuple(found.point[i] if i in places else value for i, value in enumerate(best))
+            singles.append(found.point)
+    if best != begin.point:
+        singles += [trial.point for trial in _grow_phase_plan(runner, best, phases)]
+    return list(dict.fromkeys(point for point in singles if runner.is_feasible(point)))
+
+
+def _differs_only_in(trial: MeasuredCandidate, begin: MeasuredCandidate, places: Sequence[int]) -> bool:
+    """Whether a trial equals `begin` in all parameters but those at `places`."""
+    pairs = zip(trial.point, begin.point, strict=True)
+    return all(a == b for i, (a, b) in enumerate(pairs) if i not in places)
+
+
+def _grow_phase_plan(runner: CandidateRunner, point: Point, places: Sequence[int]) -> list[MeasuredCandidate]:
+    """Build phase plans from the fewest images up, adding each image to the set where it helps most."""
+    parameters = runner.space.parameters
+    steps = [i for i in places if parameters[i].name.startswith("steps")]
+    if not steps:
+        return []
+    least = tuple(parameters[i].lower if i in steps else value for i, value in enumerate(point))
+    path, asked = [], [least]
+    while asked := [p for p in asked if runner.is_feasible(p)]:
+        trials = runner.measure(asked)
+        path.append(min(trials, key=runner.ranking.rank_by_distance))
+        runner.epoch("growth", trials)
+        here = path[-1].point
+        if path[-1].candidate.images >= runner.start.candidate.images:
+            break
+        asked = [
+            (*here[:i], here[i] + 1, *here[i + 1 :]) for i in steps if parameters[i].contains(here[i] + 1)
+        ]
+    return path

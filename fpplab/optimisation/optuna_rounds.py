@@ -1,0 +1,127 @@
+"""Rounds of candidates proposed by an optuna sampler, shared by the methods that use optuna."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.trial import TrialState
+
+from fpplab.optimisation.candidate_runner import CandidateRunner
+from fpplab.optimisation.objectives import MeasuredCandidate
+from fpplab.optimisation.space import Parameter, Point
+
+MAX_REFUSED_PER_POINT = 50
+"""Proposals for each point of a round after which the sampler counts as exhausted."""
+
+
+@contextmanager
+def quiet_optuna() -> Iterator[None]:
+    """Silence optuna's log messages and warnings.
+
+    Yields
+    ------
+    None
+        While they are silenced.
+    """
+    before = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(before)
+
+
+def make_optuna_study(runner: CandidateRunner, sampler: Any) -> Any:
+    """Make an optuna study in memory; the journal makes it unnecessary to store it.
+
+    Parameters
+    ----------
+    runner : CandidateRunner
+        Its study tells the number of objectives.
+    sampler : optuna.samplers.BaseSampler
+        Proposes points.
+
+    Returns
+    -------
+    optuna.Study
+        The study, which minimises every objective.
+    """
+    return optuna.create_study(directions=["minimize"] * len(runner.space.study.objectives), sampler=sampler)
+
+
+def enqueue_points(study: Any, runner: CandidateRunner, points: Sequence[Point]) -> None:
+    """Have points proposed before any that the sampler chooses.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The optuna study.
+    runner : CandidateRunner
+        Knows the parameters.
+    points : sequence of Point
+        Points of the space.
+    """
+    for point in points:
+        named = zip(runner.space.parameters, point, strict=True)
+        study.enqueue_trial({p.name: int(v) if p.is_integer else v for p, v in named})
+
+
+def measure_round(study: Any, runner: CandidateRunner, size: int) -> list[MeasuredCandidate]:
+    """Ask the sampler for points, measure them together, and tell it the results in the order asked.
+
+    A point that the rig or the study does not allow is told as failed, and another one is asked for.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The optuna study.
+    runner : CandidateRunner
+        Measures the points.
+    size : int
+        Number of points.
+
+    Returns
+    -------
+    list of MeasuredCandidate
+        The candidates in the order asked; fewer than `size`, or none, if the sampler finds no more.
+
+    Raises
+    ------
+    BudgetExhausted
+        From `CandidateRunner.measure`.
+    """
+    asked: list[tuple[Any, Point]] = []
+    for _ in range(MAX_REFUSED_PER_POINT * size):
+        trial = study.ask()
+        point = tuple(_suggested(trial, parameter) for parameter in runner.space.parameters)
+        if runner.is_feasible(point):
+            asked.append((trial, point))
+        else:
+            study.tell(trial, state=TrialState.FAIL)
+        if len(asked) == size:
+            break
+    trials = runner.measure([point for _, point in asked])
+    for (trial, _), found in zip(asked, trials, strict=True):
+        if found.measured:
+            for limit, broken in runner.ranking.violations(found).items():
+                trial.set_constraint(limit, broken)
+            study.tell(trial, runner.ranking.values(found))
+        else:
+            study.tell(trial, state=TrialState.FAIL)
+    return trials
+
+
+def _suggested(trial: Any, parameter: Parameter) -> float:
+    if parameter.is_integer:
+        return float(trial.suggest_int(parameter.name, int(parameter.lower), int(parameter.upper)))
+    value = trial.suggest_float(
+        parameter.name, parameter.lower, parameter.upper, log=parameter.is_logarithmic
+    )
+    return parameter.rounded(value)

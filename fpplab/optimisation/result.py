@@ -1,0 +1,144 @@
+"""The result of a search, and its summary for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab.optimisation.candidate import Candidate, Score
+from fpplab.optimisation.candidate_runner import SearchEpoch
+from fpplab.optimisation.objectives import CandidateFigures, CandidateRanking, MeasuredCandidate, seed_means
+from fpplab.optimisation.space import SearchSpace
+from fpplab.optimisation.study import Study
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Decrease of the mean distance to the surface, each seed compared with itself.
+
+    Attributes
+    ----------
+    down_um : float
+        Decrease in µm.
+    uncertainty_um : float or None
+        Standard uncertainty over the seeds in µm; None with one seed.
+    down_percent : float
+        Decrease in % of the start's distance.
+    """
+
+    down_um: float
+    uncertainty_um: float | None
+    down_percent: float
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """The result of a search.
+
+    Attributes
+    ----------
+    study : Study
+        What was searched.
+    rig : str
+        Name in the rig's file.
+    space : SearchSpace
+        The parameters.
+    start : MeasuredCandidate
+        Where the search began.
+    optimum : MeasuredCandidate
+        The best candidate by `CandidateRanking.rank`.
+    front : tuple of MeasuredCandidate
+        The Pareto front, see `CandidateRanking.front`.
+    epochs : tuple of SearchEpoch
+        The rounds.
+    trials : tuple of MeasuredCandidate
+        Every candidate measured, in the order asked.
+    refused : dict of str to int
+        How often a point was refused, by reason.
+    rescored : dict of Candidate to tuple of Score
+        Scores of start, optimum and front with seeds on which no choice was based.
+    ended : str
+        Why the search ended.
+    plans : tuple of Path
+        Plan files written: that of the optimum, or those of the front in its order.
+    planned : tuple of MeasuredCandidate
+        The candidates of `plans`.
+    """
+
+    study: Study
+    rig: str
+    space: SearchSpace
+    start: MeasuredCandidate
+    optimum: MeasuredCandidate
+    front: tuple[MeasuredCandidate, ...]
+    epochs: tuple[SearchEpoch, ...]
+    trials: tuple[MeasuredCandidate, ...]
+    refused: dict[str, int]
+    rescored: dict[Candidate, tuple[Score, ...]]
+    ended: str
+    plans: tuple[Path, ...]
+    planned: tuple[MeasuredCandidate, ...]
+
+    @property
+    def ranking(self) -> CandidateRanking:
+        """How candidates of this study are compared."""
+        return CandidateRanking(self.study, self.start.figures)
+
+    @property
+    def gain(self) -> Gain | None:
+        """Gain of the optimum over the start with the other seeds; None where these measurements failed."""
+        return _gain(self.rescored[self.start.candidate], self.rescored[self.optimum.candidate])
+
+    def summary(self) -> dict[str, Any]:
+        """Collect the figures that the command line prints.
+
+        Returns
+        -------
+        dict
+            Plain data for JSON.
+        """
+        return {
+            "study": self.study.name,
+            "rig": self.rig,
+            "initial": self._described(self.start),
+            "optimum": self._described(self.optimum),
+            "gain": asdict(self.gain) if self.gain else None,
+            "epochs": len(self.epochs),
+            "ended": self.ended,
+            "images": self.optimum.candidate.images,
+            "front": [self._described(trial) for trial in self.front],
+            "candidates": len(self.trials),
+            "failed": sum(not trial.measured for trial in self.trials),
+            "refused": self.refused,
+            "convergence": [self._epoch(epoch) for epoch in self.epochs],
+        }
+
+    def _described(self, trial: MeasuredCandidate) -> dict[str, Any]:
+        scores = self.rescored.get(trial.candidate)
+        return {**trial.summary(), "again": asdict(CandidateFigures.of(scores)) if scores else None}
+
+    def _epoch(self, epoch: SearchEpoch) -> dict[str, Any]:
+        best = epoch.best.figures
+        return {
+            "epoch": epoch.number,
+            "step": epoch.step,
+            "candidates": epoch.measured,
+            "surface_smcd_um": best.surface_smcd_um,
+            "images": best.images,
+        }
+
+
+def _gain(before: Sequence[Score], after: Sequence[Score]) -> Gain | None:
+    if not before or not after:
+        return None
+    first, then = (np.array(list(seed_means(scores).values())) for scores in (before, after))
+    down = first - then
+    return Gain(
+        down_um=float(down.mean()),
+        uncertainty_um=float(down.std(ddof=1) / np.sqrt(len(down))) if len(down) > 1 else None,
+        down_percent=float(100.0 * down.mean() / first.mean()),
+    )

@@ -1,0 +1,31 @@
+"""What `fpplab optimise` can search, by the names of the command line."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Literal
+
+ParameterGroup = Literal["steps", "stripes", "geometry", "light"]
+"""Groups of search parameters: phase steps, stripe counts, geometry of the rig, exposure."""
+
+
+class SearchScope(StrEnum):
+    """What a search varies, as named on the command line."""
+
+    PHASES = "phases"
+    STRIPES = "stripes"
+    BASELINE = "baseline"
+    PARETO = "pareto"
+
+    @property
+    def groups(self) -> tuple[ParameterGroup, ...]:
+        """Groups of parameters that a study of this scope may search."""
+        return _GROUPS[self]
+
+
+_GROUPS: dict[SearchScope, tuple[ParameterGroup, ...]] = {
+    SearchScope.PHASES: ("steps",),
+    SearchScope.STRIPES: ("stripes",),
+    SearchScope.BASELINE: ("geometry",),
+    SearchScope.PARETO: ("steps", "stripes", "geometry", "light"),
+}
