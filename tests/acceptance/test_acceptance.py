@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from fpplab import artefacts
 from fpplab.acceptance import Standard, verify, verify_ball_bar, verify_plane
 from fpplab.acceptance.fitting import DISCARDED_SHARE
-from fpplab.artefacts import BallBar
+from fpplab.artefacts.shapes.ball_bar import BallBar
 from fpplab.cli import app
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core import config
