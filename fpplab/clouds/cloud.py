@@ -51,8 +51,8 @@ class Cloud:
     colour : ndarray of uint8, optional
         Grey levels (N,).
     sigma_noise_mm : ndarray of float32, optional
-        Standard uncertainty (N,) in mm from the noise of the fringes, along the ray, independent from point to
-        point.
+        Standard uncertainty (N,) in mm from the noise of the fringes, along the ray, independent between
+        points.
     sigma_calibration_mm : ndarray of float32, optional
         Standard uncertainty (N,) in mm from the calibration's covariance, common to all points.
     sigma_form_mm : ndarray of float32, optional

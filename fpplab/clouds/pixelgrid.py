@@ -138,8 +138,8 @@ class PixelGrid:
         Returns
         -------
         ndarray of float32
-            Signed distances (N,) in mm along the normal, positive towards the camera; NaN where less than half
-            of the window is connected with its centre.
+            Signed distances (N,) in mm along the normal, positive towards the camera; NaN where less than
+            half of the window is connected with its centre.
         """
         found = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)
@@ -149,7 +149,7 @@ class PixelGrid:
         return found
 
     def _slope_per_pixel(self) -> tuple[float, float]:
-        """Compute the mean change of (a, b) from one pixel to the next; distortion changes it little."""
+        """Compute the mean change of (a, b) from pixel to pixel; distortion changes it little."""
         across, down = np.diff(self.a, axis=1), np.diff(self.b, axis=0)
         across, down = across[np.isfinite(across)], down[np.isfinite(down)]
         if not (across.size and down.size):
