@@ -228,8 +228,8 @@ def compare(
     counted = np.ones(len(points), np.bool_) if calibration is None else _camera_rays_meet(shape, points)
     if not counted.any():
         raise DataError(
-            "cloud: no point's camera ray meets the true mesh; check that both are in the camera's frame, or use "
-            "`align`"
+            "cloud: no point's camera ray meets the true mesh; check that both are in the camera's frame, or "
+            "use `align`"
         )
     distances, feet = _to_mesh(points, mesh)
     measured, error = points[counted], np.abs(distances[counted])
