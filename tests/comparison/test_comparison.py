@@ -196,6 +196,7 @@ def test_points_in_the_shadow_count_and_points_beside_the_part_do_not() -> None:
     around = perfect_cloud(trimesh.util.concatenate([mesh, table]))
     result = compare(around, mesh, CALIBRATION, density=5.0)
     assert result.off_part > 0
+    assert result.summary()["beside"] == result.off_part
     assert result.points + result.off_part == len(around)
     assert result.surface_rms_um < 1.0
 
