@@ -19,7 +19,7 @@ import psutil
 
 from benchmarks import Result, below
 from benchmarks.peak import peak_of
-from fpplab.artefacts import StepsSizes
+from fpplab.artefacts.shapes.steps import Staircase
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.devices import CameraSettings
@@ -103,7 +103,7 @@ def _world(folder: Path, **render: Any) -> dict[str, Any]:
     data["camera"]["binning"] = render.pop("binning")
     part = folder / "stairs.stl"
     if not part.exists():
-        StepsSizes((210.0, 150.0), (5.0, 10.0, 15.0, 20.0, 25.0)).mesh().export(part)
+        Staircase((210.0, 150.0), (5.0, 10.0, 15.0, 20.0, 25.0)).mesh().export(part)
     pose = {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]}
     data |= {"items": {"part": {"mesh": str(part), "pose": pose}}, "mounted": "part", "ambient": 0.0}
     data["render"] = render

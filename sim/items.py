@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from fpplab import artefacts
-from fpplab.artefacts.models import Lengths
+from fpplab.artefacts import Lengths
 from fpplab.artefacts.parts import load_part
 from fpplab.artefacts.slicing import sliced
 from fpplab.core import config

@@ -1,4 +1,4 @@
-"""Spheres and planes by geometric least squares, and the share of points that a test may leave out."""
+"""Fitting spheres and planes by geometric least squares, and discarding a permitted share of outliers."""
 
 from __future__ import annotations
 
@@ -12,49 +12,115 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import DataError
 
 DISCARDED_SHARE = 0.003
-"""Of the points, the farthest from the fit: VDI/VDE 2634 part 2 allows 3 per mille."""
-ROUNDS = 50
-STILL = 1e-12
-"""Relative step at which the fit of a sphere ends."""
+"""Share of the points farthest from the fit that VDI/VDE 2634 part 2 allows to discard, 3 per mille."""
+MAX_ITERATIONS = 50
+"""Of a fit."""
+CONVERGED_STEP = 1e-12
+"""Relative step at which the fit of a sphere has converged."""
 
 
 class FittedFeature(Protocol):
-    """A fitted shape."""
+    """A shape fitted to points, as `fit_without_worst` needs it."""
 
     def distances(self, points: Floats) -> Floats:
-        """Signed distances (N,) in mm of points (N, 3) from the shape."""
+        """Compute the signed distances of points from the shape.
+
+        Called by `fit_without_worst` after every fit, to decide which points to discard.
+
+        Parameters
+        ----------
+        points : ndarray of float64
+            (N, 3) in mm.
+
+        Returns
+        -------
+        ndarray of float64
+            Signed distances (N,) in mm.
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """centre: (3,) in mm. radius: in mm."""
+    """A sphere.
+
+    Attributes
+    ----------
+    centre : ndarray of float64
+        (3,) in mm.
+    radius : float
+        In mm.
+    """
 
     centre: Floats
     radius: float
 
     def distances(self, points: Floats) -> Floats:
-        """Radial, positive outside."""
+        """Compute radial distances from the surface.
+
+        Parameters
+        ----------
+        points : ndarray of float64
+            (N, 3) in mm.
+
+        Returns
+        -------
+        ndarray of float64
+            Distances (N,) in mm, positive outside.
+        """
         return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius)
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """point: (3,) in mm, the mean of what was fitted. normal: (3,), unit, towards the origin."""
+    """A plane.
+
+    Attributes
+    ----------
+    point : ndarray of float64
+        A point (3,) on the plane in mm; the mean of the points that were fitted.
+    normal : ndarray of float64
+        Unit normal (3,), towards the origin.
+    """
 
     point: Floats
     normal: Floats
 
     def distances(self, points: Floats) -> Floats:
-        """Along the normal, positive towards the origin, where the camera is."""
+        """Compute distances along the normal.
+
+        Parameters
+        ----------
+        points : ndarray of float64
+            (N, 3) in mm.
+
+        Returns
+        -------
+        ndarray of float64
+            Distances (N,) in mm, positive towards the origin, where the camera is.
+        """
         return np.asarray((points - self.point) @ self.normal)
 
 
 def fit_sphere(points: Floats) -> Sphere:
-    """The sphere of free radius that is least squares in the radial distances of points (N, 3).
+    """Fit a sphere of free radius, least squares in the radial distances.
 
-    Gauss and Newton's method from the algebraic fit, in which `|p|² = 2 p·c + (r² - |c|²)` is linear.
-    Raises `DataError` when the points are fewer than four or lie on no sphere of their own.
+    Gauss-Newton iteration from the algebraic fit, in which `|p|² = 2 p·c + (r² - |c|²)` is linear.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm, at least four.
+
+    Returns
+    -------
+    Sphere
+        The fitted sphere, in mm.
+
+    Raises
+    ------
+    DataError
+        The points are fewer than four, lie on a plane or a line, or the fit does not converge.
     """
     if len(points) < 4:
         raise DataError(f"a sphere needs at least 4 points, and there are {len(points)}")
@@ -65,32 +131,45 @@ def fit_sphere(points: Floats) -> Sphere:
     rows = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, _, rank, _ = np.linalg.lstsq(rows, (local**2).sum(axis=1), rcond=1e-10)
     if rank < 4:
-        raise DataError("the points lie on a plane or a line, which is no sphere; see what was measured")
+        raise DataError("the points lie on a plane or a line, which is no sphere; check what was measured")
     centre, radius = solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         away = local - centre
         length = np.linalg.norm(away, axis=1)
-        jacobian = np.column_stack([away / np.maximum(length, STILL)[:, None], np.ones(len(local))])
+        jacobian = np.column_stack([away / np.maximum(length, CONVERGED_STEP)[:, None], np.ones(len(local))])
         step = np.linalg.lstsq(jacobian, length - radius, rcond=None)[0]
         centre, radius = centre + step[:3], radius + float(step[3])
-        if np.linalg.norm(step) <= STILL * (1.0 + abs(radius)):
+        if np.linalg.norm(step) <= CONVERGED_STEP * (1.0 + abs(radius)):
             break
     if not (np.isfinite(radius) and radius > 0.0):
-        raise DataError("the fit of a sphere does not converge; see what was measured")
+        raise DataError("the fit of a sphere does not converge; check what was measured")
     return Sphere(middle + scale * centre, scale * radius)
 
 
 def fit_plane(points: Floats) -> Plane:
-    """The plane that is least squares in the distances along its normal of points (N, 3).
+    """Fit a plane, least squares in the distances along its normal.
 
-    Raises `DataError` when the points are fewer than three or lie on a line.
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm, at least three.
+
+    Returns
+    -------
+    Plane
+        The fitted plane, its normal towards the origin.
+
+    Raises
+    ------
+    DataError
+        The points are fewer than three or lie on a line.
     """
     if len(points) < 3:
         raise DataError(f"a plane needs at least 3 points, and there are {len(points)}")
     middle = points.mean(axis=0)
     spread, axes = np.linalg.eigh((points - middle).T @ (points - middle))
     if spread[1] <= 1e-12 * spread[2]:
-        raise DataError("the points lie on a line, which is no plane; see what was measured")
+        raise DataError("the points lie on a line, which is no plane; check what was measured")
     normal = axes[:, 0]
     return Plane(middle, np.asarray(-normal if normal @ middle > 0.0 else normal))
 
@@ -101,17 +180,33 @@ F = TypeVar("F", bound=FittedFeature)
 def fit_without_worst(
     points: Floats, fit: Callable[[Floats], F], share: float = DISCARDED_SHARE
 ) -> tuple[F, Mask]:
-    """The fit to all but the worst points, and which (N,) were kept.
+    """Fit a shape to all points but those farthest from it.
 
-    Exactly `floor(share * N)` points are discarded: those farthest from the fit. Which they are is
-    decided again after each fit, from all points, until it stays the same.
+    Exactly `floor(share * N)` points are discarded: those farthest from the fit. They are chosen again
+    after each fit, from all points, until the choice no longer changes (`MAX_ITERATIONS` at most).
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm.
+    fit : callable
+        Fits the shape to points (M, 3), such as `fit_sphere`.
+    share : float
+        Of the points that are discarded.
+
+    Returns
+    -------
+    feature : FittedFeature
+        The fit to the points that were kept.
+    kept : ndarray of bool
+        (N,), False for the points that were discarded.
     """
     keep = np.ones(len(points), bool)
     feature = fit(points)
     discarded = int(np.floor(share * len(points)))
     if discarded == 0:
         return feature, keep
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         order = np.argsort(np.abs(feature.distances(points)), kind="stable")
         chosen = np.zeros(len(points), bool)
         chosen[order[: len(points) - discarded]] = True
@@ -123,5 +218,16 @@ def fit_without_worst(
 
 
 def peak_to_peak(values: Floats) -> float:
-    """Greatest minus least."""
+    """Compute the greatest value minus the least.
+
+    Parameters
+    ----------
+    values : ndarray of float64
+        At least one, of any unit.
+
+    Returns
+    -------
+    float
+        The span, in the unit of the values.
+    """
     return float(values.max() - values.min())

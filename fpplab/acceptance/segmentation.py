@@ -1,8 +1,8 @@
-"""Where a standard's spheres and its plane lie in a cloud, and which of the points count.
+"""Segmentation: finding a standard's spheres and plane in a cloud, and selecting the points to evaluate.
 
-What counts is decided by geometry alone: every point whose camera ray meets the sphere's cap or the
-plane inside its edges, wherever the point itself came to lie. A rule that looked at the distances
-would leave out what the test is about.
+Points are selected by geometry alone: every point whose camera ray meets the sphere's cap or the
+plane inside its edges, wherever the point itself was measured. A rule that depended on the distances
+from the fit would leave out the very errors that the test measures.
 """
 
 from __future__ import annotations
@@ -22,30 +22,41 @@ from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.core.errors import DataError
 
-VOTERS = 20_000
-"""Points, drawn at random, that look for a sphere's centre."""
-MEETING = 0.1
-"""Of a radius: within this, votes for a sphere's centre agree."""
-NEAR = 0.05
-"""Of a radius: how far a point may lie from the sphere by which it is found."""
-INNER, LEAST_NEAR = 0.7, 0.6
-"""Share of the points that must lie near the sphere, for it to be one, of those whose rays pass the centre
-within this much of the radius. Of a plane that touches the sphere no more than 0.4 do."""
-SHIFTS = 30
+MAX_VOTES = 20_000
+"""Points, drawn at random, that vote for a sphere's centre or a plane."""
+VOTE_REACH = 0.1
+"""Distance in radii within which votes for a sphere's centre agree."""
+SPHERE_REACH = 0.05
+"""Distance in radii within which a point counts as near the sphere while the sphere is searched."""
+INNER_RADIUS, LEAST_NEAR_SHARE = 0.7, 0.6
+"""For a sphere to be accepted: of the points whose rays pass the centre within `INNER_RADIUS` radii, at least
+the share `LEAST_NEAR_SHARE` must lie near the sphere. Of a plane that touches the sphere, 0.4 at most do."""
+MEAN_SHIFT_STEPS = 30
+"""Limit of the iteration to the densest place of the votes."""
 RINGS, SECTORS = 8, 24
-"""Parts of equal solid angle that a cap is divided into, to see how much of it is measured."""
+"""Parts of equal solid angle that a cap is divided into, to determine how much of it was measured."""
 
-FLAT = 0.01
-"""Of a plane's length: how far a point may lie from the plane by which it is found."""
-TRIES = 400
+PLANE_REACH = 0.01
+"""Distance in lengths of the standard within which a point counts as near the plane."""
+RANSAC_TRIALS = 400
+"""Random samples of three points that a plane is searched with."""
 PER_CELL = 2.0
-"""Point spacings on a side of a cell of the plane's raster."""
-TOO_LARGE = 1.05
+"""Side of a cell of the plane's raster, in point spacings."""
+LARGEST_EXCESS = 1.05
+"""Ratio of a found plane's side to the standard's from which it is another plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """A sphere's points that count: their numbers (K,) in the cloud, and the solid angle they cover."""
+    """The points of a sphere's cap that are evaluated.
+
+    Attributes
+    ----------
+    index : ndarray of intp
+        Numbers (K,) of the points in the cloud.
+    solid_angle_sr : float
+        Solid angle of the cap that the points cover, seen from the sphere's centre, in sr.
+    """
 
     index: NDArray[np.intp]
     solid_angle_sr: float
@@ -53,38 +64,85 @@ class Cap:
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """A plane's points that count: their numbers (K,) in the cloud, and the area they cover."""
+    """The points of a plane that are evaluated.
+
+    Attributes
+    ----------
+    index : ndarray of intp
+        Numbers (K,) of the points in the cloud.
+    area_mm2 : float
+        Area of the plane that the points cover, in mm².
+    """
 
     index: NDArray[np.intp]
     area_mm2: float
 
 
 def normals_of(cloud: Cloud) -> Floats:
-    """Unit normals (N, 3), (0, 0, 0) where unknown. Raises `DataError` when nothing tells them."""
+    """Look up the normals of a cloud, or compute them from its pixel grid.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With normals, or with the camera pixels of its points.
+
+    Returns
+    -------
+    ndarray of float64
+        Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
+
+    Raises
+    ------
+    DataError
+        The cloud has neither normals nor camera pixels.
+    """
     if cloud.normals is not None:
         return np.asarray(cloud.normals, np.float64)
     return np.asarray(cloud.grid().normals(), np.float64)
 
 
 def find_spheres(points: Floats, normals: Floats, radius: float, count: int, source: str) -> list[Floats]:
-    """Centres (3,) of `count` spheres of that radius in mm, those with the most points first.
+    """Find the centres of spheres of known radius.
 
-    Each point votes for the place one radius behind it along its normal; on a sphere all votes meet,
-    anything else scatters them. The centre is then fitted robustly to the points near the sphere.
-    Raises `DataError` when fewer are found.
+    Each point votes for the place one radius behind it along its normal; the votes of a sphere meet in
+    its centre, those of anything else are scattered. The centre is then fitted robustly to the points near
+    the sphere.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm in the camera's frame.
+    normals : ndarray of float64
+        Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
+    radius : float
+        Of the spheres, in mm.
+    count : int
+        How many spheres to find.
+    source : str
+        Name of the cloud, for error messages.
+
+    Returns
+    -------
+    list of ndarray of float64
+        Centres (3,) in mm, those with the most votes first.
+
+    Raises
+    ------
+    DataError
+        Fewer spheres are found.
     """
     known = np.any(normals != 0.0, axis=1)
     votes = points[known] - radius * normals[known]
     free = np.ones(len(votes), bool)
     centres: list[Floats] = []
     while len(centres) < count:
-        centre = _mode(votes[free], MEETING * radius)
+        centre = _densest(votes[free], VOTE_REACH * radius)
         if centre is None:
             raise DataError(_not_found(source, radius, len(centres), count))
         centre = _fit_centre(points, centre, radius)
-        seen = np.abs(_across(points, centre)) <= INNER * radius
-        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= NEAR * radius
-        if not seen.any() or near.mean() < LEAST_NEAR:
+        seen = np.abs(_ray_distance(points, centre)) <= INNER_RADIUS * radius
+        near = np.abs(np.linalg.norm(points[seen] - centre, axis=1) - radius) <= SPHERE_REACH * radius
+        if not seen.any() or near.mean() < LEAST_NEAR_SHARE:
             raise DataError(_not_found(source, radius, len(centres), count))
         centres.append(centre)
         free &= np.linalg.norm(votes - centre, axis=1) > radius
@@ -92,11 +150,33 @@ def find_spheres(points: Floats, normals: Floats, radius: float, count: int, sou
 
 
 def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRules, source: str) -> Cap:
-    """The points (N, 3) whose ray meets the sphere's cap inside its edge.
+    """Select the points whose camera ray meets the sphere's cap inside its edge.
 
     A ray that passes the centre at the distance d meets the sphere at the angle of incidence
-    asin(d/r), and r - d inside its silhouette. Raises `DataError` for a cap that is too small or
-    has too few points.
+    asin(d/r), and r - d inside its silhouette.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm in the camera's frame.
+    centre : ndarray of float64
+        Of the sphere, (3,) in mm.
+    radius : float
+        Of the sphere, in mm.
+    rule : EvaluationRules
+        Limits of the cap, and how much of it must be measured.
+    source : str
+        Name of the cloud, for error messages.
+
+    Returns
+    -------
+    Cap
+        The points, and the solid angle they cover.
+
+    Raises
+    ------
+    DataError
+        The edge leaves nothing of the sphere, the measured cap is too small, or has too few points.
     """
     reach = min(radius * np.sin(np.radians(rule.cap_deg)), radius - rule.edge_mm)
     if reach <= 0:
@@ -104,38 +184,38 @@ def sphere_cap(points: Floats, centre: Floats, radius: float, rule: EvaluationRu
             f"{source}: an edge of {rule.edge_mm:g} mm leaves nothing of a sphere of {2 * radius:g} mm; "
             "give less in 'evaluation.edge_mm'"
         )
-    index = np.flatnonzero(_across(points, centre) <= reach)
+    index = np.flatnonzero(_ray_distance(points, centre) <= reach)
     if len(index) < rule.least_points:
         raise DataError(
-            f"{source}: a sphere has {len(index)} points that count, fewer than {rule.least_points}; "
-            "measure it closer, or with more of it lit"
+            f"{source}: a sphere has {len(index)} points to evaluate, fewer than {rule.least_points}; "
+            "measure it closer, or with more of it illuminated"
         )
     covered = _solid_angle(points[index], centre, radius, reach)
     if covered < rule.least_solid_angle_sr:
         raise DataError(
             f"{source}: the measured cap of a sphere spans {covered:.2f} sr, less than "
-            f"{rule.least_solid_angle_sr:g} sr; light more of it, or let 'evaluation.cap_deg' be greater"
+            f"{rule.least_solid_angle_sr:g} sr; illuminate more of it, or let 'evaluation.cap_deg' be greater"
         )
     return Cap(index, covered)
 
 
-def _across(points: Floats, centre: Floats) -> Floats:
-    """Distance (N,) in mm at which each point's ray passes the centre; infinite for rays that lead away."""
+def _ray_distance(points: Floats, centre: Floats) -> Floats:
+    """Compute the distances (N,) in mm of the points' rays from the centre; inf for rays that lead away."""
     length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
     along = points @ centre / length
     square = np.maximum(centre @ centre - along**2, 0.0)
     return np.where(along > 0.0, np.sqrt(square), np.inf)
 
 
-def _mode(votes: Floats, reach: float) -> Floats | None:
-    """Where votes are densest, (3,): the best of a random sample, shifted to the mean around it."""
+def _densest(votes: Floats, reach: float) -> Floats | None:
+    """Find where votes are densest, (3,): the best of a random sample, refined by mean shift."""
     if len(votes) == 0:
         return None
     random = np.random.default_rng(0)
-    sample = votes if len(votes) <= VOTERS else votes[random.choice(len(votes), VOTERS, replace=False)]
+    sample = votes if len(votes) <= MAX_VOTES else votes[random.choice(len(votes), MAX_VOTES, replace=False)]
     counts = cKDTree(sample).query_ball_point(sample, reach, return_length=True)
     centre = sample[int(np.argmax(counts))]
-    for _ in range(SHIFTS):
+    for _ in range(MEAN_SHIFT_STEPS):
         around = votes[np.linalg.norm(votes - centre, axis=1) <= reach]
         moved = around.mean(axis=0) if len(around) else centre
         if np.linalg.norm(moved - centre) <= 1e-3 * reach:
@@ -145,10 +225,10 @@ def _mode(votes: Floats, reach: float) -> Floats | None:
 
 
 def _fit_centre(points: Floats, centre: Floats, radius: float) -> Floats:
-    """The centre that fits a sphere of known radius to the points near it, little moved by stray ones."""
+    """Fit the centre of a sphere of known radius to the points near it, robustly (soft L1 loss)."""
     for _ in range(3):
-        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= NEAR * radius
-        near &= _across(points, centre) <= 0.95 * radius
+        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) <= SPHERE_REACH * radius
+        near &= _ray_distance(points, centre) <= 0.95 * radius
         around = points[near]
         if len(around) < 4:
             return centre
@@ -165,9 +245,9 @@ def _fit_centre(points: Floats, centre: Floats, radius: float) -> Floats:
 
 
 def _solid_angle(points: Floats, centre: Floats, radius: float, reach: float) -> float:
-    """What is covered of the cap that rays passing the centre by up to `reach` meet, in sr."""
+    """Compute the covered solid angle, in sr, of the cap met by rays that pass the centre within `reach`."""
     rays = points / np.linalg.norm(points, axis=1)[:, None]
-    across = np.minimum(_across(points, centre), reach)
+    across = np.minimum(_ray_distance(points, centre), reach)
     met = rays * (rays @ centre - np.sqrt(radius**2 - across**2))[:, None] - centre
     distance = float(np.linalg.norm(centre))
     axis = -centre / distance
@@ -185,21 +265,45 @@ def _solid_angle(points: Floats, centre: Floats, radius: float, reach: float) ->
 
 def _not_found(source: str, radius: float, found: int, count: int) -> str:
     return (
-        f"{source}: {found} of {count} spheres of {2 * radius:g} mm were found; see that both are in view "
+        f"{source}: {found} of {count} spheres of {2 * radius:g} mm were found; check that both are in view "
         "and well measured, and that the standard's file has the right diameters"
     )
 
 
 def find_plane(points: Floats, length: float, source: str) -> Plane:
-    """The plane with the most points (N, 3) near it. length: the standard's, in mm.
+    """Find the plane with the most points near it.
 
-    By random samples of three points (RANSAC; Fischler and Bolles, 1981), then fitted to the points near.
-    Raises `DataError` when there is none.
+    By random samples of three points (RANSAC), then fitted to the points near it.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm in the camera's frame.
+    length : float
+        Length of the standard in mm, to which the tolerance of the search is proportional.
+    source : str
+        Name of the cloud, for error messages.
+
+    Returns
+    -------
+    Plane
+        The plane, its normal towards the camera.
+
+    Raises
+    ------
+    DataError
+        No plane has enough points near it.
+
+    References
+    ----------
+    Fischler and Bolles, "Random sample consensus", 1981.
     """
     random = np.random.default_rng(0)
-    sample = points if len(points) <= VOTERS else points[random.choice(len(points), VOTERS, replace=False)]
-    near, best, most = FLAT * length, None, 0
-    for _ in range(TRIES):
+    sample = (
+        points if len(points) <= MAX_VOTES else points[random.choice(len(points), MAX_VOTES, replace=False)]
+    )
+    near, best, most = PLANE_REACH * length, None, 0
+    for _ in range(RANSAC_TRIALS):
         corners = sample[random.choice(len(sample), 3, replace=False)] if len(sample) >= 3 else sample[:0]
         if len(corners) < 3:
             break
@@ -211,7 +315,7 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
         if count > most:
             best, most = Plane(corners[0], normal / size), count
     if best is None or most < 0.05 * len(sample):
-        raise DataError(f"{source}: no plane was found; see that the standard is in view and well measured")
+        raise DataError(f"{source}: no plane was found; check that the standard is in view and well measured")
     for _ in range(5):
         best = fit_plane(points[np.abs(best.distances(points)) <= near])
     return best
@@ -220,13 +324,33 @@ def find_plane(points: Floats, length: float, source: str) -> Plane:
 def plane_face(
     points: Floats, plane: Plane, size: tuple[float, float], rule: EvaluationRules, source: str
 ) -> Face:
-    """The points (N, 3) whose ray meets the plane at least `edge_mm` inside the edge of what was measured.
+    """Select the points whose camera ray meets the plane well inside the edge of what was measured.
 
-    size: length and width of the standard in mm. Raises `DataError` for a plane that is larger than the
-    standard, too little of it, or too few points.
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm in the camera's frame.
+    plane : Plane
+        As `find_plane` gives it.
+    size : tuple of float
+        Length and width of the standard in mm.
+    rule : EvaluationRules
+        Width of the edge that is left out, and how much of the plane must be measured.
+    source : str
+        Name of the cloud, for error messages.
+
+    Returns
+    -------
+    Face
+        The points, and the area they cover.
+
+    Raises
+    ------
+    DataError
+        The plane is larger than the standard, too little of it is measured, or it has too few points.
     """
     places, ahead = _on_plane(points, plane)
-    near = ahead & (np.abs(plane.distances(points)) <= FLAT * max(size))
+    near = ahead & (np.abs(plane.distances(points)) <= PLANE_REACH * max(size))
     cell = PER_CELL * _spacing(places[near])
     low = places[near].min(axis=0) - 3 * cell
     shape = np.ceil((places[near].max(axis=0) + 3 * cell - low) / cell).astype(int)
@@ -237,7 +361,7 @@ def plane_face(
     if area < rule.least_area_share * size[0] * size[1]:
         raise DataError(
             f"{source}: {area:.0f} mm² of the plane count, less than {rule.least_area_share:g} of its "
-            f"{size[0]:g} x {size[1]:g} mm; have all of it in view and lit"
+            f"{size[0]:g} x {size[1]:g} mm; have all of it in view and illuminated"
         )
     at = np.floor((places - low) / cell).astype(int)
     inside = ahead & (at >= 0).all(axis=1) & (at < shape).all(axis=1)
@@ -245,14 +369,14 @@ def plane_face(
     index = np.flatnonzero(inside)
     if len(index) < rule.least_points:
         raise DataError(
-            f"{source}: the plane has {len(index)} points that count, fewer than {rule.least_points}; "
+            f"{source}: the plane has {len(index)} points to evaluate, fewer than {rule.least_points}; "
             "measure it closer, or with more pixels"
         )
     return Face(index, area)
 
 
 def _on_plane(points: Floats, plane: Plane) -> tuple[Floats, Mask]:
-    """Where rays meet the plane, (N, 2) in mm along it, and which do so (N,) in front of the camera."""
+    """Intersect rays with the plane: places (N, 2) in mm on it, and which (N,) lie ahead of the camera."""
     towards = points @ plane.normal
     ahead = towards * (plane.point @ plane.normal) > 0.0
     met = points * ((plane.point @ plane.normal) / np.where(ahead, towards, 1.0))[:, None]
@@ -263,14 +387,14 @@ def _on_plane(points: Floats, plane: Plane) -> tuple[Floats, Mask]:
 
 
 def _spacing(places: Floats) -> float:
-    """Median distance of a point from its nearest neighbour."""
+    """Estimate the median distance of a point from its nearest neighbour."""
     some = places[:: max(1, len(places) // 2000)]
     distances, _ = cKDTree(places).query(some, k=2)
     return max(float(np.median(distances[:, 1])), 1e-6)
 
 
 def _outline(places: Floats, low: Floats, cell: float, shape: NDArray[np.intp]) -> Mask:
-    """The largest connected part of the raster's occupied cells, without holes."""
+    """Find the largest connected region of the raster's occupied cells, its holes filled."""
     occupied = np.zeros(shape, bool)
     at = np.floor((places - low) / cell).astype(int)
     occupied[at[:, 0], at[:, 1]] = True
@@ -284,8 +408,8 @@ def _refuse_larger(filled: Mask, cell: float, size: tuple[float, float], source:
     corners = np.argwhere(filled).astype(np.float32)
     sides = sorted((float((side + 1) * cell) for side in cv2.minAreaRect(corners)[1]), reverse=True)
     for side, given in zip(sides, sorted(size, reverse=True), strict=True):
-        if side > TOO_LARGE * given + 2 * cell:
+        if side > LARGEST_EXCESS * given + 2 * cell:
             raise DataError(
                 f"{source}: the plane found measures {sides[0]:.0f} x {sides[1]:.0f} mm, but the standard is "
-                f"{size[0]:g} x {size[1]:g} mm; see that nothing flat lies around it, and the standard's file"
+                f"{size[0]:g} x {size[1]:g} mm; check the standard's file, and for other flat areas"
             )

@@ -1,4 +1,4 @@
-"""The standards of an acceptance test and what is permitted: the file `standard_*.yaml`."""
+"""Reference standards of an acceptance test, and maximum permissible errors: the file `standard_*.yaml`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Micrometres = Annotated[float, Field(ge=0, le=10_000)]
 Permitted = Annotated[float, Field(gt=0, le=100_000)]
 Name = Annotated[str, Field(min_length=1)]
 ItemName = Annotated[str, Field(pattern=r"^\w[\w .-]*$")]
-"""Sessions are called like it."""
+"""Name of an item in a fixture; its sessions get the same name."""
 
 QUANTITIES = {
     "PF": "Probing error, form",
@@ -25,19 +25,22 @@ QUANTITIES = {
     "SD": "Sphere-spacing error",
     "F": "Flatness measurement error",
 }
+"""The quantities of an acceptance test by symbol, as VDI/VDE 2634 part 2 names them."""
 
 
 class BallBarStandard(Document):
-    """A ball bar as its certificate says; uncertainties are expanded ones, k = 2.
-
-    form_um: how far the spheres are from round.
-    """
+    """A ball bar as its calibration certificate describes it; uncertainties are expanded ones, k = 2."""
 
     diameters_mm: tuple[Length, Length]
+    """Calibrated diameters of the two spheres, in mm; they may differ by a tenth at most."""
     spacing_mm: Length
+    """Calibrated distance between the spheres' centres, in mm."""
     diameter_known_to_um: Micrometres = 0.0
+    """Expanded uncertainty of the diameters, in µm."""
     spacing_known_to_um: Micrometres = 0.0
+    """Expanded uncertainty of the spacing, in µm."""
     form_um: Micrometres = 0.0
+    """Form deviation of the spheres (out of roundness), in µm."""
 
     @model_validator(mode="after")
     def _spheres_stand_apart(self) -> BallBarStandard:
@@ -55,41 +58,49 @@ class BallBarStandard(Document):
 
 
 class PlaneStandard(Document):
-    """A plane as its certificate says. flatness_um: how far it is from flat."""
+    """A plane as its calibration certificate describes it."""
 
     size_mm: tuple[Length, Length]
+    """Length and width, in mm."""
     flatness_um: Micrometres = 0.0
+    """Flatness deviation, in µm."""
 
 
 class EvaluationRules(Document):
-    """Which points count.
-
-    cap_deg: greatest angle of incidence of the camera's ray on a sphere. edge_mm: width left out along
-    silhouettes and edges, where a pixel sees two surfaces. least_points: of a sphere or plane.
-    least_solid_angle_sr: of a sphere's measured cap. least_area_share: of a plane's size.
-    """
+    """Which points are evaluated, and how much of a standard must be measured."""
 
     cap_deg: Annotated[float, Field(ge=20, le=80)] = 60.0
+    """Greatest angle of incidence of the camera's ray on a sphere, in degrees."""
     edge_mm: Annotated[float, Field(ge=0, le=100)] = 1.0
+    """Width left out along silhouettes and edges, where a pixel sees two surfaces, in mm."""
     least_points: Annotated[int, Field(ge=50)] = 500
+    """Least number of points on a sphere or plane."""
     least_solid_angle_sr: Annotated[float, Field(ge=0.1, le=5.2)] = 1.5
+    """Least solid angle of a sphere's measured cap, in sr."""
     least_area_share: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Least measured area of a plane, as a share of its size."""
 
 
 class Permissible(Document):
     """Maximum permissible errors in µm; a quantity without one is reported and not judged."""
 
     PF: Permitted | None = None
+    """Of the probing error, form, in µm."""
     PS: Permitted | None = None
+    """Of the probing error, size, in µm."""
     SD: Permitted | None = None
+    """Of the sphere-spacing error, in µm."""
     F: Permitted | None = None
+    """Of the flatness measurement error, in µm."""
 
 
 class StandardItems(Document):
-    """What a rig's fixture calls the standard in each of its positions."""
+    """Names of the fixture's items that are the standard, one for each of its positions."""
 
     ball_bar: tuple[ItemName, ...] = ()
+    """Items that are the ball bar."""
     plane: tuple[ItemName, ...] = ()
+    """Items that are the plane."""
 
     @model_validator(mode="after")
     def _every_position_is_another(self) -> StandardItems:
@@ -101,14 +112,20 @@ class StandardItems(Document):
 
 
 class Standard(Document):
-    """The file: what the standards are, which points count, what is permitted."""
+    """The file of a set of standards: certificates, evaluation rules and maximum permissible errors."""
 
     name: Name
+    """Of the set of standards, for reports."""
     ball_bar: BallBarStandard | None = None
+    """The ball bar, if there is one."""
     plane: PlaneStandard | None = None
+    """The plane, if there is one."""
     evaluation: EvaluationRules = EvaluationRules()
+    """Which points are evaluated."""
     mpe_um: Permissible = Permissible()
+    """Maximum permissible errors, in µm."""
     items: StandardItems = StandardItems()
+    """The fixture's items that are the standards."""
 
     @model_validator(mode="after")
     def _describes_what_it_is_asked_for(self) -> Standard:
@@ -118,33 +135,87 @@ class Standard(Document):
             if getattr(self.items, field) and getattr(self, field) is None:
                 raise ValueError(f"'items.{field}' is given, but '{field}' is not described")
         for name in QUANTITIES:
-            permitted, known = self.permitted_um(name), self.known_to_um(name)
+            permitted, known = self.permitted_um(name), self.reference_uncertainty_um(name)
             if permitted is not None and permitted <= known:
                 raise ValueError(
-                    f"'mpe_um.{name}' is {permitted:g}: must exceed {known:g}, to which the standard is "
-                    "known, for nothing could pass"
+                    f"'mpe_um.{name}' is {permitted:g}: must exceed {known:g}, the standard's own "
+                    "uncertainty, or no measurement could pass"
                 )
         return self
 
     @classmethod
     def load(cls, name: str | Path) -> Standard:
-        """Read by path, or by name among those that come with fpplab. Raises `ConfigError`."""
+        """Read a file of standards.
+
+        Parameters
+        ----------
+        name : str or Path
+            Path of the file, or the name of one that comes with fpplab.
+
+        Returns
+        -------
+        Standard
+            The validated file.
+
+        Raises
+        ------
+        ConfigError
+            The file is missing or has a field that is not valid.
+        """
         return config.load_document(config.find_config(name), cls)
 
     def permitted_um(self, quantity: str) -> float | None:
-        """The maximum permissible error, None where none is stated."""
+        """Look up the maximum permissible error (MPE) of a quantity.
+
+        Parameters
+        ----------
+        quantity : str
+            One of `QUANTITIES`.
+
+        Returns
+        -------
+        float or None
+            In µm, None where none is stated.
+        """
         return getattr(self.mpe_um, quantity)  # type: ignore[no-any-return]
 
-    def known_to_um(self, quantity: str) -> float:
-        """How well the standard itself is known: what an error must stay inside its limit by."""
+    def reference_uncertainty_um(self, quantity: str) -> float:
+        """Look up the uncertainty of the standard itself, by which the permissible error is reduced.
+
+        Parameters
+        ----------
+        quantity : str
+            One of `QUANTITIES`.
+
+        Returns
+        -------
+        float
+            In µm: the expanded uncertainty of the calibrated length, or the standard's own form deviation.
+        """
         bar, plane = self.ball_bar, self.plane
         if quantity == "F":
             return plane.flatness_um if plane else 0.0
         fields = {"PF": "form_um", "PS": "diameter_known_to_um", "SD": "spacing_known_to_um"}
         return float(getattr(bar, fields[quantity])) if bar else 0.0
 
-    def permitting(self, assignments: Iterable[str]) -> Standard:
-        """The same with limits in µm such as "PF=50" in place of its own. Raises `ConfigError`."""
+    def with_mpe(self, assignments: Iterable[str]) -> Standard:
+        """Replace maximum permissible errors.
+
+        Parameters
+        ----------
+        assignments : iterable of str
+            Quantity and limit in µm, such as "PF=50".
+
+        Returns
+        -------
+        Standard
+            A copy with these limits; quantities that are not named keep theirs.
+
+        Raises
+        ------
+        ConfigError
+            An assignment has an unknown quantity or no number, or the limit is out of range.
+        """
         limits = self.mpe_um.model_dump()
         for assignment in assignments:
             quantity, _, value = assignment.partition("=")

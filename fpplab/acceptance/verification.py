@@ -1,6 +1,6 @@
-"""The acceptance test: what a measuring system gets wrong on standards that are known.
+"""The acceptance test: errors of a measuring system on calibrated standards.
 
-In the manner of VDI/VDE 2634 part 2 ("Optical systems based on area scanning"), from single views:
+After VDI/VDE 2634 part 2 ("Optical systems based on area scanning"), from single views:
 
 * Probing error, form PF: span of the radial distances of a sphere's points from the sphere of free
   radius fitted to them by least squares. Probing error, size PS: its diameter minus the calibrated one.
@@ -9,7 +9,7 @@ In the manner of VDI/VDE 2634 part 2 ("Optical systems based on area scanning"),
 
 Of each feature's points exactly `floor(0.003 N)`, the farthest from the fit, are left out of the fit
 and of the span. A quantity is passed when its error in every position stays within the maximum
-permissible error, less what the standard itself is uncertain by (ISO 14253-1).
+permissible error, reduced by the uncertainty of the standard itself (ISO 14253-1).
 """
 
 from __future__ import annotations
@@ -29,21 +29,30 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import ConfigError, DataError
 
 POSITIONS = 3
-"""Fewer positions of a standard say little about the measuring volume."""
-FAR_OFF = 0.1
-"""Relative deviation from which a diameter or spacing is not that of the standard at all."""
+"""Least number of positions of a standard that represent the measuring volume."""
+OTHER_STANDARD = 0.1
+"""Relative deviation of a diameter or spacing from which another standard must have been measured."""
 VERDICTS = {True: "passed", False: "not passed", None: "not judged"}
-"""What a judgement says to people."""
+"""Words for a judgement in reports."""
 
 Clouds = Iterable[tuple[str, Cloud]]
-"""Each with the name of its source."""
+"""Clouds in mm in the camera's frame, each after the name of its source."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFeature:
-    """One feature's points that count, (K, 3), their camera pixels (K, 2) or None, and how they lie.
+    """The evaluated points of one feature, and their distances from its fit.
 
-    distances: (K,) in mm, signed, from the fit. kept: (K,), all but the farthest.
+    Attributes
+    ----------
+    points : ndarray of float32
+        (K, 3) in mm in the camera's frame.
+    pixels : ndarray of int32 or None
+        Camera pixels (K, 2) as (u, v), None where unknown.
+    distances : ndarray of float64
+        Signed distances (K,) in mm from the fit.
+    kept : ndarray of bool
+        (K,), False for the farthest points, which were discarded.
     """
 
     points: NDArray[np.float32]
@@ -53,19 +62,45 @@ class MeasuredFeature:
 
     @classmethod
     def of(cls, cloud: Cloud, index: NDArray[np.intp], distances: Floats, kept: Mask) -> MeasuredFeature:
+        """Collect the evaluated points of a cloud.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            The whole cloud.
+        index : ndarray of intp
+            Numbers (K,) of the evaluated points.
+        distances : ndarray of float64
+            Their signed distances (K,) in mm from the fit.
+        kept : ndarray of bool
+            (K,), False for the points that were discarded.
+
+        Returns
+        -------
+        MeasuredFeature
+            The points, with their pixels where the cloud has them.
+        """
         pixels = None if cloud.pixels is None else cloud.pixels[index]
         return cls(cloud.points[index], pixels, distances, kept)
 
     @property
     def span_um(self) -> float:
+        """Greatest minus least distance of the kept points, in µm."""
         return 1e3 * peak_to_peak(self.distances[self.kept])
 
     @property
     def rms_um(self) -> float:
+        """Root mean square distance of the kept points, in µm."""
         return 1e3 * float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
     def summary(self) -> dict[str, Any]:
-        """Counts and the root mean square, which says how much of a span is noise."""
+        """Collect counts and the root mean square, which tells how much of a span is noise.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, part of `fpplab verify --json`.
+        """
         return {
             "rms_um": self.rms_um,
             "points": len(self.points),
@@ -75,7 +110,21 @@ class MeasuredFeature:
 
 @dataclass(frozen=True, eq=False)
 class SphereTest:
-    """One sphere in one position. number: 1 or 2, as in the standard's file."""
+    """The result of one sphere in one position.
+
+    Attributes
+    ----------
+    number : int
+        1 or 2, in the order of the standard's file.
+    sphere : Sphere
+        The fit, in mm in the camera's frame.
+    calibrated_mm : float
+        Calibrated diameter in mm.
+    solid_angle_sr : float
+        Solid angle of the measured cap in sr.
+    measured : MeasuredFeature
+        The evaluated points.
+    """
 
     number: int
     sphere: Sphere
@@ -85,15 +134,22 @@ class SphereTest:
 
     @property
     def form_um(self) -> float:
-        """PF."""
+        """Probing error, form (PF), in µm."""
         return self.measured.span_um
 
     @property
     def size_um(self) -> float:
-        """PS."""
+        """Probing error, size (PS), in µm."""
         return 1e3 * (2.0 * self.sphere.radius - self.calibrated_mm)
 
     def summary(self) -> dict[str, Any]:
+        """Collect the figures of this sphere.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `spheres` in `fpplab verify --json`.
+        """
         return {
             "sphere": self.number,
             "PF_um": self.form_um,
@@ -107,7 +163,17 @@ class SphereTest:
 
 @dataclass(frozen=True, eq=False)
 class BallBarTest:
-    """A ball bar in one position."""
+    """The result of a ball bar in one position.
+
+    Attributes
+    ----------
+    source : str
+        Name of the cloud.
+    spheres : tuple of SphereTest
+        The two spheres in the order of the standard's file.
+    calibrated_mm : float
+        Calibrated distance between their centres in mm.
+    """
 
     source: str
     spheres: tuple[SphereTest, SphereTest]
@@ -115,18 +181,31 @@ class BallBarTest:
 
     @property
     def spacing_mm(self) -> float:
+        """Measured distance between the two centres, in mm."""
         first, second = (test.sphere.centre for test in self.spheres)
         return float(np.linalg.norm(second - first))
 
     @property
     def spacing_error_um(self) -> float:
-        """SD."""
+        """Sphere-spacing error (SD), in µm."""
         return 1e3 * (self.spacing_mm - self.calibrated_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneTest:
-    """A plane in one position."""
+    """The result of a plane in one position.
+
+    Attributes
+    ----------
+    source : str
+        Name of the cloud.
+    plane : Plane
+        The fit, in mm in the camera's frame.
+    area_mm2 : float
+        Evaluated area in mm².
+    measured : MeasuredFeature
+        The evaluated points.
+    """
 
     source: str
     plane: Plane
@@ -135,10 +214,17 @@ class PlaneTest:
 
     @property
     def flatness_um(self) -> float:
-        """F."""
+        """Flatness measurement error (F), in µm."""
         return self.measured.span_um
 
     def summary(self) -> dict[str, Any]:
+        """Collect the figures of this plane.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `planes` in `fpplab verify --json`.
+        """
         return {
             "source": self.source,
             "F_um": self.flatness_um,
@@ -150,25 +236,44 @@ class PlaneTest:
 
 @dataclass(frozen=True)
 class AcceptanceJudgement:
-    """A quantity over all positions: the error of greatest size, and whether it is permitted.
+    """The judgement of one quantity over all positions.
 
-    passed: None where no maximum permissible error was stated.
+    Attributes
+    ----------
+    worst_um : float
+        The error of greatest magnitude, signed, in µm.
+    mpe_um : float or None
+        Maximum permissible error in µm, None where none is stated.
+    reference_uncertainty_um : float
+        Uncertainty of the standard itself in µm.
+    positions : int
+        Number of values that were measured.
     """
 
     worst_um: float
     mpe_um: float | None
-    known_to_um: float
+    reference_uncertainty_um: float
     positions: int
 
     @property
     def passed(self) -> bool | None:
-        return None if self.mpe_um is None else abs(self.worst_um) + self.known_to_um <= self.mpe_um
+        """Whether the error is permitted, None where no maximum permissible error is stated."""
+        return (
+            None if self.mpe_um is None else abs(self.worst_um) + self.reference_uncertainty_um <= self.mpe_um
+        )
 
     def summary(self) -> dict[str, Any]:
+        """Collect the figures of this quantity.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, an entry of `quantities` in `fpplab verify --json`.
+        """
         return {
             "worst_um": self.worst_um,
             "mpe_um": self.mpe_um,
-            "standard_known_to_um": self.known_to_um,
+            "standard_known_to_um": self.reference_uncertainty_um,
             "values": self.positions,
             "passed": self.passed,
         }
@@ -176,14 +281,30 @@ class AcceptanceJudgement:
 
 @dataclass(frozen=True, eq=False)
 class Acceptance:
-    """The result of an acceptance test."""
+    """The result of an acceptance test.
+
+    Attributes
+    ----------
+    standard : Standard
+        What was measured, and the maximum permissible errors.
+    bars : tuple of BallBarTest
+        One per position of the ball bar.
+    planes : tuple of PlaneTest
+        One per position of the plane.
+    """
 
     standard: Standard
     bars: tuple[BallBarTest, ...] = ()
     planes: tuple[PlaneTest, ...] = ()
 
     def errors_um(self) -> dict[str, list[float]]:
-        """Every value of every quantity that was measured."""
+        """Collect every value of every quantity that was measured.
+
+        Returns
+        -------
+        dict of str to list of float
+            Signed errors in µm by quantity, in the order of `QUANTITIES`.
+        """
         spheres = [test for bar in self.bars for test in bar.spheres]
         values = {
             "PF": [test.form_um for test in spheres],
@@ -194,11 +315,20 @@ class Acceptance:
         return {name: values[name] for name in QUANTITIES if values[name]}
 
     def judgements(self) -> dict[str, AcceptanceJudgement]:
-        """By quantity, those that were measured."""
+        """Judge every quantity that was measured.
+
+        Returns
+        -------
+        dict of str to AcceptanceJudgement
+            By quantity, in the order of `QUANTITIES`.
+        """
         standard = self.standard
         return {
             name: AcceptanceJudgement(
-                max(values, key=abs), standard.permitted_um(name), standard.known_to_um(name), len(values)
+                max(values, key=abs),
+                standard.permitted_um(name),
+                standard.reference_uncertainty_um(name),
+                len(values),
             )
             for name, values in self.errors_um().items()
         }
@@ -210,13 +340,19 @@ class Acceptance:
         return all(judged) if judged else None
 
     def notices(self) -> list[str]:
-        """What limits the meaning of the result."""
+        """List what limits the significance of the result.
+
+        Returns
+        -------
+        list of str
+            Sentences for the operator: too few positions, quantities without a permissible error.
+        """
         said = []
         for what, count in (("ball bar", len(self.bars)), ("plane", len(self.planes))):
             if 0 < count < POSITIONS:
                 said.append(
                     f"{what}: measured in {count} of at least {POSITIONS} recommended positions; spread them "
-                    "over the measuring volume, the guideline itself asks for more"
+                    "over the measuring volume, the guideline asks for more"
                 )
         unjudged = [name for name, found in self.judgements().items() if found.passed is None]
         if unjudged:
@@ -224,7 +360,13 @@ class Acceptance:
         return said
 
     def summary(self) -> dict[str, Any]:
-        """Plain values, errors in µm; the keys of `fpplab verify --json`."""
+        """Collect the whole result for `fpplab verify --json`.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain values, errors in µm.
+        """
         return {
             "standard": self.standard.name,
             "passed": self.passed,
@@ -242,12 +384,30 @@ class Acceptance:
 
 
 def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Acceptance:
-    """The acceptance test on clouds in mm in the camera's frame, each with the name of its source.
+    """Run the acceptance test on clouds of the standards.
 
-    bars: one cloud per position of the ball bar. planes: one per position of the plane. They are taken
-    one after the other, so that they need not all be in memory.
-    Raises `ConfigError` when there is nothing to test or its standard is not described, `DataError` when
-    a standard is not found, or too little of it was measured.
+    Clouds are taken from the iterables one after the other, so that they need not all be in memory.
+
+    Parameters
+    ----------
+    standard : Standard
+        What was measured, and the maximum permissible errors.
+    bars : iterable of (str, Cloud)
+        Name and cloud, in mm in the camera's frame, of each position of the ball bar.
+    planes : iterable of (str, Cloud)
+        Name and cloud of each position of the plane.
+
+    Returns
+    -------
+    Acceptance
+        All errors and their judgement.
+
+    Raises
+    ------
+    ConfigError
+        There is nothing to test, or the file does not describe the standard.
+    DataError
+        A standard is not found in its cloud, or too little of it was measured.
     """
     found = Acceptance(
         standard,
@@ -260,13 +420,35 @@ def verify(standard: Standard, bars: Clouds = (), planes: Clouds = ()) -> Accept
 
 
 def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTest:
-    """The two spheres of a ball bar, and their spacing. Raises `ConfigError`, `DataError` as `verify`."""
+    """Measure the two spheres of a ball bar, and their spacing.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The ball bar in one position, in mm in the camera's frame.
+    standard : Standard
+        Describes the ball bar and which points are evaluated.
+    source : str
+        Name of the cloud, for the result and error messages.
+
+    Returns
+    -------
+    BallBarTest
+        The result, its spheres in the order of the standard's file.
+
+    Raises
+    ------
+    ConfigError
+        The file does not describe a ball bar.
+    DataError
+        The spheres are not found, too little of them was measured, or they are those of another standard.
+    """
     bar = _described(standard.ball_bar, "ball_bar", standard)
     points = np.asarray(cloud.points, np.float64)
     radius = sum(bar.diameters_mm) / 4
     centres = find_spheres(points, normals_of(cloud), radius, 2, source)
     fits = [_fit(points, cloud, centre, radius, standard, source) for centre in centres]
-    # Nothing else tells two spheres apart than that one is the greater.
+    # The spheres can only be told apart by size.
     by_size = sorted(fits, key=lambda fit: fit[0].radius)
     order = sorted((0, 1), key=lambda i: bar.diameters_mm[i])
     tests = {
@@ -281,7 +463,29 @@ def verify_ball_bar(cloud: Cloud, standard: Standard, source: str) -> BallBarTes
 
 
 def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
-    """A plane's flatness. Raises `ConfigError`, `DataError` as `verify`."""
+    """Measure the flatness of a plane.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        The plane in one position, in mm in the camera's frame.
+    standard : Standard
+        Describes the plane and which points are evaluated.
+    source : str
+        Name of the cloud, for the result and error messages.
+
+    Returns
+    -------
+    PlaneTest
+        The result.
+
+    Raises
+    ------
+    ConfigError
+        The file does not describe a plane.
+    DataError
+        The plane is not found, too little of it was measured, or it is larger than the standard.
+    """
     known = _described(standard.plane, "plane", standard)
     points = np.asarray(cloud.points, np.float64)
     found = find_plane(points, max(known.size_mm), source)
@@ -310,8 +514,8 @@ def _described(standard: S | None, what: str, of: Standard) -> S:
 
 
 def _refuse_other(what: str, found: float, calibrated: float, source: str) -> None:
-    if abs(found - calibrated) > FAR_OFF * calibrated:
+    if abs(found - calibrated) > OTHER_STANDARD * calibrated:
         raise DataError(
             f"{source}: {what} measures {found:.3g} mm, but the standard's is {calibrated:.3g} mm; "
-            "see that this is the standard that its file describes"
+            "check that this is the standard that its file describes"
         )

@@ -1,28 +1,19 @@
-"""True shapes: artefacts, a ball bar, parts read from files, and each of them as a printer makes it."""
+"""True shapes: artefacts, standards, parts read from files, and each of them as a 3D printer makes it.
 
-from fpplab.artefacts.models import (
-    NAMES,
-    ROUND,
-    STANDARDS,
-    Pillars,
-    Pyramid,
-    StepsSizes,
-    make,
-    save_stl,
-    usual_sizes,
-)
+Importing this package does not import trimesh, so that names are available quickly.
+"""
+
+from fpplab.artefacts.base import Artefact, Lengths
+from fpplab.artefacts.catalogue import NAMES, STANDARDS, artefact_types, make, save_stl, usual_sizes
 from fpplab.artefacts.parts import check_solid, load_part
 from fpplab.artefacts.slicing import layer_count, sliced
-from fpplab.artefacts.standards import BallBar
 
 __all__ = [
     "NAMES",
-    "ROUND",
     "STANDARDS",
-    "BallBar",
-    "Pillars",
-    "Pyramid",
-    "StepsSizes",
+    "Artefact",
+    "Lengths",
+    "artefact_types",
     "check_solid",
     "layer_count",
     "load_part",

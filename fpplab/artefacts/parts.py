@@ -1,25 +1,41 @@
-"""Parts of one's own: solids read from mesh files, or refused with what to mend."""
+"""Reading the user's own parts from mesh files, with checks that each is one usable solid."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fpplab.core.errors import ConfigError, DataError
 
+if TYPE_CHECKING:
+    import trimesh
+
 SMALLEST_MM = 1.0
-"""A part whose largest extent is less than this was drawn in metres: nothing as small is measured."""
+"""A part with a smaller largest extent is taken as drawn in metres: no part this small is measured."""
 
 
 def load_part(path: Path) -> trimesh.Trimesh:
-    """A part from an STL, PLY or OBJ file as one closed surface facing outwards; corners in mm, in the
-    frame of the file.
+    """Read a part from an STL, PLY or OBJ file.
 
-    Corners that coincide are joined, and the file's colours and texture are left behind.
-    Raises `ConfigError` for a file that is missing or no mesh, for a surface that encloses no
-    solid (`check_solid`), and for lengths that look like metres.
+    Corners that coincide are joined; colours and texture are ignored.
+
+    Parameters
+    ----------
+    path : Path
+        Mesh file with lengths in mm.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        One closed surface facing outwards, corners in mm in the frame of the file.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing or no mesh, the surface does not enclose a solid (`check_solid`), or the lengths
+        look like metres (largest extent below `SMALLEST_MM`).
     """
     from fpplab.clouds import load_mesh  # half a second that making artefacts does not need
 
@@ -37,9 +53,19 @@ def load_part(path: Path) -> trimesh.Trimesh:
 
 
 def check_solid(mesh: trimesh.Trimesh, name: str) -> None:
-    """Raise `ConfigError` unless the mesh is closed and its faces are directed outwards.
+    """Check that a mesh is closed and its faces are directed outwards.
 
-    name: of the part, for the error's sentence.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Any mesh, in mm.
+    name : str
+        What to call the part in error messages.
+
+    Raises
+    ------
+    ConfigError
+        The mesh has no faces, open edges, faces of both directions, or faces that are directed inwards.
     """
     if len(mesh.faces) == 0:
         raise ConfigError(f"{name}: has no faces; give the mesh of a solid")

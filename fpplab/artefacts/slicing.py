@@ -1,7 +1,7 @@
-"""A part as a printer makes it: layers of molten filament (FDM), stacked along z.
+"""The shape of a part as a 3D printer makes it: layers of molten filament (FDM), stacked along z.
 
-A slope becomes a staircase, and a wall is marked where one layer's bead meets the next. On a
-printed artefact both are larger than what a good measurement gets wrong, so a cloud of it is
+A slope becomes a staircase, and a wall has grooves where one layer's bead meets the next. On a
+printed artefact both are larger than the errors of a good measurement, so a cloud of it is
 compared with the sliced shape, not with the drawn one.
 
 Frame of the part: mm, base on z = 0, z up, as it stood in the printer.
@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from manifold3d import CrossSection, Error, JoinType, Manifold, OpType
 
 from fpplab.artefacts.parts import check_solid
@@ -21,29 +21,47 @@ from fpplab.artefacts.solids import to_manifold, to_trimesh
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 
+if TYPE_CHECKING:
+    import trimesh
+
 MAX_LAYERS = 2000
 LEVELS = 3
-"""Depths by which a bead's round profile is drawn: a wall is right to a quarter of the marks' depth."""
+"""Depths that approximate a bead's round profile: a wall is accurate to a quarter of the grooves' depth."""
 
 NEGLIGIBLE_MM = 1e-5
-"""More than a file of 32 bit floats rounds, far less than anything is printed to."""
+"""More than the rounding of a file of 32 bit floats, far less than any printer's accuracy."""
 
 STANDS_WITHIN_MM = 1e-3
+"""How far the lowest point of a part may be from z = 0."""
 
 
 def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trimesh.Trimesh:
-    """The shape that a printer makes of a watertight part that stands on z = 0.
+    """Compute the shape that a 3D printer makes of a part.
 
-    Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section in its
-    middle. The printed height is the part's, rounded to whole layers (`layer_count`).
+    Layer k lies between `k * layer_mm` and `(k + 1) * layer_mm`, and is the part's cross-section at
+    mid-height of the layer. The printed height is the part's, rounded to whole layers (`layer_count`).
 
-    bead_mm: depth of the marks on a wall. A layer's outline is widest in the middle of the layer and
-    `bead_mm` further in at its two edges; between them it follows the arc through these three, in
-    `LEVELS` depths. 0 leaves walls plain within a layer.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        A watertight part that stands on z = 0 as it does in the printer, in mm.
+    layer_mm : float
+        Height of a layer in mm.
+    bead_mm : float
+        Depth of the grooves between layers on a wall in mm, less than half a layer. A layer's outline is
+        widest in the middle of the layer and `bead_mm` further in at its two edges; between them it follows
+        the arc through these three, in `LEVELS` depths. 0 leaves walls plain within a layer.
 
-    Returns a single watertight body without inner faces, normals outward.
-    Raises `ConfigError` for lengths out of range, a mesh that is no solid or does not stand on z = 0,
-    a feature that is thinner than its marks, and layers that do not hold together.
+    Returns
+    -------
+    trimesh.Trimesh
+        A single watertight body without inner faces, normals outward, in mm in the frame of the part.
+
+    Raises
+    ------
+    ConfigError
+        A length is out of range, the mesh is not a solid or does not stand on z = 0, a feature is thinner
+        than its grooves, or the layers make more than one body.
     """
     check_solid(mesh, "the part")
     low, high = mesh.bounds[:, 2]
@@ -64,9 +82,24 @@ def sliced(mesh: trimesh.Trimesh, layer_mm: float, bead_mm: float = 0.0) -> trim
 
 
 def layer_count(height_mm: float, layer_mm: float) -> int:
-    """Layers of a part of that height: those whose middle lies in the part, so half a layer rounds down.
+    """Count the layers of a printed part: those whose middle lies in the part, so half a layer rounds down.
 
-    Raises `ConfigError` for a layer that is not above 0 mm, gives no layer or more than `MAX_LAYERS`.
+    Parameters
+    ----------
+    height_mm : float
+        Height of the part in mm.
+    layer_mm : float
+        Height of a layer in mm.
+
+    Returns
+    -------
+    int
+        Number of layers, from 1 to `MAX_LAYERS`.
+
+    Raises
+    ------
+    ConfigError
+        `layer_mm` is not above 0 mm, or gives no layer or more than `MAX_LAYERS`.
     """
     if not (layer_mm > 0 and np.isfinite(layer_mm)):
         raise ConfigError(f"layer_mm: {layer_mm:g} mm must be above 0 mm")
@@ -91,7 +124,7 @@ def _solid(mesh: trimesh.Trimesh) -> Manifold:
 
 
 def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
-    """Depths (L,) from the middle of a layer outwards, and heights (2L,) in the layer where the next begins.
+    """Compute depths (L,) from a layer's middle to its edge, and the heights (2L,) that separate them.
 
     The arc through depth 0 in the middle and `bead_mm` at the edges, rounded to the nearest depth.
     """
@@ -106,8 +139,8 @@ def _profile(layer_mm: float, bead_mm: float) -> tuple[Floats, Floats]:
 
 
 def _bead(solid: Manifold, z: float, depths: Floats) -> list[CrossSection]:
-    """Outlines (2L - 1) of one layer from its lower edge to its upper one."""
-    # A face exactly in the middle of a layer ends below it, as it does in `layer_count`.
+    """Compute the outlines (2L - 1) of one layer, from its lower edge to its upper one."""
+    # What ends exactly at mid-height of a layer is not part of that layer, as in `layer_count`.
     widest = solid.slice(z + NEGLIGIBLE_MM).simplify(NEGLIGIBLE_MM)
     inner = [widest.offset(-depth, JoinType.Miter) for depth in depths[1:]]
     if any(outline.num_contour() != widest.num_contour() for outline in inner):
@@ -118,10 +151,10 @@ def _bead(solid: Manifold, z: float, depths: Floats) -> list[CrossSection]:
 
 
 def _stack(outlines: list[CrossSection]) -> Manifold:
-    """The outlines as slabs of unit height, united. Whole heights make neighbours touch exactly."""
+    """Unite the outlines as slabs of unit height; integer heights make neighbours touch exactly."""
     body = Manifold.batch_boolean(list(_slabs(outlines)), OpType.Add)
     shells = [shell.volume() for shell in body.decompose()]
-    bodies = sum(volume > 0 for volume in shells)  # the shell of a hollow has a negative volume
+    bodies = sum(volume > 0 for volume in shells)  # the shell of a cavity has a negative volume
     if bodies != 1:
         raise ConfigError(
             f"the part: its layers make {bodies} separate bodies; give one body, or thinner layers"
@@ -131,7 +164,9 @@ def _stack(outlines: list[CrossSection]) -> Manifold:
 
 def _slabs(outlines: list[CrossSection]) -> Iterator[Manifold]:
     start = 0
-    for _, run in groupby(outlines, key=_contours):  # equal neighbours as one: plain walls stay plain
+    for _, run in groupby(
+        outlines, key=_contours
+    ):  # equal neighbours as one, so that plain walls get no extra edges
         same = list(run)
         yield same[0].extrude(len(same)).translate((0.0, 0.0, start))
         start += len(same)
@@ -142,7 +177,7 @@ def _contours(outline: CrossSection) -> list[bytes]:
 
 
 def _mesh(body: Manifold, heights: Floats) -> trimesh.Trimesh:
-    """The body with its slab boundaries, whole numbers until now, at their heights in mm."""
+    """Convert to a mesh, moving the slab boundaries from integers to their heights (n,) in mm."""
     mesh = to_trimesh(body)
     mesh.vertices[:, 2] = heights[np.rint(mesh.vertices[:, 2]).astype(int)]
     return mesh

@@ -1,19 +1,47 @@
-"""Solids between trimesh and manifold3d, the library that unites and slices them."""
+"""Conversion of solids between trimesh and manifold3d, the library that unites and slices them."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from manifold3d import Manifold, Mesh64
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def to_manifold(mesh: trimesh.Trimesh) -> Manifold:
-    """The solid that a mesh encloses; its `status` says whether it encloses one."""
+    """Convert a mesh to the solid that it encloses.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Any mesh.
+
+    Returns
+    -------
+    manifold3d.Manifold
+        The solid; its `status` tells whether the mesh encloses one.
+    """
     corners = np.array(mesh.vertices, np.float64, order="C")
     return Manifold(Mesh64(corners, np.array(mesh.faces, np.uint64, order="C")))
 
 
 def to_trimesh(solid: Manifold) -> trimesh.Trimesh:
-    """The surface of a solid, corners and faces as they are."""
+    """Convert a solid to a mesh of its surface.
+
+    Parameters
+    ----------
+    solid : manifold3d.Manifold
+        Any solid.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Its surface, corners and faces unprocessed.
+    """
+    import trimesh  # most of a second that listing names does not need
+
     parts = solid.to_mesh64()
     return trimesh.Trimesh(np.array(parts.vert_properties[:, :3]), parts.tri_verts, process=False)

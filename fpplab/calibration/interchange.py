@@ -1,19 +1,18 @@
-"""Calibrations from and for other programs: OpenCV's FileStorage, as YAML or XML.
+"""Exchanging calibrations with other programs, as OpenCV FileStorage files in YAML or XML.
 
-Written are the names of OpenCV's own stereo sample: `M1 D1` (camera), `M2 D2` (projector), and `R T`
-with `X_2 = R X_1 + T`, which is `T_projector_camera` here; beside them the sizes and the lattice.
-Read are these and the names of other calibration programs (`NAMES`), from one file or spread over
-several.
+Files are written with the names of OpenCV's own stereo sample: `M1 D1` (camera), `M2 D2` (projector), and
+`R T` with `X_2 = R X_1 + T`, which is `T_projector_camera` here; in addition the sizes and the lattice.
+These names and those of other calibration programs (`NAMES`) are read, from one file or from several.
 
 Nothing needs to be converted. Pixels: both put (0, 0) at the centre of the first pixel. Distortion:
 both use (k1, k2, p1, p2, k3), and with k4, k5, k6 the rational model. Lengths: taken as they are, so the
 foreign board must have been given in mm.
 
-Lattice: FileStorage files do not say how the projector's mirrors lie, so it must be told. The numbers
-are left as they are. On a `diamond` lattice fpplab counts u in columns, with odd rows at half ones
-(`fpplab.core.conventions`); a program that knew nothing of the half column has measured, on average, a
-quarter of a column too little, and its principal point carries that. Characterise anew where a
-quarter of a column counts.
+Lattice: FileStorage files of other programs do not say how the projector's mirrors are arranged, so it must
+be given. The numbers are not changed. On a `diamond` lattice fpplab counts u in columns, with odd rows
+shifted by half a column (`fpplab.core.conventions`); a program that ignores the half column measures, on
+average, a quarter of a column too little, and so does its principal point. Characterise again where a quarter
+of a column matters.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "rms_projector": ("rms_projector", "proj_error"),
     "rms_joint": ("rms_joint", "stereo_error"),
 }
-"""What an entry is, and what programs call it: OpenCV's stereo sample, procamcalib, SLStudio."""
+"""Entries, and their names in other programs: OpenCV's stereo sample, procamcalib, SLStudio."""
 
 ALONE = {
     "camera_matrix": "M",
@@ -63,19 +62,19 @@ ALONE = {
     "image_width": "width",
     "image_height": "height",
 }
-"""Names in the file of one device: that of the first such file is the camera, of the second the projector."""
+"""Names in the file of a single device: the first such file is the camera's, the second the projector's."""
 
 RMS = ("camera", "projector", "joint")
 
 COEFFICIENTS = (4, 5, 8, 12, 14)
-"""How many OpenCV's models have; those beyond the eighth are not modelled here."""
+"""Numbers of coefficients of OpenCV's models; those beyond the eighth are not modelled here."""
 ORTHONORMAL = 1e-4
-"""How far R Rᵀ may be from one: files are written with five digits and more."""
+"""Tolerance of R Rᵀ = 1: files are written with five digits and more."""
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """An entry of a file, and where it stands, for a sentence about it."""
+    """An entry of a file, and its file and name for error messages."""
 
     where: str
     value: Any
@@ -85,9 +84,22 @@ _Entries = dict[str, _Entry]
 
 
 def is_opencv(path: Path) -> bool:
-    """Whether a file is OpenCV's FileStorage rather than a calibration of ours, by how it begins.
+    """Detect by its first characters whether a file is OpenCV's FileStorage or a calibration of fpplab.
 
-    Raises `ConfigError` when it cannot be read.
+    Parameters
+    ----------
+    path : Path
+        A calibration file of either kind.
+
+    Returns
+    -------
+    bool
+        True if it begins as a FileStorage file does.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read.
     """
     return _begins_as_opencv(config.read_text(path))
 
@@ -97,7 +109,20 @@ def _begins_as_opencv(text: str) -> bool:
 
 
 def to_opencv(calibration: Calibration, kind: Format) -> str:
-    """A calibration as FileStorage text that `from_opencv` reads back digit by digit."""
+    """Convert a calibration to FileStorage text that `from_opencv` reads back without any loss of digits.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Its uncertainty is not written.
+    kind : {"yaml", "xml"}
+        Format of the text.
+
+    Returns
+    -------
+    str
+        The file's text.
+    """
     flags = {"yaml": cv2.FILE_STORAGE_FORMAT_YAML, "xml": cv2.FILE_STORAGE_FORMAT_XML}[kind]
     storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | flags)
     for number, device in enumerate((calibration.camera, calibration.projector), start=1):
@@ -119,12 +144,28 @@ def from_opencv(
     projector_size: tuple[int, int] | None = None,
     lattice: Lattice | None = None,
 ) -> Calibration:
-    """A calibration from FileStorage files that have, together, both devices and R, T between them.
+    """Read a calibration from FileStorage files that together hold both devices and R, T between them.
 
-    camera_size, projector_size (width, height) in px and lattice: what the files do not say.
-    Raises `ConfigError` that names file, entry and what is expected when something is missing, said
-    twice or otherwise than in the file, of the wrong shape, or beyond the model: skew, or distortion
-    that needs more than eight coefficients.
+    Parameters
+    ----------
+    paths : sequence of Path
+        One file, or several that complement one another.
+    camera_size, projector_size : tuple of int, optional
+        Width and height in px, where the files do not give them.
+    lattice : Lattice, optional
+        Arrangement of the projector's mirrors, where the files do not give it.
+
+    Returns
+    -------
+    Calibration
+        Without uncertainty.
+
+    Raises
+    ------
+    ConfigError
+        Something is missing, given twice, given differently from the file, of the wrong shape, out of range,
+        or not covered by the model: skew, or distortion that needs more than eight coefficients. The message
+        names file, entry and what is expected.
     """
     entries = _gathered(paths)
     source = " + ".join(str(path) for path in paths)
@@ -149,7 +190,7 @@ def from_opencv(
 
 
 def _gathered(paths: Sequence[Path]) -> _Entries:
-    """All entries that are known, under the names of this module."""
+    """Collect all entries that are known, under the names of this module."""
     known = {name: what for what, names in NAMES.items() for name in names}
     entries: _Entries = {}
     alone = 0
@@ -171,14 +212,14 @@ def _gathered(paths: Sequence[Path]) -> _Entries:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The entries at the top of a FileStorage file: matrices, numbers, words and lists of numbers."""
+    """Read the top-level entries of a FileStorage file: matrices, numbers, strings and lists of numbers."""
     text = config.read_text(path)
     if not _begins_as_opencv(text):
         raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0 or <?xml")
-    level = cv2.setLogLevel(0)  # OpenCV would print what the sentence below says
+    level = cv2.setLogLevel(0)  # or OpenCV would print what the error below says
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()  # which lives as long as `storage`
+        root = storage.root()  # valid only as long as `storage` exists
         return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
     except (cv2.error, SystemError) as error:
         raise ConfigError(f"{path}: is not readable as a file of OpenCV; write it again") from error
@@ -272,7 +313,7 @@ def _number(entry: _Entry) -> float:
 def _size(
     entries: _Entries, device: str, told: tuple[int, int] | None, option: str, source: str
 ) -> tuple[int, int]:
-    """The size in px that the files say, or that was told where they do not."""
+    """Look up the size in px in the files, or take the given one where they have none."""
     size, width, height = (entries.get(f"{what}{device}") for what in ("size", "width", "height"))
     if size is not None:
         expected = "width and height in px"
@@ -313,7 +354,7 @@ def _lattice(entries: _Entries, told: Lattice | None, source: str) -> Lattice:
 
 
 def _check_ranges(calibration: Calibration, source: str) -> None:
-    """Refuse what a calibration file of ours may not hold: `ConfigError`."""
+    """Raise `ConfigError` for values that a calibration file of fpplab may not hold."""
     devices = {"camera": calibration.camera, "projector": calibration.projector}
     fields: dict[str, Any] = {
         name: {

@@ -1,4 +1,4 @@
-"""The result of a characterisation: both devices' models and the pose between them."""
+"""The calibration, result of a characterisation: both devices' models and the pose between them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
 
 INTRINSICS = ("fx", "fy", "cx", "cy", *DISTORTION)
-"""The parameters of a device, in the order of every vector that holds them."""
+"""The intrinsic parameters of a device, in the order of every vector that holds them."""
 
 POSE = ("rx", "ry", "rz", "x", "y", "z")
 """The parameters of a rigid transform: rotation vector and translation."""
@@ -31,12 +31,20 @@ PARAMETERS = (
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How well a calibration's parameters are known, together.
+    """Covariance of a calibration's parameters.
 
-    names: n of `PARAMETERS`; those that are absent were held and count as exact.
-    covariance: (n, n) in the order of `names`, in px for fx, fy, cx, cy, rad for rx, ry, rz
-    (which add to the rotation vector), mm for x, y, z.
-    Raises `CalibrationError` when it is no covariance of such parameters.
+    Attributes
+    ----------
+    names : tuple of str
+        n of `PARAMETERS`; those that are absent were held constant and count as exact.
+    covariance : ndarray of float64
+        (n, n) in the order of `names`, in px for fx, fy, cx, cy, rad for rx, ry, rz (which add to the
+        rotation vector), mm for x, y, z.
+
+    Raises
+    ------
+    CalibrationError
+        A name is unknown or repeated, or the matrix is not a covariance of as many parameters.
     """
 
     names: tuple[str, ...]
@@ -53,7 +61,7 @@ class Uncertainty:
 
 
 def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
-    """Why this cannot be the covariance of these parameters, or None."""
+    """Explain why this cannot be the covariance of these parameters; None if it can."""
     for name in names:
         if name not in PARAMETERS:
             return f"'names' has {name!r}, which is no parameter of a calibration, such as 'camera.fx'"
@@ -75,10 +83,20 @@ def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Camera, projector, and `T_projector_camera`. The world frame is the camera's.
+    """Camera, projector, and the pose between them. The world frame is the camera's.
 
-    rms_px: reprojection errors by name (`camera`, `projector`, `joint`), for the record.
-    uncertainty: of the parameters, where it is known.
+    Attributes
+    ----------
+    camera : Pinhole
+        Model of the camera.
+    projector : Pinhole
+        Model of the projector.
+    T_projector_camera : RigidTransform
+        Takes coordinates in mm in the camera's frame to the projector's.
+    rms_px : dict of str to float
+        Reprojection errors in px by name (`camera`, `projector`, `joint`), for information only.
+    uncertainty : Uncertainty, optional
+        Of the parameters; None where it is unknown.
     """
 
     camera: Pinhole
@@ -89,7 +107,7 @@ class Calibration:
 
     @property
     def baseline_mm(self) -> float:
-        """Distance between the two centres of projection."""
+        """Distance between the two centres of projection in mm."""
         return float(np.linalg.norm(self.T_projector_camera.translation))
 
     @property
@@ -98,11 +116,39 @@ class Calibration:
         return self.T_projector_camera.inverse().translation
 
     def check_camera(self, size: tuple[int, int], source: Path | str) -> None:
-        """Refuse data of another sensor size: `CalibrationError`."""
+        """Check that data are of the camera's sensor size.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height of the frames in px.
+        source : Path or str
+            Where the frames come from, for the error message.
+
+        Raises
+        ------
+        CalibrationError
+            The sizes differ.
+        """
         _check("camera frames", size, self.camera.size, source)
 
     def check_projector(self, size: tuple[int, int], lattice: Lattice, source: Path | str) -> None:
-        """Refuse fringes of another projector size or lattice: `CalibrationError`."""
+        """Check that fringes are for the projector's size and lattice.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height of the patterns in projector px.
+        lattice : Lattice
+            Arrangement of the mirrors that the patterns are for.
+        source : Path or str
+            Where the patterns come from, for the error message.
+
+        Raises
+        ------
+        CalibrationError
+            Size or lattice differ.
+        """
         _check("projector patterns", size, self.projector.size, source)
         if lattice is not self.projector.lattice:
             raise CalibrationError(
@@ -111,12 +157,39 @@ class Calibration:
             )
 
     def save(self, path: Path) -> None:
-        """Write as YAML, whole or not at all."""
+        """Write a calibration file (YAML), atomically: the file is complete or unchanged.
+
+        Parameters
+        ----------
+        path : Path
+            Where to write.
+
+        Raises
+        ------
+        DataError
+            The file cannot be written.
+        """
         write_text(path, config.dump(CalibrationFile.of(self)))
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
-        """Read a calibration file. Raises `ConfigError`."""
+        """Read a calibration file.
+
+        Parameters
+        ----------
+        path : Path
+            A file that `save` wrote.
+
+        Returns
+        -------
+        Calibration
+            What the file holds.
+
+        Raises
+        ------
+        ConfigError
+            The file is missing, or a field of it is not valid.
+        """
         return config.load_document(path, CalibrationFile).calibration()
 
 
@@ -145,20 +218,37 @@ def _five_or_eight(distortion: tuple[float, ...]) -> tuple[float, ...]:
 
 
 Distortion = Annotated[tuple[Coefficient, ...], AfterValidator(_five_or_eight)]
-"""A lens in a file: as many coefficients as OpenCV has without or with k4, k5, k6."""
+"""Distortion in a file: as many coefficients as OpenCV has without or with k4, k5, k6."""
 
 
 class PinholeFile(Document):
     """One device in a calibration file."""
 
     size: tuple[PixelCount, PixelCount]
+    """Width and height in px."""
     focal_px: tuple[Focal, Focal]
+    """Focal lengths fx and fy in px."""
     centre_px: tuple[Centre, Centre]
+    """Principal point (cx, cy) in px, (0, 0) at the centre of the first pixel."""
     distortion: Distortion
+    """OpenCV's (k1, k2, p1, p2, k3), with k4, k5, k6 for the rational model."""
     lattice: Lattice = Lattice.SQUARE
+    """Arrangement of the pixels or mirrors."""
 
     @classmethod
     def of(cls, device: Pinhole) -> PinholeFile:
+        """Convert a device's model to its form in a file.
+
+        Parameters
+        ----------
+        device : Pinhole
+            Camera or projector.
+
+        Returns
+        -------
+        PinholeFile
+            The same parameters.
+        """
         k = device.matrix
         return cls(
             size=device.size,
@@ -169,20 +259,48 @@ class PinholeFile(Document):
         )
 
     def model(self) -> Pinhole:
+        """Convert to the device's model.
+
+        Returns
+        -------
+        Pinhole
+            Camera or projector with these parameters.
+        """
         return Pinhole.from_focal(self.size, self.focal_px, self.centre_px, self.distortion, self.lattice)
 
 
 class PoseFile(Document):
-    """A rigid transform in a file: rotation vector in degrees, translation in mm."""
+    """A rigid transform in a file."""
 
     rotation_deg: tuple[float, float, float]
+    """Rotation vector in degrees."""
     translation_mm: tuple[Millimetres, Millimetres, Millimetres]
+    """Translation in mm."""
 
     def transform(self) -> RigidTransform:
+        """Convert to a rigid transform.
+
+        Returns
+        -------
+        RigidTransform
+            With its translation in mm.
+        """
         return RigidTransform.from_vectors(np.radians(self.rotation_deg), np.array(self.translation_mm))
 
     @classmethod
     def of(cls, transform: RigidTransform) -> PoseFile:
+        """Convert a rigid transform to its form in a file.
+
+        Parameters
+        ----------
+        transform : RigidTransform
+            With its translation in mm.
+
+        Returns
+        -------
+        PoseFile
+            The same transform.
+        """
         rotation, translation = np.degrees(transform.rotation_vector).tolist(), transform.translation.tolist()
         return cls(rotation_deg=tuple(rotation), translation_mm=tuple(translation))
 
@@ -191,7 +309,10 @@ class UncertaintyFile(Document):
     """Covariance in a calibration file, as `Uncertainty`, but in degrees for rx, ry, rz."""
 
     names: tuple[str, ...]
+    """Parameters such as `camera.fx`; those that are absent count as exact."""
     covariance: tuple[tuple[float, ...], ...]
+    """Rows of the covariance in the order of `names`, in px for fx, fy, cx, cy, degrees for rx, ry, rz, mm
+    for x, y, z."""
 
     @model_validator(mode="after")
     def _is_a_covariance(self) -> UncertaintyFile:
@@ -202,16 +323,35 @@ class UncertaintyFile(Document):
         return self
 
     def uncertainty(self) -> Uncertainty:
+        """Convert to an uncertainty in rad.
+
+        Returns
+        -------
+        Uncertainty
+            The same covariance, in rad for rx, ry, rz.
+        """
         return Uncertainty(self.names, np.array(self.covariance) / self._units(self.names))
 
     @classmethod
     def of(cls, uncertainty: Uncertainty) -> UncertaintyFile:
+        """Convert an uncertainty to its form in a file.
+
+        Parameters
+        ----------
+        uncertainty : Uncertainty
+            In rad for rx, ry, rz.
+
+        Returns
+        -------
+        UncertaintyFile
+            The same covariance, in degrees for rx, ry, rz.
+        """
         rows = (uncertainty.covariance * cls._units(uncertainty.names)).tolist()
         return cls(names=uncertainty.names, covariance=tuple(tuple(row) for row in rows))
 
     @staticmethod
     def _units(names: tuple[str, ...]) -> Floats:
-        """What turns a covariance in rad into one in degrees, (n, n)."""
+        """Compute the factors (n, n) that convert a covariance in rad to one in degrees."""
         unit = np.array([np.degrees(1.0) if name.rpartition(".")[2] in POSE[:3] else 1.0 for name in names])
         return np.outer(unit, unit)
 
@@ -220,10 +360,15 @@ class CalibrationFile(Document):
     """Schema of a calibration file."""
 
     camera: PinholeFile
+    """Model of the camera."""
     projector: PinholeFile
+    """Model of the projector."""
     T_projector_camera: PoseFile
+    """Takes coordinates in the camera's frame to the projector's."""
     rms_px: dict[str, float] = Field(default_factory=dict)
+    """Reprojection errors in px by name (`camera`, `projector`, `joint`), for information only."""
     uncertainty: UncertaintyFile | None = None
+    """Covariance of the parameters, where it is known."""
 
     @model_validator(mode="after")
     def _has_a_baseline(self) -> CalibrationFile:
@@ -235,6 +380,18 @@ class CalibrationFile(Document):
 
     @classmethod
     def of(cls, calibration: Calibration) -> CalibrationFile:
+        """Convert a calibration to its form in a file.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Angles in rad.
+
+        Returns
+        -------
+        CalibrationFile
+            The same calibration, angles in degrees.
+        """
         known = calibration.uncertainty
         return cls(
             camera=PinholeFile.of(calibration.camera),
@@ -245,6 +402,13 @@ class CalibrationFile(Document):
         )
 
     def calibration(self) -> Calibration:
+        """Convert to a calibration.
+
+        Returns
+        -------
+        Calibration
+            The same calibration, angles in rad.
+        """
         known = self.uncertainty.uncertainty() if self.uncertainty else None
         pose = self.T_projector_camera.transform()
         return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known)

@@ -77,8 +77,11 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
         with console.progress("Characterising") as report:
             found = characterise_sessions(poses, Target.load("target_paper.yaml"), report)
         found.calibration.save(out / CALIBRATION)
+        held = fixture.caps.items
         scans = [
-            _measure(rig, name, scan_plan, found.calibration, out / name, force) for name in artefacts.NAMES
+            _measure(rig, name, scan_plan, found.calibration, out / name, force)
+            for name in artefacts.NAMES
+            if held is None or name in held
         ]
         write_report(
             out / REPORT,

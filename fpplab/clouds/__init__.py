@@ -1,4 +1,4 @@
-"""Measured points: kept, written, read, and seen as a surface over the pixel grid."""
+"""Measured point clouds: in memory, in files, and as a surface over the camera's pixel grid."""
 
 from fpplab.clouds.cloud import (
     CLOUD_SUFFIXES,

@@ -1,4 +1,4 @@
-"""Measured clouds: points with what is known of each, on disk as PLY, XYZ or NPZ; meshes of true shapes."""
+"""Point clouds with per-point attributes, in PLY, XYZ or NPZ files; reading meshes of true shapes."""
 
 from __future__ import annotations
 
@@ -21,28 +21,50 @@ if TYPE_CHECKING:
     import trimesh
 
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npz")
+"""Of files that `load_cloud` reads and `save_cloud` writes."""
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
+"""Of files that `load_mesh` reads."""
 
 CloudPoints = NDArray[np.float32]
+"""Values of every point of a cloud, (N,) or (N, 3)."""
 
 _SIGMAS = ("sigma_noise_mm", "sigma_calibration_mm", "sigma_form_mm")
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points in mm in the camera's frame, and what is known of each; None is not known.
+    """A point cloud in mm in the camera's frame; attributes that are not known are None.
 
-    points: float32 (N, 3). pixels: int32 (N, 2) as (u, v) of the camera of `size` (width, height)
-    that saw them, at most one point per pixel. normals: float32 (N, 3), unit, facing the camera,
-    (0, 0, 0) where unknown. colour: uint8 grey (N,). epipolar_px: float32 (N,), distance from the
-    epipolar curve in projector px.
+    The two uncertainties from the calibration are root mean square distances
+    (`fpplab.reconstruction.uncertainty`).
 
-    Standard uncertainties, float32 (N,): sigma_noise_mm, from the fringes' noise, along the ray,
-    independent from point to point. sigma_calibration_mm, from the calibration's covariance, common
-    to all points; sigma_form_mm, what the best rigid motion of the whole cloud leaves of that. These
-    two are root mean square distances (`fpplab.reconstruction.uncertainty`).
+    Attributes
+    ----------
+    points : ndarray of float32
+        (N, 3) in mm, at least one, all finite.
+    pixels : ndarray of int32, optional
+        Camera pixels (N, 2) as (u, v), at most one point per pixel.
+    size : tuple of int, optional
+        Width and height in px of the camera that `pixels` refers to.
+    normals : ndarray of float32, optional
+        Unit normals (N, 3) facing the camera, (0, 0, 0) where unknown.
+    colour : ndarray of uint8, optional
+        Grey levels (N,).
+    sigma_noise_mm : ndarray of float32, optional
+        Standard uncertainty (N,) in mm from the noise of the fringes, along the ray, independent between
+        points.
+    sigma_calibration_mm : ndarray of float32, optional
+        Standard uncertainty (N,) in mm from the calibration's covariance, common to all points.
+    sigma_form_mm : ndarray of float32, optional
+        What the best rigid motion of the whole cloud leaves of `sigma_calibration_mm`, (N,) in mm.
+    epipolar_px : ndarray of float32, optional
+        Distance (N,) from the epipolar curve in projector px.
 
-    Raises `DataError` when the parts do not fit together.
+    Raises
+    ------
+    DataError
+        The arrays' shapes do not fit together, there is no point, a point is not finite, pixels lie outside
+        the image, or only one of `pixels` and `size` is given.
     """
 
     points: CloudPoints
@@ -64,9 +86,9 @@ class Cloud:
             if values is not None and values.shape != shape:
                 raise DataError(f"cloud: {name} has the shape {values.shape} instead of {shape}")
         if n == 0 or not np.isfinite([self.points.min(), self.points.max()]).all():
-            raise DataError("cloud: there must be at least one point, and none that is not finite")
+            raise DataError("cloud: there must be at least one point, and all must be finite")
         if (self.pixels is None) != (self.size is None):
-            raise DataError("cloud: pixels need the camera's size, and the size pixels")
+            raise DataError("cloud: 'pixels' and 'size' must be given together")
         if self.pixels is None or self.size is None:
             return
         u, v = self.pixels.T
@@ -78,7 +100,7 @@ class Cloud:
 
     @property
     def sigma_mm(self) -> CloudPoints | None:
-        """Noise and calibration together, float32 (N,): root mean square distance from the true point.
+        """Noise and calibration combined, float32 (N,) in mm: root mean square distance from the true point.
 
         None where one of them is not known.
         """
@@ -87,34 +109,86 @@ class Cloud:
         return np.hypot(self.sigma_noise_mm, self.sigma_calibration_mm)
 
     def only(self, kept: Mask) -> Cloud:
-        """The points that are kept, (N,) bool; at least one."""
+        """Select points, with all their attributes.
+
+        Parameters
+        ----------
+        kept : ndarray of bool
+            (N,), True for the points of the result; at least one.
+
+        Returns
+        -------
+        Cloud
+            The selected points in the same order.
+        """
         parts = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
-        # Rows by number: NumPy takes four times as long by a mask.
+        # By index, since NumPy takes four times as long by a mask.
         rows = np.flatnonzero(kept)
         return replace(
             self, **{name: part.take(rows, axis=0) for name, part in parts.items() if part is not None}
         )
 
     def grid(self) -> PixelGrid:
-        """The points laid out over the camera's pixels. Raises `DataError` when those are not known."""
+        """Arrange the points over the camera's pixels.
+
+        Returns
+        -------
+        PixelGrid
+            Slopes and inverse depths by pixel.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known.
+        """
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
         return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_noise_mm)
 
     def grid_mesh(self) -> tuple[CloudPoints, NDArray[np.int32]]:
-        """The surface over the pixel grid, cut at jumps: vertices (N, 3), faces (M, 3) facing the camera.
+        """Mesh the surface over the pixel grid, cut at jumps in depth.
 
-        The rule that cuts is that of `fpplab.clouds.pixelgrid`. Raises `DataError` without pixels.
+        `fpplab.clouds.pixelgrid` defines what counts as a jump.
+
+        Returns
+        -------
+        vertices : ndarray of float32
+            The points (N, 3) in mm.
+        faces : ndarray of int32
+            Indices (M, 3) of vertices; front sides face the camera.
+
+        Raises
+        ------
+        DataError
+            The pixels of the points are not known.
         """
         return self.points, self.grid().faces()
 
 
 def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
-    """Signed distances (N,) in mm along the normal of each point from a quadric fitted to its pixel window.
+    """Compute each point's distance from a quadric fitted to its pixel window.
 
-    A figure of roughness where the truth is not known. window: odd, in px. NaN where less than
-    half the window belongs to the point's surface.
-    Raises `ConfigError` for a window that is no odd number from 5, `DataError` without pixels.
+    A measure of roughness where the true shape is not known.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        With pixels.
+    window : int
+        Side of the square window in px, odd, at least 5.
+
+    Returns
+    -------
+    ndarray of float32
+        Signed distances (N,) in mm along the normal; NaN where less than half the window belongs to the
+        point's surface.
+
+    Raises
+    ------
+    ConfigError
+        The window is not an odd number, at least 5.
+    DataError
+        The pixels of the points are not known.
     """
     if window < 5 or window % 2 == 0:
         raise ConfigError(f"window: {window} px must be an odd number, at least 5")
@@ -122,9 +196,21 @@ def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
 
 
 def save_cloud(cloud: Cloud, path: Path) -> None:
-    """Write by suffix, whole or not at all: `.ply` (binary), `.xyz` (text, points alone), `.npz`.
+    """Write a cloud in the format of the path's suffix, atomically: the file is complete or unchanged.
 
-    Raises `ConfigError` for another suffix, `DataError` when the place cannot be written.
+    Parameters
+    ----------
+    cloud : Cloud
+        What to write.
+    path : Path
+        With the suffix `.ply` (binary), `.xyz` (text, points only) or `.npz`.
+
+    Raises
+    ------
+    ConfigError
+        The path has another suffix.
+    DataError
+        The file cannot be written.
     """
     writers = {".ply": _write_ply, ".xyz": _write_xyz, ".npz": _write_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
@@ -132,9 +218,24 @@ def save_cloud(cloud: Cloud, path: Path) -> None:
 
 
 def load_cloud(path: Path) -> Cloud:
-    """Read by suffix; what a file from elsewhere does not tell is None. Points in mm.
+    """Read a cloud in the format of the path's suffix.
 
-    Raises `ConfigError` for another suffix, `DataError` for a file that is missing or damaged.
+    Parameters
+    ----------
+    path : Path
+        With the suffix `.ply`, `.xyz` or `.npz`; written by fpplab or another program, in mm.
+
+    Returns
+    -------
+    Cloud
+        Attributes that the file does not hold are None.
+
+    Raises
+    ------
+    ConfigError
+        The path has another suffix.
+    DataError
+        The file is missing or damaged.
     """
     readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
@@ -149,20 +250,37 @@ def load_cloud(path: Path) -> Cloud:
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
-    """A true shape in mm from STL, PLY or OBJ: its faces alone, joined wherever corners coincide.
+    """Read the mesh of a true shape.
 
-    Raises `ConfigError` for another suffix, `DataError` for a file that is missing, damaged or no mesh.
+    Only the faces are read, without colours or texture; corners that coincide are joined.
+
+    Parameters
+    ----------
+    path : Path
+        STL, PLY or OBJ file in mm.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Corners in mm in the frame of the file.
+
+    Raises
+    ------
+    ConfigError
+        The path has another suffix.
+    DataError
+        The file is missing, damaged, no mesh, or has corners that are not finite.
     """
     import trimesh  # half a second that measuring does not need
 
     suffix = _known_suffix(path, MESH_SUFFIXES)
     try:
-        # Unprocessed, for processing would drop corners that are not finite without a word.
+        # Unprocessed, since processing would silently drop corners that are not finite.
         with path.open("rb") as stream, np.errstate(invalid="ignore"):
             mesh = trimesh.load_mesh(stream, file_type=suffix[1:], process=False)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except Exception as error:  # the readers of three formats raise what they like
+    except Exception as error:  # the readers of the three formats raise exceptions of any kind
         raise DataError(
             f"{path}: is no readable {suffix[1:].upper()} mesh ({error}); export it again"
         ) from error

@@ -1,4 +1,4 @@
-"""A cloud as the surface over its camera's pixels: what is connected, normals, faces, local fits.
+"""A cloud as a surface over its camera's pixels: connectivity, normals, faces, local fits.
 
 Two points lie on one surface when the step in depth between them is no more than a surface
 inclined by `STEEPEST_DEG` to the image plane would show over the footprint that separates
@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, Map
 
 STEEPEST_DEG = 80.0
+"""Greatest inclination of a surface to the image plane."""
 NOISE_SIGMAS = 4.0
+"""Standard deviations of noise that are allowed in a step within one surface."""
 NORMAL_REACH = 2
 """A point's normal is that of the plane through it and its eight neighbours this many px away."""
 
 _STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
 _LINE = 1e-3
-"""Squared correlation of the neighbours' places, short of 1 by this, from which they lie on a line."""
+"""Neighbours lie on a line when the squared correlation of their places is within this of 1."""
 _TERMS = 6
 
 GridPoints = NDArray[np.float32]
@@ -36,11 +38,20 @@ PixelColumnsRows = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
-    """Points laid out over the camera's pixels, all [v, u].
+    """The points of a cloud arranged over the camera's pixels, all arrays (height, width) indexed [v, u].
 
-    index: int32, the point's number, -1 where there is none. a, b: ray slopes; w: 1/z in 1/mm;
-    float32, NaN where there is no point. noise: float32, the point's share in the allowed
-    relative step.
+    Attributes
+    ----------
+    index : ndarray of int32
+        Number of the point, -1 where there is none.
+    a, b : ndarray of float32
+        Slopes x/z and y/z of the point's ray, NaN where there is no point.
+    w : ndarray of float32
+        Inverse depth 1/z in 1/mm, NaN where there is no point.
+    noise : ndarray of float32
+        The point's contribution, from its noise, to the relative step in depth that is allowed.
+    count : int
+        Number of points.
     """
 
     index: PixelColumnsRows
@@ -58,7 +69,24 @@ class PixelGrid:
         size: tuple[int, int],
         sigma_mm: GridPoints | None = None,
     ) -> PixelGrid:
-        """From points (N, 3) in the camera's frame at pixels (N, 2) as (u, v); no sigma means no noise."""
+        """Arrange points over the pixels that saw them.
+
+        Parameters
+        ----------
+        points : ndarray of float32
+            (N, 3) in mm in the camera's frame.
+        pixels : ndarray of int32
+            (N, 2) as (u, v), at most one point per pixel.
+        size : tuple of int
+            Width and height of the camera in px.
+        sigma_mm : ndarray of float32, optional
+            Standard deviation (N,) of each point's noise in mm; None means no noise.
+
+        Returns
+        -------
+        PixelGrid
+            The points by pixel.
+        """
         shape = size[1], size[0]
         index = np.full(shape, -1, np.int32)
         a, b, w = (np.full(shape, np.nan, np.float32) for _ in range(3))
@@ -68,16 +96,27 @@ class PixelGrid:
         return cls(index, a, b, w, noise, len(points))
 
     def normals(self) -> GridPoints:
-        """Unit normals (N, 3) facing the camera, (0, 0, 0) where the neighbours span no plane."""
+        """Compute normals from the plane through each point and its neighbours `NORMAL_REACH` px away.
+
+        Returns
+        -------
+        ndarray of float32
+            Unit normals (N, 3) facing the camera, (0, 0, 0) where the neighbours do not span a plane.
+        """
         found = np.zeros((self.count, 3), np.float32)
         _normals(self.index, self.a, self.b, self.w, self.noise, found)
         return found
 
     def faces(self) -> PixelColumnsRows:
-        """Triangles (M, 3) over neighbouring pixels, none across a jump, front side towards the camera.
+        """Triangulate neighbouring pixels, but not across jumps in depth.
 
-        Each square of four pixels is cut along the diagonal with the smaller step in depth; a
+        Each square of four pixels is divided along the diagonal with the smaller step in depth; a
         square that lacks a corner still gives the triangle of the other three.
+
+        Returns
+        -------
+        ndarray of int32
+            Numbers (M, 3) of points; front sides face the camera.
         """
         planes = self.index, self.a, self.b, self.w, self.noise
         counts = np.zeros(len(self.index), np.int64)
@@ -87,10 +126,20 @@ class PixelGrid:
         return found
 
     def quadric_distances(self, window: int) -> GridPoints:
-        """Signed distances (N,) in mm along the normal from the quadric fitted to each point's window.
+        """Compute each point's distance from the quadric fitted to its window.
 
-        The quadric is that of 1/z over the pixels; positive is towards the camera. NaN where less
-        than half of the window is connected with its centre. The point takes part in its own fit.
+        The quadric is that of 1/z over the pixels. The point takes part in its own fit.
+
+        Parameters
+        ----------
+        window : int
+            Side of the window in px, odd.
+
+        Returns
+        -------
+        ndarray of float32
+            Signed distances (N,) in mm along the normal, positive towards the camera; NaN where less than
+            half of the window is connected with its centre.
         """
         found = np.full(self.count, np.nan, np.float32)
         design = _quadric_design(window)
@@ -100,7 +149,7 @@ class PixelGrid:
         return found
 
     def _slope_per_pixel(self) -> tuple[float, float]:
-        """Mean change of (a, b) from one pixel to the next; distortion changes it by little."""
+        """Compute the mean change of (a, b) from pixel to pixel; distortion changes it little."""
         across, down = np.diff(self.a, axis=1), np.diff(self.b, axis=0)
         across, down = across[np.isfinite(across)], down[np.isfinite(down)]
         if not (across.size and down.size):
@@ -109,7 +158,7 @@ class PixelGrid:
 
 
 def _quadric_design(window: int) -> Floats:
-    """Columns 1, x, y, x², xy, y² of a square window with x, y in [-1, 1], (window², 6)."""
+    """Compute the columns 1, x, y, x², xy, y², (window², 6), of a window with x, y in [-1, 1]."""
     y, x = (np.mgrid[0:window, 0:window].reshape(2, -1) - window // 2) / (window // 2)
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
@@ -137,6 +186,24 @@ def _scatter(
 
 @njit(inline="always")
 def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
+    """Decide whether two points lie on one surface, by the rule of this module.
+
+    Parameters
+    ----------
+    da, db : float
+        Differences of the rays' slopes.
+    dw : float
+        Difference of the inverse depths in 1/mm.
+    w : float
+        Inverse depth of the step in 1/mm.
+    noise : float
+        Sum of the two points' `PixelGrid.noise`.
+
+    Returns
+    -------
+    bool
+        True on one surface; False across a jump, or where a difference is NaN.
+    """
     return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
 
 
@@ -185,7 +252,7 @@ def _faces(
     starts: NDArray[np.int64],
     found: PixelColumnsRows,
 ) -> None:
-    """Counts the faces of each row into `starts`, or fills `found` from there."""
+    """Count the faces of each row into `starts`, or fill `found` from there."""
     height, width = index.shape
     for v in prange(height - 1):
         at = 0 if counting else starts[v]
@@ -234,6 +301,7 @@ def _quadric(
     slope_per_pixel: tuple[float, float],
     found: GridPoints,
 ) -> None:
+    """Fill the distances from a quadric fitted to each window."""
     height, width = index.shape
     count = len(design)
     side = int(np.sqrt(count) + 0.5)
@@ -266,7 +334,7 @@ def _quadric(
 
 @njit(cache=True, error_model="numpy")
 def _fit_present(design: Floats, values: Floats) -> Floats:
-    """Least squares over the values that are not NaN."""
+    """Fit by least squares to the values that are not NaN."""
     matrix, right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
     for k in range(len(values)):
         if np.isnan(values[k]):

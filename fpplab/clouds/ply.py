@@ -1,4 +1,4 @@
-"""The part of PLY that clouds need: one table of scalar vertex properties, with comments."""
+"""Reading and writing the part of the PLY format that clouds need: scalar vertex properties and comments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,17 @@ VertexTable = NDArray[Any]
 
 
 def write(table: VertexTable, comments: list[str], stream: BinaryIO) -> None:
-    """Write the vertices as little-endian binary; fields of type u1, i4 and f4."""
+    """Write vertices as a little-endian binary PLY file.
+
+    Parameters
+    ----------
+    table : structured ndarray
+        One record per vertex; fields of type u1, i4 and f4, named as the properties.
+    comments : list of str
+        Lines for the header.
+    stream : binary file
+        Where to write.
+    """
     kinds = {name: table.dtype[name].str[1:] for name in table.dtype.names or ()}
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
     lines += [f"element vertex {len(table)}"]
@@ -34,7 +44,27 @@ def write(table: VertexTable, comments: list[str], stream: BinaryIO) -> None:
 
 
 def read(path: Path) -> tuple[VertexTable, list[str]]:
-    """The vertices of a PLY of any byte order, and its comments. Raises `OSError`, `ValueError`."""
+    """Read the vertices of a PLY file, text or binary of any byte order.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    table : structured ndarray
+        One record per vertex, its fields named as the properties.
+    comments : list of str
+        Of the header, without the word "comment".
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It is no PLY file, ends too early, or has lists as vertex properties or elements before the vertices.
+    """
     with path.open("rb") as stream:
         order, count, kinds, comments = _header(stream)
         dtype = np.dtype([(name, (order if order != "=" else "<") + kind) for name, kind in kinds])
@@ -48,7 +78,7 @@ def read(path: Path) -> tuple[VertexTable, list[str]]:
 
 
 def _header(stream: BinaryIO) -> tuple[str, int, list[tuple[str, str]], list[str]]:
-    """Byte order, number of vertices, their properties as (name, kind), comments."""
+    """Read the byte order, the number of vertices, their properties as (name, kind), and the comments."""
     order, count, kinds, comments, element = "", -1, [], [], ""
     if stream.readline().strip() != b"ply":
         raise ValueError("it does not begin with 'ply'")

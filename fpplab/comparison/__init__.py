@@ -1,4 +1,4 @@
-"""How far a cloud is from the true shape."""
+"""Comparing a measured cloud with the true shape: distances, alignment, visibility."""
 
 from fpplab.comparison.compare import Comparison, compare, mcd, smcd
 

@@ -1,15 +1,14 @@
-"""How far a measured cloud is from the true shape.
+"""Comparing a measured cloud with the true shape.
 
-Two kinds of figure. The SMCD is the paper's: the mean distance to the nearest point of the
-other set, averaged over both ways. It compares samples, so even a perfect measurement scores
-the spacing of the samples; `smcd_floor_um` says how much that is. The surface figures compare
-with surfaces (cloud to true mesh, truth to the surface over the pixel grid) and have no floor.
+There are two kinds of figure. The SMCD (symmetric mean Chamfer distance) is the paper's: the mean
+distance to the nearest point of the other set, averaged over both directions. It compares samples, so
+even a perfect measurement has the SMCD of the samples' spacing, `smcd_floor_um`. The surface figures
+compare with surfaces (cloud to true mesh, truth to the surface over the pixel grid) and have no floor.
 
-What counts is fixed before any distance is known. Of the truth: what both devices see, that is
-inside both images, with nothing between, inclined to both views by no more than `STEEPEST_DEG`
-(beyond it the grid of pixels resolves no surface). Of the cloud: every point whose
-pixel looks at the true shape, wherever the point itself came to lie; outliers are counted and
-are part of every mean.
+What is evaluated is decided before any distance is computed. Of the truth: what both devices see, that
+is, inside both images, not occluded, and inclined to both views by no more than `STEEPEST_DEG`
+(beyond that, the pixel grid does not resolve a surface). Of the cloud: every point whose camera ray meets
+the true shape, wherever the point itself was measured; outliers are counted and are part of every mean.
 """
 
 from __future__ import annotations
@@ -31,28 +30,57 @@ from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import ConfigError, DataError
 
 DENSITY_PER_MM2 = 200.0
+"""Samples of the true surface."""
 OUTLIER_MM = 1.0
+"""Distance beyond which a point is an outlier."""
 NEAR_MM = 0.5
-"""True surface counts as measured when reconstructed surface lies this near."""
+"""Distance of the reconstructed surface up to which a place of the true surface counts as measured."""
 LARGEST_RATIO = 50.0
-"""Cloud and mesh whose sizes differ by more are not in the same unit."""
+"""Ratio of the sizes of cloud and mesh beyond which they cannot be in the same unit."""
 _UM = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Distances between a cloud and a true mesh, lengths as their names say.
+    """The distances between a cloud and a true mesh.
 
-    smcd_um, smcd_floor_um: see the module. surface_smcd_um: mean of the mean distances cloud to
-    mesh and visible truth to reconstructed surface, None when the cloud knows no pixels and so
-    no surface. surface_rms_um, surface_p95_um: of the distances cloud to mesh. completeness: share of
-    the visible truth with reconstructed surface (else points) within `near_mm`. outliers: points
-    further than `outlier_mm`, which are in all means. visible_share: visible share of the mesh's area.
-    points: how many count; beside: points whose pixel does not look at the true shape, which do not.
-    restricted: whether a calibration said what is visible. alignment: the mesh's motion, if any.
-
-    distances_mm: float32 (N,) of every point of the cloud, signed, positive outside the true shape.
-    counted: bool (N,).
+    Attributes
+    ----------
+    smcd_um : float
+        Symmetric mean Chamfer distance in µm.
+    smcd_floor_um : float
+        SMCD of a perfect measurement with the same samples in µm.
+    surface_smcd_um : float or None
+        Mean of the mean distances from cloud to mesh and from visible truth to reconstructed surface, in µm;
+        None for a cloud without pixels, which has no surface.
+    surface_rms_um : float
+        Root mean square distance from cloud to mesh in µm.
+    surface_p95_um : float
+        95th percentile of the distances from cloud to mesh in µm.
+    completeness : float
+        Share of the visible truth with reconstructed surface (without pixels: points) within `near_mm`.
+    outliers : int
+        Number of points farther than `outlier_mm`; they are part of all means.
+    visible_share : float
+        Visible share of the mesh's area.
+    points : int
+        Number of points that are evaluated.
+    off_part : int
+        Number of points that are not, since their camera rays do not meet the true shape; `beside` in JSON.
+    density_per_mm2 : float
+        Samples of the true mesh per mm².
+    outlier_mm : float
+        Distance beyond which a point is an outlier.
+    near_mm : float
+        Distance up to which a place of the truth counts as measured.
+    restricted : bool
+        Whether a calibration determined what is visible.
+    alignment : Alignment or None
+        Motion of the mesh onto the cloud, None without alignment.
+    distances_mm : ndarray of float32
+        Signed distance (N,) of every point of the cloud, positive outside the true shape.
+    counted : ndarray of bool
+        (N,), True for the points that are evaluated.
     """
 
     smcd_um: float
@@ -64,7 +92,7 @@ class Comparison:
     outliers: int
     visible_share: float
     points: int
-    beside: int
+    off_part: int
     density_per_mm2: float
     outlier_mm: float
     near_mm: float
@@ -74,19 +102,69 @@ class Comparison:
     counted: Mask
 
     def summary(self) -> dict[str, object]:
-        """The figures as plain values for JSON."""
-        arrays = ("distances_mm", "counted", "alignment")
-        figures = {name: value for name, value in vars(self).items() if name not in arrays}
+        """Collect the figures for JSON.
+
+        Returns
+        -------
+        dict of str to object
+            Plain values by attribute, with the key `beside` for `off_part`; without the arrays.
+        """
+        left_out, keys = ("distances_mm", "counted", "alignment"), {"off_part": "beside"}
+        figures = {keys.get(name, name): value for name, value in vars(self).items() if name not in left_out}
         return figures | {"alignment": self.alignment.summary() if self.alignment else None}
 
 
 def mcd(a: Floats, b: Floats) -> float:
-    """Mean distance from each point of a (N, 3) to its nearest in b (M, 3): the paper's eq. `mcd`."""
+    """Compute the mean Chamfer distance from one point set to another.
+
+    Parameters
+    ----------
+    a : ndarray of float64
+        Points (N, 3).
+    b : ndarray of float64
+        Points (M, 3) in the same unit.
+
+    Returns
+    -------
+    float
+        Mean distance of the points of a from their nearest neighbours in b, in the points' unit.
+
+    Raises
+    ------
+    DataError
+        A set is empty or not finite.
+
+    References
+    ----------
+    The paper's eq. `mcd`.
+    """
     return float(nearest(a, b)[0].mean())
 
 
 def smcd(a: Floats, b: Floats) -> float:
-    """Symmetric mean Chamfer distance, (mcd(a, b) + mcd(b, a))/2: the paper's eq. `smcd`."""
+    """Compute the symmetric mean Chamfer distance, (mcd(a, b) + mcd(b, a))/2.
+
+    Parameters
+    ----------
+    a : ndarray of float64
+        Points (N, 3).
+    b : ndarray of float64
+        Points (M, 3) in the same unit.
+
+    Returns
+    -------
+    float
+        The distance, in the points' unit.
+
+    Raises
+    ------
+    DataError
+        A set is empty or not finite.
+
+    References
+    ----------
+    The paper's eq. `smcd`.
+    """
     return (mcd(a, b) + mcd(b, a)) / 2.0
 
 
@@ -100,14 +178,40 @@ def compare(
     outlier_mm: float = OUTLIER_MM,
     near_mm: float = NEAR_MM,
 ) -> Comparison:
-    """Compare a cloud with the true mesh, both in mm in the camera's frame.
+    """Compare a cloud with the true mesh.
 
-    density: of the true mesh's samples per mm², drawn uniformly with `seed`. align: move the mesh
-    onto the cloud first (`fpplab.comparison.alignment`). Without a calibration all of the mesh that faces the
-    camera counts as visible, and every point of the cloud.
+    Parameters
+    ----------
+    cloud : Cloud
+        In mm in the camera's frame.
+    mesh : trimesh.Trimesh
+        The true shape in mm in the camera's frame, faces outwards.
+    calibration : Calibration, optional
+        Determines what both devices see. Without it, all of the mesh that faces the camera counts as visible,
+        and every point of the cloud is evaluated.
+    density : float
+        Samples of the true mesh per mm², drawn uniformly.
+    seed : int
+        Of the random samples.
+    align : bool
+        Whether the mesh is first aligned to the cloud (`fpplab.comparison.alignment`).
+    outlier_mm : float
+        Distance beyond which a point is an outlier.
+    near_mm : float
+        Distance of reconstructed surface up to which a place of the truth counts as measured.
 
-    Raises `ConfigError` for a density or length that is not positive, `DataError` when the mesh is
-    inside out, nothing of it is visible, or no point looks at it.
+    Returns
+    -------
+    Comparison
+        All figures, and the distance of every point.
+
+    Raises
+    ------
+    ConfigError
+        The density or a length is not above 0.
+    DataError
+        The mesh is inside out or not in the cloud's unit, nothing of it is visible, no point's camera ray
+        meets it, no alignment is found, or the points do not span a surface.
     """
     for name, value in (("density", density), ("outlier_mm", outlier_mm), ("near_mm", near_mm)):
         if not (np.isfinite(value) and value > 0.0):
@@ -121,10 +225,11 @@ def compare(
         mesh = mesh.copy().apply_transform(alignment.transform.matrix)
     shape = RayTracedShape(mesh)
     samples, visible_share = visible_samples(mesh, shape, calibration, density, seed)
-    counted = np.ones(len(points), np.bool_) if calibration is None else _looks_at(shape, points)
+    counted = np.ones(len(points), np.bool_) if calibration is None else _camera_rays_meet(shape, points)
     if not counted.any():
         raise DataError(
-            "cloud: no point looks at the true mesh; are both in the camera's frame, or is `align` wanted?"
+            "cloud: no point's camera ray meets the true mesh; check that both are in the camera's frame, or "
+            "use `align`"
         )
     distances, feet = _to_mesh(points, mesh)
     measured, error = points[counted], np.abs(distances[counted])
@@ -140,7 +245,7 @@ def compare(
         outliers=int(np.count_nonzero(error > outlier_mm)),
         visible_share=visible_share,
         points=len(measured),
-        beside=len(points) - len(measured),
+        off_part=len(points) - len(measured),
         density_per_mm2=density,
         outlier_mm=outlier_mm,
         near_mm=near_mm,
@@ -152,7 +257,7 @@ def compare(
 
 
 def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:
-    """Refuse a mesh that cannot be in the cloud's unit: `DataError`."""
+    """Raise `DataError` for a mesh that cannot be in the cloud's unit."""
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
     cloud_mm, mesh_mm = float(np.linalg.norm(high - low)), float(np.linalg.norm(mesh.extents))
     if not 1 / LARGEST_RATIO < cloud_mm / max(mesh_mm, 1e-12) < LARGEST_RATIO:
@@ -167,14 +272,39 @@ def visible_samples(
     calibration: Calibration | None,
     density: float,
     seed: int,
-    lit: bool = True,
+    illuminated: bool = True,
 ) -> tuple[Floats, float]:
-    """Uniform samples (M, 3) of what is visible, and its share of the mesh's area.
+    """Draw uniform samples of the visible surface of a mesh.
 
-    lit: whether the projector must see it too, and not the camera alone. Raises `DataError` when nothing is.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        The true shape in mm in the camera's frame.
+    shape : RayTracedShape
+        The same mesh, for rays.
+    calibration : Calibration, optional
+        Of the devices; without it, the sides that face the camera count as visible.
+    density : float
+        Samples per mm².
+    seed : int
+        Of the random samples.
+    illuminated : bool
+        Whether visible means visible to both camera and projector, and not only to the camera.
+
+    Returns
+    -------
+    samples : ndarray of float64
+        Visible points (M, 3) of the surface in mm.
+    visible_share : float
+        Share of the mesh's area that is visible.
+
+    Raises
+    ------
+    DataError
+        Nothing is visible.
     """
     centres = [np.zeros(3)]
-    if calibration is not None and lit:
+    if calibration is not None and illuminated:
         centres.append(calibration.projector_centre)
     facing = np.logical_and.reduce([shape.facing(centre) for centre in centres])
     area = np.asarray(mesh.area_faces) * facing
@@ -188,10 +318,10 @@ def visible_samples(
     seen = np.logical_and.reduce([shape.inclination_deg(c, samples, faces) <= STEEPEST_DEG for c in centres])
     if calibration is not None:
         seen &= calibration.camera.sees(samples)
-        if lit:
+        if illuminated:
             seen &= calibration.projector.sees(samples, calibration.T_projector_camera)
         for centre in centres:
-            seen[seen] = shape.lit(centre, samples[seen])
+            seen[seen] = shape.unoccluded(centre, samples[seen])
     if not seen.any():
         raise DataError(
             "true mesh: both devices see nothing of it; are cloud and mesh in the camera's frame?"
@@ -199,14 +329,14 @@ def visible_samples(
     return samples[seen], float(np.mean(seen) * area.sum() / mesh.area)
 
 
-def _looks_at(shape: RayTracedShape, points: Floats) -> Mask:
-    """Which points (N, 3) lie on a ray of the camera that meets the true shape."""
+def _camera_rays_meet(shape: RayTracedShape, points: Floats) -> Mask:
+    """Find the points (N, 3) whose camera rays meet the true shape."""
     directions = points / np.linalg.norm(points, axis=1)[:, None]
     return np.isfinite(shape.depth(np.zeros(3), directions))
 
 
 def _to_mesh(points: Floats, mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
-    """Signed distances (N,) to the mesh, positive outside, and the closest points on it (N, 3)."""
+    """Compute signed distances (N,) to the mesh, positive outside, and the closest points on it (N, 3)."""
     distances, _, feet, _ = igl.signed_distance(
         points,
         np.ascontiguousarray(mesh.vertices, np.float64),
@@ -217,11 +347,11 @@ def _to_mesh(points: Floats, mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
 
 
 def _to_surface(samples: Floats, cloud: Cloud, counted: Mask) -> Floats:
-    """Distances (M,) to the surface that the counted points span over the pixel grid."""
+    """Compute distances (M,) to the surface that the counted points span over the pixel grid."""
     vertices, faces = cloud.grid_mesh()
     faces = faces[counted[faces].all(axis=1)]
     if len(faces) == 0:
         raise DataError(
-            "cloud: its points span no surface, for none are neighbours; look at the mask's settings"
+            "cloud: its points span no surface, since none are neighbours; check the mask's settings"
         )
     return distance_to_surface(samples, vertices.astype(np.float64), faces)

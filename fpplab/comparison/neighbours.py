@@ -1,10 +1,10 @@
 """Exact nearest neighbours between large point sets that lie on surfaces.
 
 The points are sorted into the square cells of a plane (that of their two principal axes, in
-which a surface spreads most), and each query searches rings of cells until no cell further
-out can hold a nearer point. Queries are taken in the order of the cells, so that what one
-reads the next finds in the cache. Queries far from all points, and sets that do not spread
-over a plane, go to a tree instead: the answer is exact in every case.
+which a surface spreads most), and each query searches rings of cells until no cell farther
+out can hold a nearer point. Queries are processed in the order of the cells, so that
+successive queries read points that are in the cache. Queries far from all points, and sets that do not
+spread over a plane, are answered by a k-d tree instead: the answer is exact in every case.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 
 POINTS_PER_CELL = 2.0
+"""Mean number of points in a cell."""
 RINGS = 12
-"""A search that needs more rings than this is left to the tree."""
+"""A search that needs more rings than this is answered by the tree."""
 CROWDED = 64.0
-"""Mean number of other points in a point's cell from which the cells no longer pay."""
+"""Mean number of other points in a point's cell from which the tree is faster than the cells."""
 _CHUNK = 4096
 
 Indices = NDArray[np.int64]
@@ -29,9 +30,26 @@ Starts = NDArray[np.int64]
 
 
 def nearest(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
-    """Distance (Q,) from each query (Q, 3) to the nearest of the points (P, 3), and that point's index.
+    """Find the nearest neighbour of each query.
 
-    Raises `DataError` when either set is empty or not finite.
+    Parameters
+    ----------
+    queries : ndarray of float64
+        (Q, 3), at least one.
+    points : ndarray of float64
+        (P, 3) in the same unit, at least one.
+
+    Returns
+    -------
+    distance : ndarray of float64
+        Distances (Q,) from the nearest points.
+    index : ndarray of int64
+        Numbers (Q,) of those points.
+
+    Raises
+    ------
+    DataError
+        A set is empty or not finite.
     """
     queries, points = _checked(queries, "queries"), _checked(points, "points")
     centre, axes = _principal_axes(points)
@@ -64,7 +82,7 @@ def _checked(values: Floats, name: str) -> Floats:
 
 
 def _principal_axes(points: Floats) -> tuple[Floats, Floats]:
-    """Centre (3,) and axes (3, 3) in columns, that of the largest spread first."""
+    """Compute the centre (3,) and the axes (3, 3) in columns, that of the largest spread first."""
     centre = points.mean(axis=0)
     offsets = points[:: max(1, len(points) // 10_000)] - centre
     _, axes = np.linalg.eigh(offsets.T @ offsets)
@@ -78,7 +96,7 @@ def _by_tree(queries: Floats, points: Floats) -> tuple[Floats, Indices]:
 
 @njit(cache=True, error_model="numpy")
 def _sort_by_cell(places: Floats, low: Floats, per_cell: float, shape: Starts) -> tuple[Indices, Starts]:
-    """Counting sort: the order of the places by cell, and where each cell's begin in it."""
+    """Sort places by cell (counting sort): their order, and where each cell begins in it."""
     cells = np.empty(len(places), np.int64)
     starts = np.zeros(shape[0] * shape[1] + 1, np.int64)
     for i in range(len(places)):
@@ -138,7 +156,7 @@ def _search(
             if not (-RINGS < fx < nx + RINGS and -RINGS < fy < ny + RINGS):
                 continue
             cx, cy = int(np.floor(fx)), int(np.floor(fy))
-            # Beyond ring r everything is at least r cells and this margin away, rounding allowed for.
+            # Beyond ring r everything is at least r cells and this margin away; 1e-6 covers rounding.
             margin = min(fx - cx, cx + 1.0 - fx, fy - cy, cy + 1.0 - fy) - 1e-6
             best, best_at = np.inf, -1
             for ring in range(RINGS + 1):

@@ -1,8 +1,8 @@
 """Distance from many points to a finely triangulated surface.
 
-A walk instead of a tree: from the nearest vertex over the faces around it to the vertices of
-the nearest face, as long as that leads nearer. On a surface that is smooth at the scale of
-its faces, such as one over a grid of pixels, it ends at the nearest face; the result is never
+A local search instead of a tree: from the nearest vertex to the nearest of the faces around it, on to the
+faces around that face's vertices, as long as the distance decreases. On a surface that is smooth at the
+scale of its faces, such as one over a grid of pixels, it ends at the nearest face; the result is never
 less than the true distance and never more than that to the nearest vertex.
 """
 
@@ -20,7 +20,22 @@ _STEPS = 32
 
 
 def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Distances (Q,) from queries (Q, 3) to faces (F, 3), at least one, over vertices (V, 3)."""
+    """Compute the distances of points from a triangulated surface, by the local search of this module.
+
+    Parameters
+    ----------
+    queries : ndarray of float64
+        Points (Q, 3).
+    vertices : ndarray of float64
+        (V, 3) in the same unit.
+    faces : ndarray of int32
+        Numbers (F, 3) of vertices, at least one face.
+
+    Returns
+    -------
+    ndarray of float64
+        Distances (Q,).
+    """
     vertices = np.ascontiguousarray(vertices, np.float64)
     touched = np.zeros(len(vertices), np.bool_)
     touched[faces] = True
@@ -34,7 +49,7 @@ def distance_to_surface(queries: Floats, vertices: Floats, faces: NDArray[np.int
 
 @njit(cache=True, error_model="numpy")
 def _faces_around(faces: NDArray[np.int32], count: int) -> tuple[Ints, Ints]:
-    """Faces sorted by vertex, and where each vertex's begin."""
+    """Sort faces by vertex: their order, and where each vertex begins in it."""
     begins = np.zeros(count + 1, np.int64)
     for f in range(len(faces)):
         for k in range(3):
@@ -81,7 +96,7 @@ def _walk(
 
 @njit(inline="always")
 def _square_to_segment(px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> float:
-    """Squared distance of a point from the segment from the origin along d."""
+    """Compute the squared distance of a point from the segment from the origin to d."""
     along = (px * dx + py * dy + pz * dz) / max(dx * dx + dy * dy + dz * dz, 1e-300)
     along = min(max(along, 0.0), 1.0)
     rx, ry, rz = px - along * dx, py - along * dy, pz - along * dz

@@ -1,4 +1,4 @@
-"""What a device sees of a mesh: its image, the sides that face it, and what lies before them."""
+"""Visibility of a mesh from a device: the faces towards it, the first hits of rays, and occlusion."""
 
 from __future__ import annotations
 
@@ -11,11 +11,24 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, Mask
 
 OCCLUDED_MM = 0.02
-"""A surface this much nearer hides a point; less is the rounding of single-precision rays."""
+"""A surface that is nearer by more than this occludes a point; less is rounding of single-precision rays."""
 
 
 class RayTracedShape:
-    """A mesh in mm in the camera's frame, ready for rays."""
+    """A mesh prepared for ray tracing.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        In mm in the camera's frame, faces outwards.
+
+    Attributes
+    ----------
+    triangles : ndarray of float64
+        Corners (F, 3, 3) of the faces in mm.
+    normals : ndarray of float64
+        Outward unit normals (F, 3) of the faces.
+    """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         self.triangles = np.asarray(mesh.triangles, np.float64)
@@ -24,34 +37,99 @@ class RayTracedShape:
         TriangleMesh(self._scene, self.triangles.astype(np.float32))
 
     def facing(self, centre: Floats) -> Mask:
-        """The faces (F,) whose outward side is towards a point (3,): the same for all of a flat face."""
+        """Find the faces whose outward side is towards a point.
+
+        Parameters
+        ----------
+        centre : ndarray of float64
+            The point (3,) in mm.
+
+        Returns
+        -------
+        ndarray of bool
+            (F,), True for faces towards the point; coplanar faces agree.
+        """
         towards = np.asarray(centre) - self.triangles[:, 0]
         return np.asarray(np.einsum("ij,ij->i", towards, self.normals) > 0.0)
 
     def inclination_deg(self, centre: Floats, points: Floats, faces: NDArray[np.int64]) -> Floats:
-        """Angle in degrees (N,) between the view from a centre and the outward normal at points of faces."""
+        """Compute the angles between lines of sight and outward normals.
+
+        Parameters
+        ----------
+        centre : ndarray of float64
+            Centre of projection (3,) in mm.
+        points : ndarray of float64
+            Points (N, 3) of the surface in mm.
+        faces : ndarray of int64
+            Numbers (N,) of the faces that the points lie on.
+
+        Returns
+        -------
+        ndarray of float64
+            Angles (N,) in degrees, 0 for a face seen perpendicularly.
+        """
         towards = np.asarray(centre) - points
         cosine = np.einsum("ij,ij->i", towards, self.normals[faces]) / np.linalg.norm(towards, axis=1)
         return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
-    def first(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
-        """The face (N,) that rays from a centre along directions (N, 3) meet first, -1 without."""
+    def first_face(self, centre: Floats, directions: Floats) -> NDArray[np.int64]:
+        """Find the faces that rays meet first.
+
+        Parameters
+        ----------
+        centre : ndarray of float64
+            Start (3,) of the rays in mm.
+        directions : ndarray of float64
+            Of the rays, (N, 3).
+
+        Returns
+        -------
+        ndarray of int64
+            Numbers (N,) of the faces, -1 where a ray meets none.
+        """
         return np.asarray(self._scene.run(*_rays(centre, directions), query="INTERSECT"), np.int64)
 
     def depth(self, centre: Floats, directions: Floats) -> Floats:
-        """Distance in mm (N,) from the centre to the first hit along unit directions (N, 3), inf without."""
-        # The bindings answer misses with the largest length they start from.
+        """Compute the distances along rays to the surface.
+
+        Parameters
+        ----------
+        centre : ndarray of float64
+            Start (3,) of the rays in mm.
+        directions : ndarray of float64
+            Unit directions (N, 3).
+
+        Returns
+        -------
+        ndarray of float64
+            Distances (N,) in mm to the first hit, inf where a ray meets nothing.
+        """
+        # For a miss the bindings return the ray's initial length, which is huge.
         hits = self._scene.run(*_rays(centre, directions), query="DISTANCE")
         return np.where(hits < 1e30, hits, np.inf).astype(np.float64)
 
-    def lit(self, centre: Floats, points: Floats) -> Mask:
-        """Which points (N, 3) of the surface have nothing between them and a centre (3,)."""
+    def unoccluded(self, centre: Floats, points: Floats) -> Mask:
+        """Find the points that have a free line of sight to a centre.
+
+        Parameters
+        ----------
+        centre : ndarray of float64
+            Centre of projection (3,) in mm.
+        points : ndarray of float64
+            Points (N, 3) of the surface in mm.
+
+        Returns
+        -------
+        ndarray of bool
+            (N,), True where nothing lies between.
+        """
         rays = points - centre
         lengths = np.linalg.norm(rays, axis=1)
         return np.asarray(self.depth(centre, rays / lengths[:, None]) >= lengths - OCCLUDED_MM)
 
 
 def _rays(centre: Floats, directions: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Origins and directions (N, 3) of rays from a centre, as the bindings take them."""
+    """Convert to origins and directions (N, 3) of rays, as the bindings need them."""
     origins = np.broadcast_to(np.asarray(centre, np.float32), directions.shape)
     return np.ascontiguousarray(origins), directions.astype(np.float32)

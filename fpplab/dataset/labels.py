@@ -60,7 +60,7 @@ def trace_labels(truth: SceneTruth) -> Labels:
     devices, shape = truth.calibration, RayTracedShape(truth.mesh)
     rays = camera_rays(devices.camera)
     size, rays = rays.shape[:2], rays.reshape(-1, 3)
-    faces = shape.first(np.zeros(3), rays)
+    faces = shape.first_face(np.zeros(3), rays)
     pixels = np.flatnonzero(faces >= 0)
     met, rays = faces[pixels], rays[pixels]
     normals = shape.normals[met]
@@ -89,7 +89,7 @@ def _lit(truth: SceneTruth, shape: RayTracedShape, points: Floats, normals: Floa
     """Select the points of the surface (N, 3) that the projector illuminates."""
     devices, lamp = truth.calibration, truth.calibration.projector_centre
     facing = np.einsum("ij,ij->i", normals, lamp - points) > 0
-    reached = devices.projector.sees(points, devices.T_projector_camera) & shape.lit(lamp, points)
+    reached = devices.projector.sees(points, devices.T_projector_camera) & shape.unoccluded(lamp, points)
     return np.asarray(facing & reached)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from fpplab import artefacts
-from fpplab.artefacts.models import Lengths
+from fpplab.artefacts import Lengths
 from fpplab.calibration.model import Calibration, PoseFile
 from fpplab.core import config
 from fpplab.core.config import Document

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.comparison.alignment import FINE_ROUNDS, AlignmentMesh, refine
+from fpplab.comparison.alignment import FINE_ROUNDS, AlignmentMesh, refine_pose
 from fpplab.comparison.compare import DENSITY_PER_MM2, NEAR_MM, visible_samples
 from fpplab.comparison.neighbours import nearest
 from fpplab.comparison.surfaces import distance_to_surface
@@ -217,7 +217,7 @@ class TrueShape:
     def _align(self, points: Floats) -> RigidTransform:
         """Find the transformation that brings the points onto the shape."""
         few = points[:: max(1, len(points) // ALIGNMENT_POINTS)]
-        return refine(few, self._target, RigidTransform.identity(), FINE_ROUNDS)[0]
+        return refine_pose(few, self._target, RigidTransform.identity(), FINE_ROUNDS)[0]
 
     def _wrong_orders(
         self,

@@ -71,7 +71,7 @@ def _summary(found: Acceptance) -> list[ReportTable]:
             f"{QUANTITIES[name]} {name}",
             str(j.positions),
             _signed(name, j.worst_um),
-            f"{j.known_to_um:g}",
+            f"{j.reference_uncertainty_um:g}",
             "–" if j.mpe_um is None else f"{j.mpe_um:g}",
             VERDICTS[j.passed],
         )

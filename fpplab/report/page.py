@@ -376,7 +376,7 @@ def _error_figure(scan: ScanSection, found: Comparison) -> Figure:
     alt = f"Signed error of the {scan.name}, with its distribution; RMS {_number(found.surface_rms_um)} µm"
     caption = (
         f"Signed distance of every point that counts from the true surface; red lies outside the "
-        f"true shape. {_count(found.beside)} points beside it are left out."
+        f"true shape. {_count(found.off_part)} points beside it are left out."
     )
     drawn = figures.error_map(scan.cloud, found.distances_mm, found.counted)
     return Figure.of(drawn, alt, caption, wide=True)

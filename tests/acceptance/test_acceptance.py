@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from fpplab import artefacts
 from fpplab.acceptance import Standard, verify, verify_ball_bar, verify_plane
 from fpplab.acceptance.fitting import DISCARDED_SHARE
-from fpplab.artefacts import BallBar
+from fpplab.artefacts.shapes.ball_bar import BallBar
 from fpplab.cli import app
 from fpplab.cli.lists import spread
 from fpplab.clouds import Cloud, save_cloud
@@ -315,11 +315,11 @@ def test_a_bad_standard_is_refused_by_field(changes: dict[str, Any], words: str)
 @pytest.mark.parametrize("words", ["PX=3", "PF", "PF=wide", "PF=-1", "PF=nan"])
 def test_bad_limits_are_refused(words: str) -> None:
     with pytest.raises(ConfigError, match="--mpe"):
-        standard().permitting([words])
+        standard().with_mpe([words])
 
 
 def test_limits_of_the_command_line_go_before_the_file_s() -> None:
-    changed = standard().permitting(["PF=7", " SD = 8 "])
+    changed = standard().with_mpe(["PF=7", " SD = 8 "])
     assert [changed.permitted_um(name) for name in ("PF", "PS", "SD", "F")] == [7.0, 20.0, 8.0, 100.0]
 
 

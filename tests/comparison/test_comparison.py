@@ -50,7 +50,7 @@ def perfect_cloud(mesh: trimesh.Trimesh, noise_mm: float = 0.0, lit: bool = True
     hit = np.flatnonzero(np.isfinite(depth))
     points = rays[hit] * (depth[hit] / lengths[hit])[:, None]
     if lit:
-        seen = shape.lit(CALIBRATION.projector_centre, points)
+        seen = shape.unoccluded(CALIBRATION.projector_centre, points)
         hit, points = hit[seen], points[seen]
     points = points * (1.0 + np.random.default_rng(0).normal(0.0, noise_mm, len(points)) / 450.0)[:, None]
     pixels = np.stack([hit % W, hit // W], axis=1).astype(np.int32)
@@ -123,7 +123,7 @@ def test_box_shades_what_lies_behind_it_for_the_projector() -> None:
     shape = RayTracedShape(trimesh.util.concatenate([ground, box]))
     x = np.linspace(10.5, 40.0, 600)
     points = np.stack([x, np.zeros_like(x), np.full_like(x, 450.0)], axis=1)
-    lit = shape.lit(CALIBRATION.projector_centre, points)
+    lit = shape.unoccluded(CALIBRATION.projector_centre, points)
     end = 10.0 + (height - 0.05) * 160.0 / (450.0 - height + 0.05)
     assert (lit == (x > end))[np.abs(x - end) > 0.1].all()
     assert not lit.all()
@@ -195,8 +195,9 @@ def test_points_in_the_shadow_count_and_points_beside_the_part_do_not() -> None:
     table = trimesh.creation.box((160.0, 110.0, 2.0)).apply_translation([0, 0, 451.001])
     around = perfect_cloud(trimesh.util.concatenate([mesh, table]))
     result = compare(around, mesh, CALIBRATION, density=5.0)
-    assert result.beside > 0
-    assert result.points + result.beside == len(around)
+    assert result.off_part > 0
+    assert result.summary()["beside"] == result.off_part
+    assert result.points + result.off_part == len(around)
     assert result.surface_rms_um < 1.0
 
 

@@ -88,7 +88,7 @@ def comparison(points: int) -> Comparison:
         outliers=12,
         visible_share=0.81,
         points=points,
-        beside=0,
+        off_part=0,
         density_per_mm2=200.0,
         outlier_mm=1.0,
         near_mm=0.5,

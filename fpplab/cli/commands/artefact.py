@@ -6,14 +6,17 @@ from typing import Annotated
 
 import typer
 
+from fpplab import artefacts
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, app
 from fpplab.core.errors import ConfigError
 
+_NAMES = [*artefacts.artefact_types()]
+
 
 @app.command("artefact", rich_help_panel=JUDGE)
 def artefact_command(
-    name: Annotated[str, typer.Argument(help="pyramid, pillars, steps or ball_bar.")],
+    name: Annotated[str, typer.Argument(help=f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}.")],
     out: Out,
     layer: Annotated[
         float | None, typer.Option("--layer", help="As printed in layers of this height, in mm.")
@@ -32,7 +35,6 @@ def artefact_command(
     Example: `fpplab artefact pyramid --out pyramid.stl`, and once it is printed
     `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`
     """
-    from fpplab import artefacts
     from fpplab.core.files import need_suffix, refuse_existing
 
     need_suffix(out, ".stl")

@@ -62,7 +62,7 @@ def verify_command(
     refuse_existing(out, force)
     if bool(spheres or planes) == bool(rig):
         raise ConfigError("give either --spheres and --planes, or --rig, to say where the points come from")
-    known = Standard.load(standard).permitting([word for word in mpe.split(",") if word.strip()])
+    known = Standard.load(standard).with_mpe([word for word in mpe.split(",") if word.strip()])
     model = Calibration.load(calibration) if calibration else None
     with console.stopwatch() as seconds:
         bars, flats = _named(spheres or []), _named(planes or [])

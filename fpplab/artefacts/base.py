@@ -1,0 +1,89 @@
+"""The base class of every artefact and standard in `fpplab.artefacts.shapes`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import trimesh
+
+Lengths = float | tuple[float, ...]
+"""A field of an artefact, in mm."""
+
+
+@dataclass(frozen=True)
+class Artefact(ABC):
+    """A body of known shape, defined by lengths in mm.
+
+    A subclass is a frozen dataclass in a file of its own in `fpplab.artefacts.shapes`; the file's name is the
+    artefact's name on the command line and in configuration files. Every field is a `Lengths` with a default,
+    the usual size. Listing names imports the files of that package, so they import trimesh in functions only.
+
+    Frame: mm, base on z = 0, z up towards the viewer, centred on x = y = 0.
+    """
+
+    is_standard: ClassVar[bool] = False
+    """True for a standard of acceptance tests, False for an artefact that clouds are compared with."""
+    order: ClassVar[int] = 1000
+    """Position in lists of names, smallest first; equal positions are sorted by name."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            values = np.atleast_1d(getattr(self, field.name))
+            if values.size == 0 or not (np.isfinite(values).all() and (values > 0).all()):
+                raise ConfigError(
+                    f"{type(self).__name__}.{field.name}: {values.tolist()} must be lengths above 0 mm"
+                )
+        self.check_lengths()
+
+    @abstractmethod
+    def check_lengths(self) -> None:
+        """Check that the lengths fit together.
+
+        Called by the constructor, after it has checked that all lengths are finite and above 0 mm.
+
+        Raises
+        ------
+        ConfigError
+            The lengths do not give a solid; the message names the field, its value and its limit.
+        """
+
+    @abstractmethod
+    def mesh(self) -> trimesh.Trimesh:
+        """Build the surface of the body.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            A single watertight body with outward normals, corners in mm in the artefact's frame.
+        """
+
+    def check_below(self, field: str, value: float, limit: float, limit_name: str) -> None:
+        """Check that a length is less than a limit; for use in `check_lengths`.
+
+        Parameters
+        ----------
+        field : str
+            Name of the field, for the message.
+        value : float
+            The length in mm.
+        limit : float
+            What it must be less than, in mm.
+        limit_name : str
+            What the limit is, for the message, such as "the height".
+
+        Raises
+        ------
+        ConfigError
+            The length is not less than the limit.
+        """
+        if not value < limit:
+            raise ConfigError(
+                f"{type(self).__name__}.{field}: {value:g} mm must be less than {limit:g} mm, {limit_name}"
+            )

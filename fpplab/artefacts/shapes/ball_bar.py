@@ -1,0 +1,100 @@
+"""The ball bar: a standard for acceptance tests.
+
+Its centre distance and diameters are exact; the facets stay within a micrometre of the spheres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.artefacts.base import Artefact
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import trimesh
+    from manifold3d import Manifold
+
+SUBDIVISIONS = 6
+"""Of an icosahedron: the facets' sagitta is 0.005 % of the radius, 0.5 µm on a sphere of 20 mm."""
+POST_CORNERS = 64
+
+
+@dataclass(frozen=True)
+class BallBar(Artefact):
+    """Two equal spheres on posts that stand on a bar; the spheres' centres lie at x = ± spacing / 2, y = 0.
+
+    Attributes
+    ----------
+    diameter : float
+        Of the spheres, in mm.
+    spacing : float
+        Distance between the spheres' centres in mm.
+    bar : tuple of float
+        Length, width and thickness of the bar in mm.
+    clearance : float
+        Distance between the bar's upper face and the spheres in mm.
+    post : float
+        Diameter of the posts in mm.
+    """
+
+    is_standard: ClassVar[bool] = True
+    order: ClassVar[int] = 40
+
+    diameter: float = 20.0
+    spacing: float = 70.0
+    bar: tuple[float, float, float] = (100.0, 24.0, 5.0)
+    clearance: float = 4.0
+    post: float = 8.0
+
+    def check_lengths(self) -> None:
+        """Check that the spheres do not touch, and that the posts are thinner than what they join.
+
+        Raises
+        ------
+        ConfigError
+            It is not so, or the bar has not three lengths; the message names the field.
+        """
+        if len(self.bar) != 3:
+            raise ConfigError(f"BallBar.bar: {list(self.bar)} must be length, width and thickness in mm")
+        self.check_below("diameter", self.diameter, self.spacing, "the spacing")
+        self.check_below("post", self.post, self.diameter, "the spheres' diameter")
+        self.check_below("post", self.post, self.bar[1], "the bar's width")
+        self.check_below("spacing", self.spacing + self.post, self.bar[0], "the bar's length, with a post")
+
+    @property
+    def centres(self) -> Floats:
+        """Centres of the two spheres, (2, 3) in mm."""
+        height = self.bar[2] + self.clearance + self.diameter / 2
+        return np.array([[-self.spacing / 2, 0.0, height], [self.spacing / 2, 0.0, height]])
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Build the surface of the body.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            A single watertight body with outward normals, corners in mm.
+        """
+        from manifold3d import Manifold
+
+        from fpplab.artefacts.solids import to_trimesh
+
+        bar = Manifold.cube(self.bar, center=True).translate((0.0, 0.0, self.bar[2] / 2))
+        radius, height = self.post / 2, float(self.centres[0, 2])
+        post = Manifold.cylinder(height - self.bar[2] / 2, radius, radius, POST_CORNERS)
+        body = bar
+        for centre in self.centres:
+            body += post.translate((centre[0], centre[1], self.bar[2] / 2))
+            body += self._sphere().translate(tuple(centre))
+        return to_trimesh(body)
+
+    def _sphere(self) -> Manifold:
+        import trimesh
+
+        from fpplab.artefacts.solids import to_manifold
+
+        return to_manifold(trimesh.creation.icosphere(SUBDIVISIONS, self.diameter / 2))

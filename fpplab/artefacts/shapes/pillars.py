@@ -1,0 +1,107 @@
+"""The pillars: shadows and small features at different heights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from fpplab.artefacts.base import Artefact
+from fpplab.artefacts.meshing import (
+    closed_body,
+    fan_triangles,
+    raised,
+    rectangle_corners,
+    strip_triangles,
+)
+from fpplab.core.conventions import TWO_PI, Floats
+
+if TYPE_CHECKING:
+    import trimesh
+
+PILLAR_CORNERS = 64
+"""Corners of a pillar's outline: a multiple of four; the 64-gon's sagitta is 0.12 % of its radius."""
+
+
+@dataclass(frozen=True)
+class Pillars(Artefact):
+    """Round pillars on a plate, one in the middle of each cell of a grid, no two of them alike.
+
+    Attributes
+    ----------
+    plate : tuple of float
+        Size of the plate along x and y in mm.
+    thickness : float
+        Of the plate, in mm.
+    diameters : tuple of float
+        Diameter of the pillars in each column, from -x to +x, in mm.
+    heights : tuple of float
+        Height above the base of the first pillar in each row, from -y to +y, in mm.
+    climb : float
+        Height added from one column to the next, in mm.
+    """
+
+    order: ClassVar[int] = 20
+
+    plate: tuple[float, float] = (90.0, 70.0)
+    thickness: float = 5.0
+    diameters: tuple[float, ...] = (6.0, 9.0, 12.0, 15.0)
+    heights: tuple[float, ...] = (9.0, 15.0, 21.0)
+    climb: float = 1.0
+
+    def check_lengths(self) -> None:
+        """Check that every pillar fits into its cell and rises above the plate.
+
+        Raises
+        ------
+        ConfigError
+            It is not so; the message names the field.
+        """
+        cell = min(self.plate[0] / len(self.diameters), self.plate[1] / len(self.heights))
+        self.check_below("diameters", max(self.diameters), cell, "one cell of the plate")
+        self.check_below("thickness", self.thickness, min(self.heights), "the lowest pillar")
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Build the surface of the body.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            A single watertight body with outward normals, corners in mm.
+        """
+        x = np.linspace(-0.5, 0.5, len(self.diameters) + 1) * self.plate[0]
+        y = np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.plate[1]
+        parts = _plate_sides(x, y, self.thickness)
+        for i, diameter in enumerate(self.diameters):
+            for j, row_height in enumerate(self.heights):
+                corners = rectangle_corners(x[i], x[i + 1], y[j], y[j + 1])
+                centre = corners[:, :2].mean(axis=0)
+                parts.append(fan_triangles(corners[::-1]))
+                parts += _pillar(
+                    raised(corners, self.thickness), centre, diameter / 2, row_height + i * self.climb
+                )
+        return closed_body(parts)
+
+
+def _plate_sides(x: Floats, y: Floats, thickness: float) -> list[Floats]:
+    """Triangulate the plate's four sides, divided at the cell borders as its upper face is."""
+    ring = [(xi, y[0]) for xi in x[:-1]] + [(x[-1], yj) for yj in y[:-1]]
+    ring += [(xi, y[-1]) for xi in x[:0:-1]] + [(x[0], yj) for yj in y[:0:-1]]
+    loop = np.array([(px, py, 0.0) for px, py in ring])
+    return [strip_triangles(loop, raised(loop, thickness))]
+
+
+def _pillar(cell: Floats, centre: Floats, radius: float, height: float) -> list[Floats]:
+    """Triangulate a cell's upper face around a pillar's foot, the pillar's wall and its top."""
+    angle = TWO_PI * np.arange(PILLAR_CORNERS) / PILLAR_CORNERS - np.pi  # quarter k lies towards corner k
+    foot = np.empty((PILLAR_CORNERS, 3))
+    foot[:, 0], foot[:, 1] = centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)
+    foot[:, 2] = cell[0, 2]
+    quarter, parts = PILLAR_CORNERS // 4, []
+    for k in range(4):
+        arc = foot[np.arange(k * quarter, (k + 1) * quarter + 1) % PILLAR_CORNERS]
+        parts.append(fan_triangles(np.concatenate([cell[k : k + 1], arc[::-1]])))
+        parts.append(np.stack([cell[k], cell[(k + 1) % 4], arc[-1]])[None])
+    top = raised(foot, height - cell[0, 2])
+    return [*parts, strip_triangles(foot, top), fan_triangles(top)]

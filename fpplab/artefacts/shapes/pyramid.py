@@ -1,0 +1,70 @@
+"""The pyramid: inclined faces in four orientations and two slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, ClassVar
+
+from fpplab.artefacts.base import Artefact
+from fpplab.artefacts.meshing import centred_rectangle, closed_body, fan_triangles, strip_triangles
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True)
+class Pyramid(Artefact):
+    """A four-sided pyramid with a small flat top, on a plate.
+
+    Attributes
+    ----------
+    plate : tuple of float
+        Size of the plate along x and y in mm.
+    foot : tuple of float
+        Size of the pyramid's foot along x and y in mm.
+    top : tuple of float
+        Size of the flat top along x and y in mm.
+    thickness : float
+        Of the plate, in mm.
+    height : float
+        Of the top above the base, in mm.
+    """
+
+    order: ClassVar[int] = 10
+
+    plate: tuple[float, float] = (90.0, 70.0)
+    foot: tuple[float, float] = (80.0, 60.0)
+    top: tuple[float, float] = (8.0, 6.0)
+    thickness: float = 5.0
+    height: float = 25.0
+
+    def check_lengths(self) -> None:
+        """Check that top, foot and plate increase in size, and that the plate is lower than the top.
+
+        Raises
+        ------
+        ConfigError
+            It is not so; the message names the field.
+        """
+        for axis in range(2):
+            self.check_below("top", self.top[axis], self.foot[axis], "the foot")
+            self.check_below("foot", self.foot[axis], self.plate[axis], "the plate")
+        self.check_below("thickness", self.thickness, self.height, "the height")
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Build the surface of the body.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            A single watertight body with outward normals, corners in mm.
+        """
+        loops = [
+            centred_rectangle(self.plate, 0.0),
+            centred_rectangle(self.plate, self.thickness),
+            centred_rectangle(self.foot, self.thickness),
+            centred_rectangle(self.top, self.height),
+        ]
+        walls = [strip_triangles(low, high) for low, high in pairwise(loops)]
+        return closed_body([fan_triangles(loops[0][::-1]), *walls, fan_triangles(loops[-1])])
