@@ -1,4 +1,7 @@
-"""Fragments are found by structure and replaced where they stand; every seeded fault finds its place."""
+"""Fragments are found by structure and replaced where they stand; every seeded fault finds its place.
+
+Outside of tests/conformance, which judges copies with a fault in them: there the fault has no place any more.
+"""
 
 from __future__ import annotations
 
