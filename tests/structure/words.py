@@ -14,7 +14,8 @@ def name(stem: str) -> str:
 
 def class_name(stem: str) -> str:
     """A pattern for a class whose name is an ordinary word too: definition, calls, imports, annotations."""
-    return rf"\bclass {stem}\b|\b{stem}[(.\[]|\bimport\b.*\b{stem}\b|(?:: |-> |\| |\[){stem}(?=\s*(?:[\],)=:|]|$))"
+    annotation = rf"(?:: |-> |\| |\[){stem}(?=\s*(?:[\],)=:|]|$))"
+    return rf"\bclass {stem}\b|\b{stem}[(.\[]|\bimport\b.*\b{stem}\b|{annotation}"
 
 
 WORDS = (
