@@ -1,6 +1,6 @@
-"""Is the conformance suite worth anything? Faults seeded into a copy of the sources, one at a time.
+"""Mutation test of the conformance suite: faults seeded into a copy of the sources, one at a time.
 
-    python -m tests.conformance.seeded_faults [PART OF A NAME]
+    python -m tests.conformance.seeded_faults [PART OF A NAME …]
 
 Each fault is one of the mistakes that are made when devices are driven. The suite must fail on
 every copy that holds one, and pass on the copy that holds none.
@@ -22,6 +22,7 @@ from pathlib import Path
 
 from tests.conformance.fault import Fault
 from tests.conformance.fault_list import FAULTS
+from tests.conformance.fragments import replace
 
 ROOT = Path(__file__).parents[2]
 COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
@@ -93,13 +94,17 @@ def copy_of_the_tree() -> Iterator[Path]:
 
 
 def seed(tree: Path, fault: Fault) -> None:
-    """Put a fault into a copy; its place must be found exactly once."""
+    """Put a fault into a copy; `LookupError` unless its place is found exactly once."""
     path = tree / fault.file
-    text = path.read_text(encoding="utf-8")
-    found = text.count(fault.old)
-    if found != 1:
-        raise LookupError(f"'{fault.name}': its place is in {fault.file} {found} times, not once")
-    path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+    path.write_text(seeded(fault, path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def seeded(fault: Fault, source: str) -> str:
+    """The source of a fault's file with the fault in it; `LookupError` as for `seed`."""
+    try:
+        return replace(source, fault.within, fault.old, fault.new)
+    except LookupError as error:
+        raise LookupError(f"the fault '{fault.name}' in {fault.file}: {error}") from error
 
 
 def run_suite(tree: Path, suite: Suite) -> tuple[Verdict, str]:
@@ -138,10 +143,11 @@ def try_none(place: str) -> Trial:
 
 
 def main(words: list[str]) -> int:
-    """Try the faults whose names hold every word, and unharmed copies."""
+    """Try the faults whose names hold every word, and unharmed copies by the same suites."""
     chosen = [f for f in FAULTS if all(word in f.name for word in words)]
     killed, sound = 0, True
-    for place in SUITES:
+    judges = [suite_for(fault) for fault in chosen]
+    for place in (place for place, suite in SUITES.items() if suite in judges):
         unharmed = try_none(place)
         passes = unharmed.verdict is Verdict.SURVIVED
         print(f"{'passes' if passes else 'FAILS':8}  {unharmed.name}", flush=True)

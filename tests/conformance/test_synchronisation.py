@@ -111,9 +111,10 @@ def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[Sinusoid, ...], t
 
 
 @pytest.mark.parametrize(
-    "fault", [SyncFault(Cause.LATE), SyncFault(Cause.EARLY), SyncFault(Cause.MISSED, 1), SyncFault(Cause.DOUBLED, 2)],
+    "fault",
+    [SyncFault(Cause.LATE), SyncFault(Cause.EARLY), SyncFault(Cause.MISSED, 1), SyncFault(Cause.DOUBLED, 2)],
     ids=lambda f: f.cause,
-)  # fmt: skip
+)
 def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(
     fault: SyncFault, tmp_path: Path
 ) -> None:

@@ -111,7 +111,7 @@ def test_saturated_pixels_are_marked_at_any_depth(bits: int, full: int) -> None:
     assert marked() > 1000
 
 
-def test_the_cyclic_map_has_no_seam_at_zero() -> None:
+def test_the_cyclic_map_has_no_jump_at_zero() -> None:
     colours = mpl.colormaps["twilight"]([0.0, 1.0])
     assert colours[0] == pytest.approx(colours[1], abs=0.01)
     phase = np.full((48, 64), 0.01, np.float32)

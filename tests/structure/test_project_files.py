@@ -1,0 +1,70 @@
+"""The files of the project that repeat what stands elsewhere agree with it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+
+
+def text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def test_the_citation_is_of_this_version_and_licence() -> None:
+    project, citation = tomllib.loads(text("pyproject.toml"))["project"], yaml.safe_load(text("CITATION.cff"))
+    assert citation["cff-version"] == "1.2.0"
+    assert {"message", "title", "authors"} <= set(citation)
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
+    assert [author["name"] for author in citation["authors"]] == [a["name"] for a in project["authors"]]
+
+
+def test_the_changelog_has_this_version() -> None:
+    version = tomllib.loads(text("pyproject.toml"))["project"]["version"]
+    headings = re.findall(r"^## \[(.+?)\](?: - (\d{4}-\d\d-\d\d))?$", text("CHANGELOG.md"), re.MULTILINE)
+    assert headings[0] == ("Unreleased", "")
+    assert version in [heading for heading, date in headings if date]
+
+
+def test_hooks_are_local() -> None:
+    hooks = yaml.safe_load(text(".pre-commit-config.yaml"))["repos"]
+    assert [repository["repo"] for repository in hooks] == ["local"]
+    assert all(hook["language"] == "system" for repository in hooks for hook in repository["hooks"])
+
+
+def test_hosted_tests_install_what_the_readme_names() -> None:
+    (named,) = re.findall(
+        r"`sudo apt-get install ([^`]+)`,\s+and a real projector or stage `(\S+)`", text("README.md")
+    )
+    wanted = {*named[0].split(), named[1]}
+    workflow = text(".github/workflows/ci.yml")
+    assert wanted <= set(workflow.split())
+    assert yaml.safe_load(workflow)["jobs"]["all"]["steps"][-1]["run"] == ".ci/run"
+
+
+@pytest.mark.parametrize(
+    "package", tomllib.loads(text("pyproject.toml"))["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+)
+def test_packages_announce_their_types(package: str) -> None:
+    assert (ROOT / package / "py.typed").is_file()
+
+
+@pytest.mark.parametrize("path", DECISIONS, ids=lambda path: path.stem)
+def test_decisions_have_number_status_and_date(path: Path) -> None:
+    block = r"\. .+\n\nStatus: (accepted|superseded|proposed).*\nDate: \d{4}-\d\d-\d\d\n\n"
+    assert re.match(f"# {int(path.name[:4])}{block}", path.read_text(encoding="utf-8"))
+
+
+def test_the_glossary_is_sorted_and_names_files_that_exist() -> None:
+    glossary = text("docs/glossary.md")
+    terms = [term.lower() for term in re.findall(r"^\*\*(.+?)\*\*", glossary, re.MULTILINE)]
+    assert terms == sorted(set(terms))
+    named = re.findall(r"`((?:fpplab|sim|drivers|docs|tests|configs)/[\w/.\-]*)`", glossary)
+    assert [name for name in named if not (ROOT / name).exists()] == []
