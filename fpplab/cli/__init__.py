@@ -15,8 +15,8 @@ from fpplab.core import plugins
 for _module in iter_modules(commands.__path__):
     import_module(f"{commands.__name__}.{_module.name}")
 sort_commands()
-for _name in plugins.names(plugins.COMMANDS):
-    app.add_typer(plugins.load(plugins.COMMANDS, _name), name=_name, rich_help_panel=INSTRUMENTS)
+for _name in plugins.plugin_names(plugins.COMMANDS):
+    app.add_typer(plugins.load_plugin(plugins.COMMANDS, _name), name=_name, rich_help_panel=INSTRUMENTS)
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ DISCOVERY = "fpplab.discovery"
 """Functions without arguments that look for devices and return `fpplab.devices.discovery.FoundDevices`."""
 
 
-def names(group: str) -> list[str]:
+def plugin_names(group: str) -> list[str]:
     """List what the installed packages bring.
 
     Parameters
@@ -43,7 +43,7 @@ def names(group: str) -> list[str]:
     return sorted(entry_points(group=group).names)
 
 
-def load(group: str, name: str) -> Any:
+def load_plugin(group: str, name: str) -> Any:
     """Import one thing that an installed package brings.
 
     Parameters
@@ -51,7 +51,7 @@ def load(group: str, name: str) -> Any:
     group : str
         One of the constants of this module.
     name : str
-        One of `names(group)`.
+        One of `plugin_names(group)`.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def load(group: str, name: str) -> Any:
     kind = group.rpartition(".")[2]
     found = entry_points(group=group, name=name)
     if not found:
-        known = ", ".join(names(group)) or "none; install fpplab anew, its entry points are missing"
+        known = ", ".join(plugin_names(group)) or "none; install fpplab anew, its entry points are missing"
         raise ConfigError(f"there is no '{name}' among the {kind}; there are {known}")
     try:
         return next(iter(found)).load()

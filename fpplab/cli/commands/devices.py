@@ -14,7 +14,7 @@ from fpplab.devices.discovery import FoundDevices
 def devices_command(json: Json = False) -> None:
     """List the cameras, projectors and stages that this computer sees, and what keeps others from showing."""
     found = FoundDevices.together(
-        plugins.load(plugins.DISCOVERY, name)() for name in plugins.names(plugins.DISCOVERY)
+        plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
     )
     rows = [asdict(d) for d in found.devices]
 

@@ -19,7 +19,7 @@ from fpplab.core.errors import ConfigError
 
 @app.command("emulate", rich_help_panel=INSTRUMENTS)
 def emulate_command(
-    name: Annotated[str, typer.Argument(help=f"{', '.join(plugins.names(plugins.EMULATORS))}.")],
+    name: Annotated[str, typer.Argument(help=f"{', '.join(plugins.plugin_names(plugins.EMULATORS))}.")],
     firmware: Annotated[
         Path | None, typer.Option("--firmware", help="For dlp4500: what is in its flash.")
     ] = None,
@@ -36,7 +36,7 @@ def emulate_command(
 
     Example: `fpplab emulate stage`
     """
-    serve = plugins.load(plugins.EMULATORS, name)
+    serve = plugins.load_plugin(plugins.EMULATORS, name)
     if firmware is not None and "firmware" not in signature(serve).parameters:
         raise ConfigError(f"--firmware: the emulator '{name}' has no flash; leave it out")
     with serve(firmware) if firmware else serve() as use, suppress(KeyboardInterrupt):
