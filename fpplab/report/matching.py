@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
+from fpplab.matching.artefacts import ArtefactComparison
 from fpplab.matching.gamma import GammaMatch
-from fpplab.matching.judgement import ArtefactJudgement
 from fpplab.matching.match import EXPLAINS
 from fpplab.matching.record import MatchingEpoch
 from fpplab.matching.reference import Reference
@@ -19,7 +19,7 @@ from fpplab.matching.run import MatchingResult
 from fpplab.report.drawing import ACCENT, FULL, SECOND, blank, colour_bar, map_height, pair, picture, show
 from fpplab.report.figures import error_map
 from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]
 
@@ -34,7 +34,7 @@ def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
     sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
-    sections += [_artefact_section(one) for one in found.judgements]
+    sections += [_artefact_section(one) for one in found.artefacts]
     facts = {
         "Ended": found.matched.ended,
         "Poses": str(len(found.matched.parameters.poses)),
@@ -57,16 +57,16 @@ def _summary(found: MatchingResult) -> list[ReportTable]:
             COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM), with the twin's noise in its images."
         )
     ]
-    if found.judgements:
+    if found.artefacts:
         judged = tuple(
             (
                 one.item,
-                f"{one.bench_um:.1f}",
+                f"{one.reference_um:.1f}",
                 f"{one.twin_um:.1f}",
                 f"{one.delta_um:+.1f}",
                 f"{one.summary()['delta_percent']:.1f}",
             )
-            for one in found.judgements
+            for one in found.artefacts
         )
         columns = ("Artefact", "Bench in µm", "Twin in µm", "Difference in µm", "Difference in %")
         tables.append(
@@ -177,16 +177,16 @@ def _poses_section(found: MatchingResult) -> ReportSection:
         for one in found.by_pose()
     )
     columns = ("Pose", *(f"{word} {when}" for word in words for when in ("before", "after")))
-    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.bench)),))
+    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.reference)),))
 
 
 def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.4f}"
 
 
-def _flatness(bench: Reference) -> str:
+def _flatness(reference: Reference) -> str:
     """What is asked of a flat twin where the bench's board is not."""
-    found = bench.characterisation
+    found = reference.characterisation
     if found.drawn is None:
         return "ε_d: the bench's RMS reprojection error less the twin's."
     heights = 1e3 * (found.board[:, 2] - found.drawn[:, 2])
@@ -197,24 +197,24 @@ def _flatness(bench: Reference) -> str:
 
 
 def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
-    bench, figures = found.bench, []
-    images = bench.finest[:1]
-    for pose in bench.spread_poses(SHOWN_POSES):
+    reference, figures = found.reference, []
+    images = reference.finest[:1]
+    for pose in reference.spread_poses(SHOWN_POSES):
         before, after = (
-            _seen(bench, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
+            _seen(reference, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
         )
-        real = bench.frames(pose, images)[0]
-        name = bench.sessions[pose].path.name
+        real = reference.frames(pose, images)[0]
+        name = reference.sessions[pose].path.name
         caption = f"{name}: the bench, the matched twin; the bench less the twin before and after."
         figures.append(Figure.of(differences(real, before, after), f"Images of {name}", caption, wide=True))
     return ReportSection("Images", figures=tuple(figures))
 
 
 def _seen(
-    bench: Reference, twin: Twin, parameters: Parameters, pose: int, images: Sequence[int]
+    reference: Reference, twin: Twin, parameters: TwinParameters, pose: int, images: Sequence[int]
 ) -> GreyPicture:
     twin.become(parameters)
-    return np.asarray(twin.expected(pose, bench.shown(images), bench.settings)[0])
+    return np.asarray(twin.expected(pose, reference.shown(images), reference.settings)[0])
 
 
 @picture
@@ -251,7 +251,7 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     return ReportSection("Parameters", tables=(ReportTable(("Parameter", "Before", "Matched"), tuple(rows)),))
 
 
-def _artefact_section(one: ArtefactJudgement) -> ReportSection:
+def _artefact_section(one: ArtefactComparison) -> ReportSection:
     figures = tuple(
         Figure.of(
             error_map(cloud, comparison.distances_mm, comparison.counted),
@@ -259,7 +259,7 @@ def _artefact_section(one: ArtefactJudgement) -> ReportSection:
             f"{who.capitalize()}: signed distance from the true shape.",
         )
         for who, cloud, comparison in (
-            ("bench", one.bench_cloud, one.bench),
+            ("bench", one.reference_cloud, one.reference),
             ("twin", one.twin_cloud, one.twin),
         )
     )

@@ -27,7 +27,7 @@ ExpectedLevels = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class TwinParameters:
     """Everything of a twin that matching may change. A parameter that is None is absent from the world.
 
     Geometry: calibration: both devices and the pose between them. poses: `T_camera_item` of the board.
@@ -63,7 +63,7 @@ class Parameters:
     full_well_e: float
     vibration_mm: float
 
-    def with_pose(self, index: int, pose: RigidTransform) -> Parameters:
+    def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """The same but for one of the poses."""
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
@@ -75,14 +75,14 @@ class Twin(Protocol):
     """
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> TwinParameters:
         """As it stands; at first what its own file says."""
 
     @property
     def target(self) -> Target:
         """The board, as it is printed."""
 
-    def become(self, parameters: Parameters) -> None:
+    def become(self, parameters: TwinParameters) -> None:
         """Go on with these; what does not depend on the change is kept."""
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:

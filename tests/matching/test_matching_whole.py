@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.matching.match import Limits
+from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import Parameters
+from fpplab.simulation.matchable import TwinParameters
 from tests.support.plane_twin import TARGET, PlaneTwin, nominal, record, tilted
 
 PLAN = Plan(
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 @dataclass(frozen=True)
 class Matching:
-    truth: Parameters
+    truth: TwinParameters
     sessions: list[Session]
     folder: Path
     outcome: MatchingResult
@@ -49,7 +49,7 @@ def matching(tmp_path_factory: pytest.TempPathFactory) -> Matching:
     )
     sessions = record(PlaneTwin(truth, 1), PLAN, folder / "board")
     twin = PlaneTwin(nominal(()), 7)
-    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS))
+    wanted = MatchingRequest(limits=MatchingLimits(epochs=EPOCHS))
     outcome = match_sessions(twin, sessions, TARGET, folder / "matched", wanted)
     return Matching(truth, sessions, folder / "matched", outcome, twin)
 
@@ -91,7 +91,7 @@ def test_every_epoch_is_on_disk_and_the_twin_beside_it(matching: Matching) -> No
 
 def test_a_matching_goes_on_where_it_ended(matching: Matching) -> None:
     before = len(MatchingRecord(matching.folder).read())
-    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS + 1))
+    wanted = MatchingRequest(limits=MatchingLimits(epochs=EPOCHS + 1))
     again = match_sessions(PlaneTwin(nominal(()), 8), matching.sessions, TARGET, matching.folder, wanted)
     epochs = MatchingRecord(matching.folder).read()
     assert len(epochs) == before + 1

@@ -19,7 +19,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import FringeSet, Plan
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 from sim.build import Setup
 from sim.light import Light, Show
 from sim.sensor import SensorModel
@@ -244,7 +244,7 @@ def test_a_body_is_scanned_where_it_is_said_to_be(blender: Blender) -> None:
     assert twin.mesh("pillars").is_watertight
 
 
-WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
+WRONG: list[tuple[Callable[[TwinParameters], TwinParameters], str]] = [
     (lambda p: replace(p, paper=1.2), r"the twin's parameters: 'items\.board\.reflectance' is 1\.2"),
     (lambda p: replace(p, projector_blur=0.1), "'blur' is 0.1: must be 0"),
     (lambda p: replace(p, camera_focus_mm=10.0), "'focus_mm' is 10: must be greater than 'focal_mm'"),
@@ -255,7 +255,7 @@ WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
 
 @pytest.mark.parametrize(("change", "said"), WRONG)
 def test_what_no_world_can_have_is_refused(
-    twin: SimTwin, change: Callable[[Parameters], Parameters], said: str
+    twin: SimTwin, change: Callable[[TwinParameters], TwinParameters], said: str
 ) -> None:
     before = twin.parameters
     with pytest.raises(ConfigError, match=said):
