@@ -128,7 +128,7 @@ def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Resul
             begin = time.perf_counter()
             found = _matched(twin_of(rig, BOARD), sessions, folder / name, wanted)
             results += _convergence(name, found, time.perf_counter() - begin)
-            results += errors(name, found.matched.parameters, _seen_in(found.bench.sessions, truth))
+            results += errors(name, found.matched.parameters, _seen_in(found.reference.sessions, truth))
             if wanted.scans:
                 results += _artefact_figures(name, found)
         results += _refusals(rig, sessions, folder / "wrong", plain)

@@ -37,7 +37,7 @@ MAX_PIXELS = 40_000
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCE_PARAMETERS = 6
-"""Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
+"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
 
 
 def solution_of(parameters: TwinParameters, board: Floats) -> Solution:

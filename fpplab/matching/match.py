@@ -1,8 +1,8 @@
 """Characterisation matching: the twin's parameters are fitted in steps, each kept only if it lowers the loss.
 
-Order of the steps: geometry by the observed points, light, then one by one the effects that the paper
-names as missing (ambient light, defocus of projector and camera, vignetting, noise); at last all parameters
-of light together and the geometry by the images in turn, until the loss has converged. Each step is one epoch.
+Order of the steps: geometry by the observed points, light, then one by one the effects that the paper names
+as missing (ambient light, defocus of projector and camera, vignetting, noise); at last all parameters of
+light together and the geometry by the images in turn, until the loss has converged. Each step is one epoch.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ APERTURES = (0.5, 1.0, 2.0)
 EXPLAINS = {
     "projector defocus": "blur of the projector that grows with the distance from its focus",
     "depth of field": "blur of the camera that grows with the distance from its focus",
-    "vignetting": "light that the camera's lens loses towards the picture's corners",
+    "vignetting": "light that the camera's lens loses towards the corners of the image",
     "ambient light": "light that is not the projector's, and the camera's black level",
     "noise": "noise of the sensor and vibration",
 }

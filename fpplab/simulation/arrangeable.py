@@ -75,8 +75,8 @@ class SceneStudio(Protocol):
     def arrange(self, scene: DatasetScene) -> None:
         """Put the scene's item before the devices, in the scene's light.
 
-        Called before each scene is captured; frames that follow show the new scene. The stage is not moved here: the
-        caller moves it as a device.
+        Called before each scene is captured; frames that follow show the new scene. The stage is not moved
+        here: the caller moves it as a device.
 
         Parameters
         ----------

@@ -38,8 +38,8 @@ class TwinParameters:
         `T_camera_item` of the board.
     white : float
         Level above black of a surface that faces the lamp at its distance, relative to what the twin's own
-        file gives. A change of `f_number`, `full_well_e` or `black_level` does not change it (the lamp makes up
-        for it).
+        file gives. A change of `f_number`, `full_well_e` or `black_level` does not change it (the lamp makes
+        up for it).
     response : Curve
         Of the projector, with a + b = 1, since `white` takes the scale.
     ambient : float
@@ -105,8 +105,8 @@ class TwinParameters:
 class Twin(Protocol):
     """A simulation of a board whose parameters can be set.
 
-    `fpplab.matching` gets one from `Matchable.twin` and calls its methods from one thread, in any order. Poses
-    are indices into `parameters.poses`; frames and levels are raw, of the bit depth of the settings.
+    `fpplab.matching` gets one from `Matchable.twin` and calls its methods from one thread, in any order.
+    Poses are indices into `parameters.poses`; frames and levels are raw, of the bit depth of the settings.
 
     Examples
     --------
@@ -183,7 +183,8 @@ class Twin(Protocol):
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         """Take frames of the board with the sensor's noise and the item's vibration.
 
-        Noise and vibration are drawn anew in each call. Vibration counts to first order in the item's displacement.
+        Noise and vibration are drawn anew in each call. Vibration counts to first order in the item's
+        displacement.
 
         Parameters
         ----------

@@ -10,8 +10,8 @@ from typing import Protocol, runtime_checkable
 class Seeded(Protocol):
     """A simulation whose noise follows from random seeds that the caller gives.
 
-    `fpplab optimise` uses it (common random numbers): with the same numbers two candidates of a search differ by
-    their plans and not by the realisation of the noise.
+    `fpplab optimise` uses it (common random numbers): with the same numbers two candidates of a search differ
+    by their plans and not by the realisation of the noise.
 
     Examples
     --------
@@ -22,8 +22,8 @@ class Seeded(Protocol):
     def draw(self, numbers: Iterable[int]) -> None:
         """Let the noise of the next frames follow from these numbers and the world's seed.
 
-        Called before frames are acquired. Numbers left over from an earlier call are discarded; frames beyond the
-        numbers follow from their own count.
+        Called before frames are acquired. Numbers left over from an earlier call are discarded; frames beyond
+        the numbers follow from their own count.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Matching a twin to a bench, where both are the plane twin and the truth is known."""
+"""Matching of a twin to a reference, both simulated by the plane twin, so that the truth is known."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FACING = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
 
 
 def reference_of(truth: TwinParameters, seed: int = 1) -> Reference:
-    """What such a bench would have recorded; only its images are asked for."""
+    """What a bench with these parameters would have recorded; only its images are used."""
     twin = PlaneTwin(truth, seed)
     sessions = tuple(Remembered.of(twin, PLAN, pose) for pose in range(len(truth.poses)))
     return Reference(cast(Any, sessions), TARGET, cast(Any, _Known(truth)))
@@ -61,7 +61,7 @@ def loss(epsilon_d: float, whole: list[float], board: list[float]) -> Loss:
     return Loss(Weights(), 0.05 + epsilon_d, 0.05, Similarity(np.array(whole), np.array(board)))
 
 
-def test_loss_is_the_papers() -> None:
+def test_loss_agrees_with_the_paper() -> None:
     # The last row of the paper's table: SSIM 0.872 and 0.002 px make 0.103.
     found = loss(0.002, [0.872], [0.872])
     assert found.whole == pytest.approx(0.2 * np.log(1.002) + 0.8 * 0.128, rel=1e-12)
@@ -76,7 +76,7 @@ def test_loss_gives_mean_and_spread_over_the_images() -> None:
     assert summary["loss_spread"] == pytest.approx(0.8 * 0.1)
 
 
-def test_ssim_is_the_standard_one() -> None:
+def test_ssim_agrees_with_scikit_image() -> None:
     random = np.random.default_rng(0)
     a, b = random.integers(0, 255, (2, 60, 80)).astype(np.uint8)
     board = np.zeros((60, 80), bool)
@@ -88,7 +88,7 @@ def test_ssim_is_the_standard_one() -> None:
     assert ssim(a, a, 255, board) == pytest.approx((1.0, 1.0))
 
 
-def test_board_mask_is_the_boards_outline_less_its_margin() -> None:
+def test_board_mask_is_the_projected_outline_less_the_edge_margin() -> None:
     straight = replace(CAMERA, distortion=np.zeros(8))
     focal, (width, height) = 1216 / 450, TARGET.size_mm
     for margin in (0, 4, -3):
@@ -99,8 +99,8 @@ def test_board_mask_is_the_boards_outline_less_its_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
-def test_images_put_the_geometry_right(truth: TwinParameters, reference: Reference) -> None:
-    # Off by a tenth of a pixel, light and all else as it is.
+def test_refinement_by_images_finds_the_geometry(truth: TwinParameters, reference: Reference) -> None:
+    # The start is off by a tenth of a pixel; light and everything else is true.
     start = moved(truth, 0.04, 0.01)
     twin = PlaneTwin(start)
     held = replace(reference)
@@ -119,7 +119,7 @@ def test_images_put_the_geometry_right(truth: TwinParameters, reference: Referen
     assert after < 0.01
 
 
-def test_slopes_of_images_are_those_of_the_twin(truth: TwinParameters, reference: Reference) -> None:
+def test_jacobian_of_images_agrees_with_the_twin(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(truth)
     view = geometry._residual_of_pose(reference, twin, truth, 0)
     slopes = next(view.jacobian(truth, 5))
@@ -132,14 +132,12 @@ def test_slopes_of_images_are_those_of_the_twin(truth: TwinParameters, reference
     looked_at = view.level_gradient[0].any(axis=-1)
     predicted = slopes[:, 16:22] @ move
     rest = (change - predicted)[looked_at]
-    # The plane twin looks mirrors up bilinearly, so its slopes jump from mirror to mirror.
+    # The plane twin interpolates mirrors bilinearly, so its derivatives jump from mirror to mirror.
     assert np.std(rest) < 0.1 * np.std(change[looked_at])
 
 
-def test_where_the_board_was_when_an_image_was_taken_is_found(
-    truth: TwinParameters, reference: Reference
-) -> None:
-    """Though it was displaced by a third of a pixel, over which an edge's level is no straight line."""
+def test_displacement_of_the_board_in_one_image_is_found(truth: TwinParameters, reference: Reference) -> None:
+    """A displacement of a third of a pixel, over which the level of an edge is not linear."""
     twin, move = PlaneTwin(replace(truth, vibration_mm=0.05)), np.array([0.06, -0.04, 0.03])
     view = geometry._residual_of_pose(reference, twin, twin.parameters, 0)
     slopes = next(view.jacobian(truth, 5))[:, 2 * 5 + 6 + 3 :]
@@ -168,13 +166,13 @@ def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
     found = noise.match_noise(reference_of(noisy, 4), twin, (0, 1, 3))
-    # In the picture's plane four frames of three poses have 18 degrees of freedom: 17 % is one deviation.
+    # In the image plane four frames of three poses have 18 degrees of freedom: 17 % is one deviation.
     assert found.vibration_mm == pytest.approx(0.01, rel=0.5)
     assert found.full_well_e == pytest.approx(4000.0, rel=0.3)
     assert twin.parameters is truth
 
 
-def test_a_knob_stops_at_what_a_world_can_have() -> None:
+def test_an_adjustable_parameter_is_clipped_to_its_range() -> None:
     knob = light.ADJUSTABLE["paper"]
     assert knob.read(knob.with_value(nominal(()), 1.7)) == 1.0
 
@@ -201,7 +199,7 @@ def test_gamma_is_matched(truth: TwinParameters) -> None:
     assert twin.parameters is found.parameters
 
 
-def test_gamma_of_something_else_is_refused(truth: TwinParameters) -> None:
+def test_a_response_that_the_twin_cannot_have_is_refused(truth: TwinParameters) -> None:
     response = response_of(truth)
     odd = [
         level.model_copy(update={"seen": 0.5 + 0.05 * (-1) ** k}) for k, level in enumerate(response.measured)
@@ -228,7 +226,7 @@ def epoch(step: str, difference: float, accepted: bool = True) -> MatchingEpoch:
     )
 
 
-def test_shares_count_from_what_was_left_before() -> None:
+def test_explained_shares_refer_to_the_difference_before_the_step() -> None:
     steps = [
         epoch("start", 4.0),
         epoch("depth of field", 2.0),
@@ -262,7 +260,7 @@ def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: TwinParameters
     assert (found.ink, found.camera_focus_mm) == (truth.ink, None)
 
 
-def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
+def test_an_incomplete_last_line_is_ignored(tmp_path: Path) -> None:
     record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
     with (tmp_path / EPOCHS).open("ab") as stream:
@@ -272,13 +270,13 @@ def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
     assert [e.step for e in record.read()] == ["start", "points"]
 
 
-def test_a_damaged_record_is_named(tmp_path: Path) -> None:
+def test_a_damaged_record_names_its_line(tmp_path: Path) -> None:
     (tmp_path / EPOCHS).write_text('{"epoch": -1}\n')
     with pytest.raises(DataError, match="line 1: is no epoch"):
         MatchingRecord(tmp_path).read()
 
 
-def test_another_camera_is_told(truth: TwinParameters, reference: Reference) -> None:
+def test_another_camera_is_refused(truth: TwinParameters, reference: Reference) -> None:
     known = truth.calibration
     small = replace(known.camera, size=(228, 152))
     twin = PlaneTwin(replace(truth, calibration=replace(known, camera=small)))
@@ -286,7 +284,7 @@ def test_another_camera_is_told(truth: TwinParameters, reference: Reference) -> 
         plausibility.check_devices(twin, reference.sessions[0])
 
 
-def test_another_board_is_told(truth: TwinParameters) -> None:
+def test_another_board_is_refused(truth: TwinParameters) -> None:
     other = config.validate(
         {**TARGET.model_dump(mode="json", exclude_none=True), "spacing_mm": [4.4, 9]}, type(TARGET), "other"
     )
@@ -301,26 +299,24 @@ def scaled(known: Calibration, factor: float) -> Calibration:
     return replace(known, T_projector_camera=RigidTransform(pair.rotation, factor * pair.translation))
 
 
-def test_a_board_of_another_pitch_is_told_by_the_baseline(truth: TwinParameters) -> None:
+def test_a_board_of_another_pitch_is_detected_by_the_baseline(truth: TwinParameters) -> None:
     known = truth.calibration
     plausibility.check_geometry(scaled(known, 1.05), known)
     with pytest.raises(CalibrationError, match=r"the baseline is .* another pitch"):
         plausibility.check_geometry(scaled(known, 1.2), known)
 
 
-def test_a_focus_that_moved_is_told(truth: TwinParameters, reference: Reference) -> None:
+def test_a_focus_that_moved_is_refused(truth: TwinParameters, reference: Reference) -> None:
     plausibility.check_sharpness(reference, PlaneTwin(truth))
     blurred = PlaneTwin(replace(truth, camera_focus_mm=400.0, f_number=3.0), 2)
     sessions = (*reference.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
     with pytest.raises(
-        CalibrationError, match=r"pose_03: its edges are .* softer .* the bench's focus moved"
+        CalibrationError, match=r"pose_03: its edges are .* softer, .* the bench's focus moved"
     ):
         plausibility.check_sharpness(replace(reference, sessions=sessions), PlaneTwin(truth))
 
 
-def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(
-    truth: TwinParameters, reference: Reference
-) -> None:
+def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(truth, 2)
     seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(reference.sessions))]
     blurred = [replace(s, images=[cv2.GaussianBlur(i, (0, 0), 1.0) for i in s.images]) for s in seen]
@@ -331,7 +327,7 @@ def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(
     plausibility.check_sharpness(softer, PlaneTwin(truth))
 
 
-def test_an_end_that_is_no_match_is_refused() -> None:
+def test_a_result_of_low_similarity_is_refused() -> None:
     plausibility.check_similarity(loss(0.0, [0.99], [0.95]), 1.0)
     with pytest.raises(CalibrationError, match=r"does not match the bench: SSIM over the board is 0.500"):
         plausibility.check_similarity(loss(0.0, [0.99], [0.5]), 20.0)

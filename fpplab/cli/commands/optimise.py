@@ -74,7 +74,7 @@ def optimise_command(
     _make_way(what, out, force)
 
     from fpplab.optimisation import run
-    from fpplab.report.optimisation import look, write_optimisation_report
+    from fpplab.report.optimisation import measure_search_maps, write_optimisation_report
     from fpplab.report.viewer import Viewer
 
     if confirm:
@@ -107,7 +107,7 @@ def optimise_command(
                 confirmed = run.confirm_found(confirm, found, run.folder_of(out) / "confirm", report)
         page = run.page_of(what, out)
         with console.progress("Comparing before and after"):
-            write_optimisation_report(page, found, confirmed, look(rig, found))
+            write_optimisation_report(page, found, confirmed, measure_search_maps(rig, found))
         result = {
             **found.summary(),
             "confirmed": [one.summary() for one in confirmed],
