@@ -188,10 +188,10 @@ class GreyCard:
         float
             As share of full scale.
         """
-        lit = self.twin.parameters
-        self.twin.become(replace(lit, response=Curve(a=1.0, b=0.0, g=1.0)))
+        present = self.twin.parameters
+        self.twin.become(replace(present, response=Curve(a=1.0, b=0.0, g=1.0)))
         level = float(self.levels(np.zeros(1))[0])
-        self.twin.become(lit)
+        self.twin.become(present)
         return level
 
     def _means(self, patterns: list[Pattern]) -> Floats:

@@ -31,13 +31,13 @@ from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
-"""By how much board and projector's picture are moved to see what changes: less than any detail of either."""
+"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
 MAX_PIXELS = 40_000
 """Pixels of each pose that are compared, evenly subsampled."""
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
 NUISANCE_PARAMETERS = 6
-"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
+"""Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
 
 
 def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
@@ -175,10 +175,10 @@ def _remove_vibration(
     image: int,
     jacobian: Floats,
 ) -> tuple[Floats, Floats]:
-    """By how much the board was displaced (3,) in mm while one image was taken, and what that leaves (P,).
+    """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it.
 
-    slopes: (P, 3 + NUISANCES), by the displacement and what else is the image's own. An edge's level is
-    no straight line over the displacement, so the twin is looked at once more where the board was.
+    jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of
+    an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
     """
     residual = residuals.residual[image]
     if start.vibration_mm == 0:
@@ -197,8 +197,8 @@ def _equations(
 ) -> tuple[Floats, Floats]:
     """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
 
-    moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`, and
-    `own` of it is in the residual already.
+    displacement: columns of the board's displacement. That of the image is normally distributed with
+    `vibration_mm`; the residual is without its estimate `own`.
     """
     weight, sigma = huber_weights(residual)
     weighted = jacobian * (weight / sigma**2)[:, None]

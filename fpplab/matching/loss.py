@@ -198,7 +198,7 @@ def subsample_pixels(area: Mask, count: int) -> PixelIndices:
     area : Mask
         [v, u], at least one pixel is set.
     count : int
-        About so many pixels are kept at most.
+        Approximate greatest number of pixels that are kept.
 
     Returns
     -------

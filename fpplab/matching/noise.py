@@ -97,7 +97,7 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Pixels of a pose; levels expected (n, P), and by displacement in mm (n, P, 3)."""
+    """Pixels of a pose, expected levels (n, P), and their derivatives by displacement in mm (n, P, 3)."""
 
     pixels: PixelIndices
     expected: Floats
@@ -124,7 +124,7 @@ class _View:
         return cls(pixels, here, np.stack(slopes, axis=-1))
 
     def separate(self, frames: Sequence[Image]) -> tuple[Floats, Floats, Floats]:
-        """Displacement of every frame in mm (n, 3), its variance (n, 3), and what it leaves (n, P)."""
+        """Estimate the displacement of every frame in mm (n, 3), its variance (n, 3), and the rest (n, P)."""
         shifts, variances, rest = [], [], []
         for frame, expected, slopes in zip(frames, self.expected, self.slopes, strict=True):
             seen = np.asarray(frame)[self.pixels].astype(np.float64)

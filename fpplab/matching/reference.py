@@ -170,7 +170,7 @@ class Reference:
         Parameters
         ----------
         count : int
-            At most so many.
+            Greatest number of poses.
 
         Returns
         -------

@@ -40,7 +40,7 @@ from fpplab.report.drawing import (
 from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
 RELIEF_COLUMNS = 760
-"""Columns of a relief: points are averaged to about so many, which reduces the noise of the normals."""
+"""Columns of a relief: points are averaged to about this number, which reduces the noise of the normals."""
 CONTOUR_COLUMNS = 400
 
 

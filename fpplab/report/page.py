@@ -288,13 +288,13 @@ def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSect
     compared = tuple(_compared_row(s, s.comparison) for s in scans if s.comparison is not None)
     if compared:
         tables.append(ReportTable(COMPARED, compared, FLOOR))
-    alone = tuple(
+    scanned = tuple(
         (s.name, str(s.images), _count(len(s.cloud)), _roughness(s.cloud), _noise(s.cloud))
         for s in scans
         if s.comparison is None
     )
-    if alone:
-        tables.append(ReportTable(SCANNED, alone, ROUGHNESS))
+    if scanned:
+        tables.append(ReportTable(SCANNED, scanned, ROUGHNESS))
     return tables
 
 
@@ -493,7 +493,7 @@ def _error_figure(scan: ScanSection, found: Comparison) -> ReportFigure:
     return ReportFigure.of(drawn, alt, caption, wide=True)
 
 
-# Words
+# Formatting of numbers
 
 NOT_KNOWN = "–"
 

@@ -121,7 +121,7 @@ def block_mean(values: Map, columns: int) -> Map:
     values : Map
         (h, w) or (h, w, C), NaN where not measured.
     columns : int
-        About so many columns remain.
+        Approximate number of columns that remain.
 
     Returns
     -------
