@@ -113,7 +113,7 @@ def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) 
     Raises
     ------
     CalibrationError
-        The adjustment does not converge to a solution.
+        There is no solution: the poses do not determine the parameters.
     """
     model = Model(found.level, found.board)
     return with_solution(

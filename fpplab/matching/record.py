@@ -42,7 +42,7 @@ class ParametersFile(Document):
     ink: float
     """Reflectance of the board's print."""
     projector_blur: float
-    """Blur of the projector in mirrors."""
+    """Standard deviation of the projector lens's point spread at its sharpest, in mirrors."""
     projector_focus_mm: float | None = None
     """Distance in focus of the projector in mm."""
     projector_aperture_mm: float
@@ -52,7 +52,7 @@ class ParametersFile(Document):
     f_number: float
     """Of the camera's lens."""
     vignetting: float
-    """Exponent of the camera's vignetting."""
+    """Exponent n of the camera's loss of light cosⁿ towards the edge."""
     black_level: float
     """Share of full scale."""
     read_noise_e: float

@@ -126,10 +126,14 @@ def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
 
     Raises
     ------
-    DataError
-        A scan holds no points.
+    ConfigError
+        The rig cannot take a candidate.
     DeviceError
         A device of the rig fails.
+    CalibrationError
+        No calibration fits a candidate's position of the stage, or the study names none.
+    DataError
+        No point of a scan is on the artefact.
     """
     seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
     candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}

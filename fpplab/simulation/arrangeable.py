@@ -46,7 +46,7 @@ class SceneStudio(Protocol):
     def nominal(self) -> dict[str, Any]:
         """Give what all scenes share: the world that they are variations of.
 
-        Called once for a data set, before the first scene, to record it.
+        Called before the first scene, to record it in the data set's card.
 
         Returns
         -------

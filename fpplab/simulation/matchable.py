@@ -47,7 +47,7 @@ class TwinParameters:
     paper, ink : float
         Reflectances of the board's ground and print.
     projector_blur : float
-        Blur of the projector at its focus, in mirrors.
+        Standard deviation of the projector lens's point spread at its sharpest, in mirrors.
     projector_focus_mm : float or None
         Distance in focus of the projector, as in a world file; None: sharp at every depth.
     projector_aperture_mm : float
@@ -57,7 +57,7 @@ class TwinParameters:
     f_number : float
         Of the camera's lens.
     vignetting : float
-        Exponent of the camera's vignetting.
+        Exponent n of the camera's loss of light cosⁿ towards the edge.
     black_level : float
         Share of full scale.
     read_noise_e, full_well_e : float
@@ -125,12 +125,12 @@ class Twin(Protocol):
     def become(self, parameters: TwinParameters) -> None:
         """Set the parameters; what does not depend on the change is kept.
 
-        Called before every evaluation, many hundred times in a matching.
+        Called before every evaluation with other parameters, so it should be fast.
 
         Parameters
         ----------
         parameters : TwinParameters
-            Afterwards `self.parameters` is this very object.
+            What `self.parameters` gives afterwards.
 
         Raises
         ------

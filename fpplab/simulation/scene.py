@@ -42,7 +42,7 @@ class DatasetScene(Document):
     exposure_s: float
     """Exposure of the camera in s."""
     projector_blur: float
-    """Blur of the projector in mirrors."""
+    """Standard deviation of the projector lens's point spread at its sharpest, in mirrors."""
     projector_focus_mm: float
     """Distance in focus of the projector in mm."""
     stage_mm: float
