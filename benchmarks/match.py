@@ -27,13 +27,13 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import Frame
 from fpplab.devices.rig import Rig
-from fpplab.matching.match import Limits
+from fpplab.matching.match import MatchingLimits
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions, twin_of
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 from fpplab.pipeline import measure_response, take, take_poses
 from fpplab.sessions.session import Session, recorded_sessions
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 from fpplab.targets import Target
 from sim.twin import SimTwin, white_level_per_s
 from sim.world import World
@@ -66,7 +66,7 @@ class MatchBenchmarkSetup:
     scan_plan: str = "plan_paper.yaml"
     poses: int = 20
     artefacts: tuple[str, ...] = ("pyramid", "pillars", "steps")
-    limits: Limits = field(default_factory=Limits)
+    limits: MatchingLimits = field(default_factory=MatchingLimits)
     focus_moved_mm: float = 40.0
 
     @property
@@ -128,9 +128,9 @@ def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Resul
             begin = time.perf_counter()
             found = _matched(twin_of(rig, BOARD), sessions, folder / name, wanted)
             results += _convergence(name, found, time.perf_counter() - begin)
-            results += errors(name, found.matched.parameters, _seen_in(found.bench.sessions, truth))
+            results += errors(name, found.matched.parameters, _seen_in(found.reference.sessions, truth))
             if wanted.scans:
-                results += _judgement(name, found)
+                results += _artefact_figures(name, found)
         results += _refusals(rig, sessions, folder / "wrong", plain)
     return results
 
@@ -141,13 +141,13 @@ def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Matchin
         return match_sessions(twin, sessions, twin.target, out, wanted, progress=report)
 
 
-def truth_of(bench: Rig, nominal: World) -> Parameters:
+def truth_of(bench: Rig, nominal: World) -> TwinParameters:
     """What a matching of the twin `nominal` ought to find of an open virtual bench."""
     known = twin_of(bench, BOARD).parameters
     return replace(known, white=white_level_per_s(virtual_bench(bench).world) / white_level_per_s(nominal))
 
 
-def _seen_in(sessions: Sequence[Session], truth: Parameters) -> Parameters:
+def _seen_in(sessions: Sequence[Session], truth: TwinParameters) -> TwinParameters:
     """The truth with only the poses of the sessions, in their order."""
     return replace(truth, poses=tuple(truth.poses[_mounted(session)] for session in sessions))
 
@@ -158,7 +158,7 @@ def _mounted(session: Session) -> int:
     return int(rig["resolved"]["mounted"]["pose"])
 
 
-def perturbed(parameters: Parameters) -> Parameters:
+def perturbed(parameters: TwinParameters) -> TwinParameters:
     """Every pose of the board and the projector's off by `OFF_MM` and `OFF_DEG`, each to another side."""
     random = np.random.default_rng(0)
 
@@ -186,7 +186,7 @@ def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Resul
     ]  # fmt: skip
 
 
-def errors(name: str, found: Parameters, truth: Parameters) -> list[Result]:
+def errors(name: str, found: TwinParameters, truth: TwinParameters) -> list[Result]:
     """Against the truth, pose by pose the same: of the poses the worst, of light what images determine."""
     pairs = list(zip(found.poses, truth.poses, strict=True))
     away = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in pairs)
@@ -206,9 +206,9 @@ def errors(name: str, found: Parameters, truth: Parameters) -> list[Result]:
     ]  # fmt: skip
 
 
-def _judgement(name: str, found: MatchingResult) -> list[Result]:
+def _artefact_figures(name: str, found: MatchingResult) -> list[Result]:
     """How differently bench and twin measure the artefacts, on average."""
-    judged = [one.summary() for one in found.judgements]
+    judged = [one.summary() for one in found.artefacts]
     um = fmean(abs(one["delta_um"]) for one in judged)
     percent = fmean(one["delta_percent"] for one in judged)
     return [

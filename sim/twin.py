@@ -25,7 +25,7 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import ExpectedLevels, Parameters
+from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 from sim.build import Setup
 from sim.items import board_target, item_mesh, item_poses
@@ -67,12 +67,12 @@ class SimTwin:
         self._frames_taken, self._settings = 0, CameraSettings(1.0)
 
     @property
-    def parameters(self) -> Parameters:
-        """Parameters in use; at first those of the twin's own file."""
+    def parameters(self) -> TwinParameters:
+        """As it stands; at first what its own file says."""
         return self._parameters
 
-    def become(self, parameters: Parameters) -> None:
-        """Replace the parameters. Tables of light are kept for geometry that is used again.
+    def become(self, parameters: TwinParameters) -> None:
+        """Go on with these. Tables of light are kept for all geometry that comes again.
 
         Parameters
         ----------
@@ -294,10 +294,10 @@ class SimTwin:
 _DEVICES = ("camera", "projector", "stage", "fixture")
 
 
-def _parameters_of(world: World, board: str, target: Target) -> Parameters:
+def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
     camera, projector, response = world.camera, world.projector, world.projector.response
     brightest = response.a + response.b
-    return Parameters(
+    return TwinParameters(
         calibration=Calibration(
             world.camera_model(), world.projector_model(), world.T_projector_camera(), rms_px={}
         ),
@@ -320,8 +320,8 @@ def _parameters_of(world: World, board: str, target: Target) -> Parameters:
     )
 
 
-def _world_of(nominal: World, board: str, parameters: Parameters) -> World:
-    """Make the nominal world with other parameters; `ConfigError` where no world can have them."""
+def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
+    """The nominal world with other parameters. Raises `ConfigError` for what no world can have."""
     p, data = parameters, nominal.model_dump(mode="json")
     data["calibration"] = config.plain(CalibrationFile.of(replace(p.calibration, uncertainty=None)))
     data["items"][board] |= {

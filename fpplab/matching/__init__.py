@@ -1,1 +1,1 @@
-"""A twin <- a bench: its parameters found from what the bench has recorded."""
+"""Matching of a twin to the bench: the twin's parameters are estimated from a recorded reference."""

@@ -1,4 +1,4 @@
-"""A twin judged as the bench is: its own noisy frames, compared image by image and characterised alike."""
+"""Evaluation of a twin: its noisy frames are compared with the reference and characterised alike."""
 
 from __future__ import annotations
 
@@ -21,16 +21,34 @@ from fpplab.simulation.matchable import Twin
 
 @dataclass(frozen=True, eq=False)
 class TwinEvaluation:
-    """The loss, and the characterisation of the twin's own frames where it was made."""
+    """How well a twin agrees with the reference.
+
+    Attributes
+    ----------
+    loss : Loss
+        The loss with its parts.
+    characterisation : Characterisation or None
+        Of the twin's own frames; None where the twin's RMS reprojection error was given instead.
+    """
 
     loss: Loss
     characterisation: Characterisation | None
 
-    def of_poses(self, bench: Reference) -> dict[str, dict[str, float]]:
-        """By name of pose: its images' mean SSIM, and the bench's less the twin's RMS reprojection error in
-        px where the board was found in the twin's frames.
+    def by_pose_name(self, reference: Reference) -> dict[str, dict[str, float]]:
+        """Give the figures of every pose.
+
+        Parameters
+        ----------
+        reference : Reference
+            The reference that the twin was compared with.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            By name of pose: `ssim` and `ssim_board`, the mean SSIM of its images, and `epsilon_d_px`, RMS
+            reprojection error of the reference less that of the twin, where the twin's board was found.
         """
-        names = [session.path.name for session in bench.sessions]
+        names = [session.path.name for session in reference.sessions]
         similar = self.loss.similarity
         figures = {
             name: {"ssim": float(whole), "ssim_board": float(board)}
@@ -42,9 +60,12 @@ class TwinEvaluation:
             )
         }
         if self.characterisation:
-            there, here = _rms_of_poses(bench.characterisation), _rms_of_poses(self.characterisation)
-            for name, error in here.items():
-                figures[name]["epsilon_d_px"] = there[name] - error
+            of_reference, of_twin = (
+                _rms_of_poses(reference.characterisation),
+                _rms_of_poses(self.characterisation),
+            )
+            for name, error in of_twin.items():
+                figures[name]["epsilon_d_px"] = of_reference[name] - error
         return figures
 
 
@@ -57,21 +78,43 @@ def _rms_of_poses(found: Characterisation) -> dict[str, float]:
 
 
 def evaluate(
-    bench: Reference,
+    reference: Reference,
     twin: Twin,
     weights: Weights,
     epsilon_v: float | None = None,
     images: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> TwinEvaluation:
-    """Compare the twin's frames with the bench's, pose by pose.
+    """Compare the twin's noisy frames with the reference, pose by pose.
 
-    epsilon_v: the twin's RMS in px where it is known; otherwise all its frames are taken and characterised.
-    images: that are compared, one of each set by default. Raises `CalibrationError` when the twin's own
-    frames cannot be characterised.
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to evaluate; they are not changed.
+    weights : Weights
+        Of the loss.
+    epsilon_v : float, optional
+        Joint RMS reprojection error of the twin in px, where it is known. Without it all frames of the plan
+        are simulated and characterised.
+    images : sequence of int, optional
+        Indices of the images that are compared; the first of every fringe set by default.
+    progress : Progress
+        Told the share of the poses that are done.
+
+    Returns
+    -------
+    TwinEvaluation
+        The loss, and the characterisation unless `epsilon_v` was given.
+
+    Raises
+    ------
+    CalibrationError
+        The twin's own frames cannot be characterised.
     """
-    compared = bench.one_of_each_set if images is None else tuple(images)
-    every = tuple(range(len(bench.patterns)))
+    compared = reference.one_of_each_set if images is None else tuple(images)
+    every = tuple(range(len(reference.patterns)))
     taken = every if epsilon_v is None else compared
     poses = len(twin.parameters.poses)
     pairs: list[tuple[float, float]] = []
@@ -79,52 +122,54 @@ def evaluate(
     left_out: dict[str, str] = {}
     with ThreadPoolExecutor(2) as pool:
         for pose in range(poses):
-            frames = dict(zip(taken, twin.frames(pose, bench.shown(taken), bench.settings), strict=True))
-            pairs += pool.map(_Compared(bench, twin, pose, frames), compared)
+            frames = dict(
+                zip(taken, twin.frames(pose, reference.shown(taken), reference.settings), strict=True)
+            )
+            pairs += pool.map(_Compared(reference, twin, pose, frames), compared)
             if epsilon_v is None:
                 try:
-                    seen.append(_observed(bench, pose, [frames[i] for i in every]))
+                    seen.append(_observed(reference, pose, [frames[i] for i in every]))
                 except CalibrationError as error:
-                    left_out[bench.sessions[pose].path.name] = str(error)
+                    left_out[reference.sessions[pose].path.name] = str(error)
             progress((pose + 1) / poses)
     similarity = Similarity(*(np.array(one) for one in zip(*pairs, strict=True)))
-    found = _characterised(bench, seen, left_out) if epsilon_v is None else None
+    found = _characterised(reference, seen, left_out) if epsilon_v is None else None
     own = found.calibration.rms_px["joint"] if found else epsilon_v
     assert own is not None
-    return TwinEvaluation(Loss(weights, bench.epsilon_r, own, similarity), found)
+    return TwinEvaluation(Loss(weights, reference.epsilon_r, own, similarity), found)
 
 
 class _Compared:
     """The SSIM of one image, for a pool of threads."""
 
-    def __init__(self, bench: Reference, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
+    def __init__(self, reference: Reference, twin: Twin, pose: int, frames: dict[int, Image]) -> None:
         now = twin.parameters
-        self._board = board_mask(now.calibration.camera, now.poses[pose], bench.target)
-        self._bench, self._pose, self._frames = bench, pose, frames
+        self._board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+        self._reference, self._pose, self._frames = reference, pose, frames
 
     def __call__(self, index: int) -> tuple[float, float]:
-        real = self._bench.frames(self._pose, [index])[0]
-        return ssim(real, self._frames[index], self._bench.full_scale, self._board)
+        real = self._reference.frames(self._pose, [index])[0]
+        return ssim(real, self._frames[index], self._reference.full_scale, self._board)
 
 
-def _observed(bench: Reference, pose: int, frames: Sequence[Image]) -> Observation:
-    """The board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
-    plan, (size, _) = bench.plan, bench.projector
-    name = bench.sessions[pose].path.name
-    recording = Recording(frames, plan, size, bench.settings.bits, f"the twin's {name}")
-    decoded = decode(recording)
-    return observe(name, recording.mean_image(), decoded, bench.target, finest_periods(plan, size))
+def _observed(reference: Reference, pose: int, frames: Sequence[Image]) -> Observation:
+    """Observe the board in the twin's frames of a pose. Raises `CalibrationError` where it is not found."""
+    plan, (size, _) = reference.plan, reference.projector
+    name = reference.sessions[pose].path.name
+    recording = Recording(frames, plan, size, reference.settings.bits, f"the twin's {name}")
+    decoded, image = decode(recording), recording.mean_image()
+    return observe(name, image, decoded, reference.target, finest_periods(plan, size))
 
 
 def _characterised(
-    bench: Reference, seen: Sequence[Observation], left_out: Mapping[str, str]
+    reference: Reference, seen: Sequence[Observation], left_out: Mapping[str, str]
 ) -> Characterisation:
-    found, (size, lattice) = bench.characterisation, bench.projector
-    width, height, _ = bench.sessions[0].format
+    found, (size, lattice) = reference.characterisation, reference.projector
+    width, height, _ = reference.sessions[0].format
     try:
         return characterise(
             seen,
-            bench.target,
+            reference.target,
             (width, height),
             size,
             lattice,

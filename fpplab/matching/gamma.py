@@ -1,4 +1,4 @@
-"""Gamma matching: the twin's response to uniform greys made that of the bench.
+"""Gamma matching: the twin's response to uniform grey-level images is fitted to that of the bench.
 
 Least squares of mean DC levels, `min Σ (x_i - x̂_i(W, a, b, g))²`, as in the paper. W and a are one factor of
 the levels, so a + b = 1 here and W takes the scale; the dark level, which is not the projector's, is matched
@@ -15,42 +15,69 @@ from scipy.optimize import least_squares
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import CalibrationError
 from fpplab.devices import CameraSettings
-from fpplab.matching.light import response_of
+from fpplab.matching.light import normalised_response
 from fpplab.patterns.fringes import Pattern, uniform_patterns
 from fpplab.patterns.response import Curve, Response
 from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 
-MOST_EPOCHS = 10
-MATCHED = 0.002
+MAX_EPOCHS = 10
+MATCHED_SUM_OF_SQUARES = 0.002
 """Sum of squares at which the paper's matching ends, levels as shares of full scale."""
-SETTLED = 1e-9
-"""Gain of the sum of squares from which there is nothing more to gain."""
+CONVERGED_GAIN = 1e-9
+"""Decrease of the sum of squares below which the fit has converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class GammaEpoch:
-    """One evaluation of the twin. levels: (L,), what it sees, as shares of full scale."""
+    """One evaluation of the twin.
 
-    parameters: Parameters
+    Attributes
+    ----------
+    parameters : TwinParameters
+        The twin's parameters in this epoch.
+    levels : Floats
+        Mean levels (L,) that the twin's camera sees, as shares of full scale.
+    sum_of_squares : float
+        Of the differences from the reference's levels.
+    """
+
+    parameters: TwinParameters
     levels: Floats
     sum_of_squares: float
 
 
 @dataclass(frozen=True, eq=False)
 class GammaMatch:
-    """The bench's levels (L,) shown and seen, and every epoch; the last is the best."""
+    """Result of a gamma matching.
+
+    Attributes
+    ----------
+    shown : Floats
+        Levels (L,) shown on the bench, as shares of full scale.
+    seen : Floats
+        Mean levels (L,) that the bench's camera saw, as shares of full scale.
+    epochs : tuple of GammaEpoch
+        All evaluations in their order; the last is the best.
+    """
 
     shown: Floats
     seen: Floats
     epochs: tuple[GammaEpoch, ...]
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> TwinParameters:
+        """The twin's parameters with the matched response."""
         return self.epochs[-1].parameters
 
     def summary(self) -> dict[str, float]:
-        """W, a, b, g of the twin and what they leave."""
+        """Give the figures that reports and the command line print.
+
+        Returns
+        -------
+        dict of str to float
+            W, a, b, g of the twin, the sum of squares that is left, and the number of epochs.
+        """
         found = self.parameters
         return {
             "W": found.white,
@@ -63,39 +90,74 @@ class GammaMatch:
 
 
 def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSettings) -> GammaMatch:
-    """Make the twin see a card `item` in uniform greys as the bench did.
+    """Fit the twin's response, so that it sees a card in uniform grey levels as the bench did.
 
-    response: the bench's, with the levels that were fitted. Starts from its fit. Leaves the twin matched.
-    Raises `CalibrationError` when the response holds no levels or the twin cannot come near.
+    Starts from the fit of the measured response. The twin is left with the matched parameters.
+
+    Parameters
+    ----------
+    twin : Twin
+        To be matched.
+    response : Response
+        Measured on the bench, with the levels that were fitted.
+    item : str
+        The card, as the twin's fixture calls it.
+    settings : CameraSettings
+        Of the reference's frames.
+
+    Returns
+    -------
+    GammaMatch
+        The levels of the reference, and every epoch.
+
+    Raises
+    ------
+    CalibrationError
+        The response holds no levels, or no response of the twin fits them.
+    ConfigError
+        The twin's world has no such item.
     """
     if len(response.measured) == 0:
         raise CalibrationError("the response file holds no levels; measure it again with `fpplab gamma`")
     shown = np.array([level.shown for level in response.measured])
     seen = np.array([level.seen for level in response.measured])
-    card = Card(twin, item, settings, response)
-    start = _normalised(response)
-    twin.become(replace(twin.parameters, response=response_of(start.g, start.b)))
+    card = GreyCard(twin, item, settings, response)
+    start = _normalised_response(response)
+    twin.become(replace(twin.parameters, response=normalised_response(start.g, start.b)))
     _match_dark(card, response)
     epochs = [_epoch(card, shown, seen)]
-    while len(epochs) < MOST_EPOCHS:
-        twin.become(_better(card, epochs[-1], shown, seen))
+    while len(epochs) < MAX_EPOCHS:
+        twin.become(_fitted_parameters(card, epochs[-1], shown, seen))
         epochs.append(_epoch(card, shown, seen))
-        if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < SETTLED:
+        if epochs[-2].sum_of_squares - epochs[-1].sum_of_squares < CONVERGED_GAIN:
             break
     if epochs[-1].sum_of_squares > epochs[-2].sum_of_squares:
         epochs.pop()
     twin.become(epochs[-1].parameters)
-    if epochs[-1].sum_of_squares > MATCHED:
+    if epochs[-1].sum_of_squares > MATCHED_SUM_OF_SQUARES:
         raise CalibrationError(
-            f"gamma: no response of the twin comes nearer to the bench's levels than a sum of squares of "
-            f"{epochs[-1].sum_of_squares:.2g}, and {MATCHED:g} is needed; see that both look at a white card"
+            f"gamma: no response of the twin fits the bench's levels: the least sum of squares is "
+            f"{epochs[-1].sum_of_squares:.2g}, but {MATCHED_SUM_OF_SQUARES:g} is needed; make sure that both "
+            "look at a white card"
         )
     return GammaMatch(shown, seen, tuple(epochs))
 
 
 @dataclass(frozen=True, eq=False)
-class Card:
-    """The twin in front of a card, seen in the regions that the bench's response was fitted in."""
+class GreyCard:
+    """The twin in front of a grey card, seen in the image regions in which the bench's response was fitted.
+
+    Attributes
+    ----------
+    twin : Twin
+        Whose camera looks at the card.
+    item : str
+        The card, as the twin's fixture calls it.
+    settings : CameraSettings
+        Of the camera.
+    response : Response
+        Measured on the bench; names the regions.
+    """
 
     twin: Twin
     item: str
@@ -103,16 +165,33 @@ class Card:
     response: Response
 
     def levels(self, shown: Floats) -> Floats:
-        """Mean levels (L,) of uniform greys, as shares of full scale."""
-        greys = [round(255 * level) for level in shown.tolist()]
-        return self._means(uniform_patterns(greys, self.twin.parameters.calibration.projector.size))
+        """Give the mean levels that the twin's camera sees of uniform grey-level images.
 
-    def dark(self) -> float:
-        """The mean level without the projector's light."""
-        lit = self.twin.parameters
-        self.twin.become(replace(lit, response=Curve(a=1.0, b=0.0, g=1.0)))
+        Parameters
+        ----------
+        shown : Floats
+            Levels (L,) shown, as shares of full scale; rounded to the projector's 8 bits.
+
+        Returns
+        -------
+        Floats
+            Mean levels (L,) seen, as shares of full scale.
+        """
+        levels_8_bit = [round(255 * level) for level in shown.tolist()]
+        return self._means(uniform_patterns(levels_8_bit, self.twin.parameters.calibration.projector.size))
+
+    def dark_level(self) -> float:
+        """Give the mean level without the projector's light.
+
+        Returns
+        -------
+        float
+            As share of full scale.
+        """
+        present = self.twin.parameters
+        self.twin.become(replace(present, response=Curve(a=1.0, b=0.0, g=1.0)))
         level = float(self.levels(np.zeros(1))[0])
-        self.twin.become(lit)
+        self.twin.become(present)
         return level
 
     def _means(self, patterns: list[Pattern]) -> Floats:
@@ -126,55 +205,57 @@ class Card:
                 self.settings.bits
             )
             weight = pixels_of_regions(image)[chosen]
-            # As shares of full scale already, which is one bit's.
+            # The image is in shares of full scale already; the full scale of one bit is 1.
             found.append(statistics(image, 1)[MEAN, chosen] @ weight / weight.sum())
         return np.array(found)
 
 
-def _normalised(response: Response) -> Curve:
-    """The bench's response with the dark level off, and its white as 1."""
-    dark = response.dark[0] if response.dark else min(level.seen for level in response.measured)
-    white = response.a + response.b - dark
-    black = min(max((response.b - dark) / white, 0.0), 0.5)
-    return response_of(response.g, black)
+def _normalised_response(response: Response) -> Curve:
+    """Take the dark level off the measured response and scale its white to 1."""
+    dark_level = response.dark[0] if response.dark else min(level.seen for level in response.measured)
+    white = response.a + response.b - dark_level
+    black = min(max((response.b - dark_level) / white, 0.0), 0.5)
+    return normalised_response(response.g, black)
 
 
-def _match_dark(card: Card, response: Response) -> None:
-    """By ambient light if the bench is brighter than the twin's black level, otherwise by that."""
+def _match_dark(card: GreyCard, response: Response) -> None:
+    """Match the dark level by ambient light, or by the black level where the bench is darker than that."""
     if response.dark is None:
         return
     twin = card.twin
     now = twin.parameters
     twin.become(replace(now, ambient=0.0))
-    without = card.dark()
+    without = card.dark_level()
     wanted = response.dark[0]
     if wanted < without:
         twin.become(replace(now, ambient=0.0, black_level=max(0.0, now.black_level - (without - wanted))))
         return
     probe = 0.05
     twin.become(replace(now, ambient=probe))
-    per_ambient = (card.dark() - without) / probe
+    per_ambient = (card.dark_level() - without) / probe
     twin.become(replace(now, ambient=(wanted - without) / per_ambient if per_ambient > 0 else now.ambient))
 
 
-def _epoch(card: Card, shown: Floats, seen: Floats) -> GammaEpoch:
+def _epoch(card: GreyCard, shown: Floats, seen: Floats) -> GammaEpoch:
     levels = card.levels(shown)
     return GammaEpoch(card.twin.parameters, levels, float(np.sum((seen - levels) ** 2)))
 
 
-def _better(card: Card, last: GammaEpoch, shown: Floats, seen: Floats) -> Parameters:
-    """W, b, g by the law, whose factor from light to level the last epoch tells; the dark level is kept."""
+def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Floats) -> TwinParameters:
+    """Fit W, b, g with the scale from light to level of the last epoch; the dark level is held."""
     now = last.parameters
-    dark = card.dark()
+    dark_level = card.dark_level()
     light = now.response.apply(shown)
-    factor = float(light @ (last.levels - dark) / (light @ light))
+    factor = float(light @ (last.levels - dark_level) / (light @ light))
 
     def misfit(unknown: Floats) -> Floats:
         white, black, g = unknown
-        return np.asarray(dark + factor * white * ((1 - black) * shown**g + black) - seen)
+        return np.asarray(dark_level + factor * white * ((1 - black) * shown**g + black) - seen)
 
     found = least_squares(
         misfit, [1.0, now.response.b, now.response.g], bounds=([0.01, 0, 0.2], [100, 0.5, 5])
     )
     white, black, g = (float(x) for x in found.x)
-    return replace(now, white=now.white * white, response=response_of(g, black), ambient=now.ambient / white)
+    return replace(
+        now, white=now.white * white, response=normalised_response(g, black), ambient=now.ambient / white
+    )

@@ -1,10 +1,14 @@
-"""Where everything stands: by the points that were observed, and by the images themselves.
+"""Fit of the twin's geometry, by reprojection of the observed points and by the images themselves.
 
-By images: a pixel's level is what is printed at the place (x, y) of the board that it looks at, times the
-light at the place (u, v) of the projector's picture that falls there. How the level changes with these four
-is asked of the twin, by moving board and picture a little; how they change with every parameter is plain
-geometry. So five pictures of a pose give the slopes by all parameters: Gauss-Newton on image residuals, as in
-image alignment (Baker and Matthews, "Lucas-Kanade 20 years on", 2004).
+By images: a pixel's level is the reflectance at the point (x, y) of the board that it sees, times the light
+of the point (u, v) of the projector's image that illuminates it. The derivatives of the level by these four
+are found by finite differences: the twin is rendered with board and projector image slightly shifted. The
+derivatives of the four by every parameter are plain geometry. So five renders of a pose give the Jacobian by
+all parameters: Gauss-Newton on image residuals, as in image alignment.
+
+References
+----------
+Baker and Matthews, "Lucas-Kanade 20 years on", 2004
 """
 
 from __future__ import annotations
@@ -22,21 +26,35 @@ from fpplab.characterisation.bundle import DistortionModel, Model, Solution, adj
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
+from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, huber_weights, subsample_pixels
 from fpplab.matching.reference import Reference
-from fpplab.simulation.matchable import ExpectedLevels, Parameters, Twin
+from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
 SHIFT_MM, SHIFT_PX = 0.02, 0.05
-"""By how much board and projector's picture are moved to see what changes: less than any detail of either."""
-PIXELS = 40_000
-"""Of a pose that are looked at: evenly thinned to so many."""
+"""Shifts of board and projector image for finite differences, smaller than any detail of either."""
+MAX_PIXELS = 40_000
+"""Pixels of each pose that are compared, evenly subsampled."""
 STEPS = {"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1} | dict.fromkeys(INTRINSICS[4:], 1e-5)
 TURN_RAD, MOVE_MM = 1e-6, 1e-3
-NUISANCES = 6
+NUISANCE_PARAMETERS = 6
+"""Parameters of each pose for what light and sharpness still lack: gain (3), offset, response, blur."""
 
 
-def solution_of(parameters: Parameters, board: Floats) -> Solution:
-    """The geometry as the bundle adjustment has it. board: (P, 3) in mm."""
+def solution_of(parameters: TwinParameters, board: Floats) -> Solution:
+    """Convert the twin's geometry to the form of the bundle adjustment.
+
+    Parameters
+    ----------
+    parameters : TwinParameters
+        Of the twin.
+    board : Floats
+        Points (P, 3) of the board in mm.
+
+    Returns
+    -------
+    Solution
+        Intrinsics, pose between the devices, poses of the board, and its points.
+    """
     known = parameters.calibration
     return Solution(
         _intrinsics(known.camera),
@@ -47,8 +65,21 @@ def solution_of(parameters: Parameters, board: Floats) -> Solution:
     )
 
 
-def with_solution(parameters: Parameters, found: Solution) -> Parameters:
-    """The parameters with another geometry; what was known of the old one's uncertainty is dropped."""
+def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters:
+    """Replace the geometry by the solution of a bundle adjustment.
+
+    Parameters
+    ----------
+    parameters : TwinParameters
+        Of the twin; not changed. The uncertainty of its calibration is dropped.
+    found : Solution
+        The new geometry; its board points are not used.
+
+    Returns
+    -------
+    TwinParameters
+        With the new calibration and poses.
+    """
     known = parameters.calibration
     calibration = Calibration(
         replace(known.camera, matrix=matrix_of(found.camera), distortion=found.camera[4:]),
@@ -64,10 +95,25 @@ def _intrinsics(device: Pinhole) -> Floats:
     return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion])
 
 
-def by_reprojection(parameters: Parameters, found: Characterisation) -> Parameters:
-    """The geometry nearest to `parameters` that explains the observed points best, in both devices.
+def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) -> TwinParameters:
+    """Refine the geometry by bundle adjustment of the points observed in camera and projector.
 
-    Raises `CalibrationError` when there is none.
+    Parameters
+    ----------
+    parameters : TwinParameters
+        To start from; not changed.
+    found : Characterisation
+        Of the reference: its observations, board and distortion model.
+
+    Returns
+    -------
+    TwinParameters
+        With the geometry of the least reprojection error.
+
+    Raises
+    ------
+    CalibrationError
+        There is no solution: the poses do not determine the parameters.
     """
     model = Model(found.level, found.board)
     return with_solution(
@@ -75,84 +121,110 @@ def by_reprojection(parameters: Parameters, found: Characterisation) -> Paramete
     )
 
 
-def by_images(bench: Reference, twin: Twin, level: DistortionModel) -> Parameters:
-    """The twin's parameters after one Gauss-Newton step of the geometry on the images' residuals.
+def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -> TwinParameters:
+    """Make one Gauss-Newton step of the geometry on the residuals of the images.
 
-    level: which terms of the distortion are free. What light and sharpness still lack must not be taken for
-    motion, so every pose has a gain, linear over the board, an offset, a bend of its response and a blur of
-    its own besides (`NUISANCES`). Each image has the board displaced a little, as far as it vibrates.
+    What light and sharpness still lack must not be taken for motion, so every pose has a gain, linear over
+    the board, an offset, a quadratic term of its response and a blur of its own (`NUISANCE_PARAMETERS`).
+    Each image has a small displacement of the board, normally distributed with the twin's `vibration_mm`.
+    The twin is left with the parameters that it had.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Starts from its present parameters.
+    level : DistortionModel
+        Which terms of the distortion are free.
+
+    Returns
+    -------
+    TwinParameters
+        After the step.
     """
     start = twin.parameters
     free = len(level.terms)
     shared = 2 * free + 6
-    each = 6 + NUISANCES
-    size = shared + each * len(start.poses)
+    per_pose = 6 + NUISANCE_PARAMETERS
+    size = shared + per_pose * len(start.poses)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for pose in range(len(start.poses)):
-        view = _look(bench, twin, start, pose)
-        columns = np.append(np.arange(shared), shared + each * pose + np.arange(each))
-        moves = slice(shared + 3, shared + 6)
-        for image, slopes in enumerate(view.slopes(start, free)):
-            own, residual = _shaken(bench, twin, start, view, image, slopes[:, shared + 3 :])
-            block, pull = _equations(slopes, residual, moves, own, start.vibration_mm)
+        residuals = _residual_of_pose(reference, twin, start, pose)
+        columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
+        displacement = slice(shared + 3, shared + 6)
+        for image, jacobian in enumerate(residuals.jacobian(start, free)):
+            own, residual = _remove_vibration(
+                reference, twin, start, residuals, image, jacobian[:, shared + 3 :]
+            )
+            block, right_side = _equations(jacobian, residual, displacement, own, start.vibration_mm)
             normal[np.ix_(columns, columns)] += block
-            gradient[columns] += pull
+            gradient[columns] += right_side
     twin.become(start)
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     step = np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
-    return _moved(start, step, free, shared, each)
+    return _updated(start, step, free, shared, per_pose)
 
 
-def _shaken(
-    bench: Reference, twin: Twin, start: Parameters, view: PoseResidual, image: int, slopes: Floats
+def _remove_vibration(
+    reference: Reference,
+    twin: Twin,
+    start: TwinParameters,
+    residuals: PoseResidual,
+    image: int,
+    jacobian: Floats,
 ) -> tuple[Floats, Floats]:
-    """By how much the board was displaced (3,) in mm while one image was taken, and what that leaves (P,).
+    """Estimate the board's displacement (3,) in mm in one image, and the residuals (P,) without it.
 
-    slopes: (P, 3 + NUISANCES), by the displacement and what else is the image's own. An edge's level is
-    no straight line over the displacement, so the twin is looked at once more where the board was.
+    jacobian: (P, 3 + NUISANCE_PARAMETERS), by the displacement and the nuisance parameters. The level of
+    an edge is not linear over the displacement, so the twin is rendered again with the board displaced.
     """
-    residual = view.residual[image]
+    residual = residuals.residual[image]
     if start.vibration_mm == 0:
         return np.zeros(3), residual
-    own = np.linalg.solve(slopes.T @ slopes, slopes.T @ residual)[:3]
-    twin.become(start.with_pose(view.pose, start.poses[view.pose].moved(own)))
-    pattern = bench.shown([view.images[image]])
-    level = twin.expected_at(view.pose, pattern, bench.settings, view.pixels)[0].astype(np.float64)
-    return own, residual - np.where(view.clear[image], level - view.expected[image], 0.0)
+    own = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)[:3]
+    twin.become(start.with_pose(residuals.pose, start.poses[residuals.pose].moved(own)))
+    pattern = reference.shown([residuals.images[image]])
+    level = twin.expected_at(residuals.pose, pattern, reference.settings, residuals.pixels)[0].astype(
+        np.float64
+    )
+    return own, residual - np.where(residuals.valid[image], level - residuals.expected[image], 0.0)
 
 
 def _equations(
-    slopes: Floats, residual: Floats, moves: slice, own: Floats, vibration_mm: float
+    jacobian: Floats, residual: Floats, displacement: slice, own: Floats, vibration_mm: float
 ) -> tuple[Floats, Floats]:
-    """Normal equations (C, C), (C,) of one image, in units of its noise, its own displacement eliminated.
+    """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
 
-    moves: which columns are the board's displacement; the image's own is normal with `vibration_mm`, and
-    `own` of it is in the residual already.
+    displacement: columns of the board's displacement. That of the image is normally distributed with
+    `vibration_mm`; the residual is without its estimate `own`.
     """
-    weight, sigma = soft_weights(residual)
-    weighted = slopes * (weight / sigma**2)[:, None]
-    block, pull = slopes.T @ weighted, weighted.T @ residual
+    weight, sigma = huber_weights(residual)
+    weighted = jacobian * (weight / sigma**2)[:, None]
+    block, right_side = jacobian.T @ weighted, weighted.T @ residual
     if vibration_mm == 0:
-        return block, pull
-    normal = block[moves, moves] + np.eye(3) / vibration_mm**2
-    share = np.linalg.solve(normal, block[moves])
-    return block - block[:, moves] @ share, pull - share.T @ (pull[moves] - own / vibration_mm**2)
+        return block, right_side
+    normal = block[displacement, displacement] + np.eye(3) / vibration_mm**2
+    share = np.linalg.solve(normal, block[displacement])
+    return block - block[:, displacement] @ share, right_side - share.T @ (
+        right_side[displacement] - own / vibration_mm**2
+    )
 
 
-def _moved(start: Parameters, step: Floats, free: int, shared: int, each: int) -> Parameters:
+def _updated(start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int) -> TwinParameters:
     now = solution_of(start, np.zeros((0, 3)))
     camera, projector = now.camera.copy(), now.projector.copy()
     camera[:free] += step[:free]
     projector[:free] += step[free : 2 * free]
-    moves = step[shared:].reshape(-1, each)[:, :6]
-    poses = np.stack([_turned(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
-    pair = _turned(now.T_projector_camera, step[2 * free : shared])
+    moves = step[shared:].reshape(-1, per_pose)[:, :6]
+    poses = np.stack([_perturbed(pose, move) for pose, move in zip(now.poses, moves, strict=True)])
+    pair = _perturbed(now.T_projector_camera, step[2 * free : shared])
     return with_solution(start, Solution(camera, projector, pair, poses, now.board))
 
 
-def _turned(pose: Floats, move: Floats) -> Floats:
-    """A pose (6,) turned by a small rotation about the device's axes, and moved."""
+def _perturbed(pose: Floats, move: Floats) -> Floats:
+    """Turn a pose (6,) by a small rotation about the device's axes, and move it."""
     turn = RigidTransform.from_vectors(move[:3], np.zeros(3)).rotation
     held = transform(pose)
     return vectors_of(RigidTransform(turn @ held.rotation, held.translation + move[3:]))
@@ -160,70 +232,101 @@ def _turned(pose: Floats, move: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PoseResidual:
-    """Some pixels of some images of one pose.
+    """Residuals of some pixels in some images of one pose.
 
-    expected, residual: (n, P), what the twin sees and the bench less that, where the levels are `clear`.
-    bent: (n, P), the Laplacian of what the twin sees, to which a bit more blur is proportional.
-    by_place: (n, P, 4), how the level changes with x, y on the board in mm and u, v of the projector in px.
+    Attributes
+    ----------
+    pose : int
+        Index of the pose.
+    images : tuple of int
+        Indices of the n images in the plan.
+    pixels : PixelIndices
+        Rows and columns of the P pixels.
+    valid : NDArray of bool
+        (n, P), neither saturated nor dark.
+    expected : Floats
+        Raw levels (n, P) that the twin expects.
+    residual : Floats
+        Reference less twin, (n, P) in raw levels; 0 where not valid.
+    laplacian : Floats
+        Of the expected image, (n, P): proportional to the effect of slightly more blur.
+    level_gradient : Floats
+        (n, P, 4), derivatives of the level by x, y on the board in mm and u, v of the projector in px.
     """
 
     pose: int
     images: tuple[int, ...]
     pixels: PixelIndices
-    clear: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
     expected: Floats
     residual: Floats
-    bent: Floats
-    by_place: Floats
+    laplacian: Floats
+    level_gradient: Floats
 
-    def slopes(self, at: Parameters, free: int) -> Iterator[Floats]:
-        """Of each image, slopes (P, C) by the parameters of `by_images`."""
+    def jacobian(self, at: TwinParameters, free: int) -> Iterator[Floats]:
+        """Compute the derivatives of the levels by the parameters of `refine_by_images`.
+
+        Parameters
+        ----------
+        at : TwinParameters
+            Where the derivatives are taken.
+        free : int
+            Number of free intrinsic parameters of each device.
+
+        Yields
+        ------
+        Floats
+            For each image (P, C): intrinsics of camera and projector, pose between them, pose of the board,
+            nuisance parameters.
+        """
         points = np.stack(self.pixels[::-1], axis=-1).astype(np.float64)
-        places = _places(points, at.calibration, at.poses[self.pose], free)
+        places = _place_jacobian(points, at.calibration, at.poses[self.pose], free)
         across, down = ((points - points.mean(axis=0)) / np.ptp(points, axis=0)).T
-        for seen, bent, by_place in zip(self.expected, self.bent, self.by_place, strict=True):
-            geometric = np.einsum("pk,pkc->pc", by_place, places)
-            other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, bent]
+        for seen, laplacian, level_gradient in zip(
+            self.expected, self.laplacian, self.level_gradient, strict=True
+        ):
+            geometric = np.einsum("pk,pkc->pc", level_gradient, places)
+            other = [seen, seen * across, seen * down, np.ones_like(seen), seen**2, laplacian]
             yield np.column_stack([geometric, *other])
 
 
-def _look(bench: Reference, twin: Twin, start: Parameters, pose: int) -> PoseResidual:
-    images = bench.finest_spread
-    looked_at = board_mask(start.calibration.camera, start.poses[pose], bench.target, -BEYOND_PX)
-    pixels = thinned(looked_at, PIXELS)
-    seen, patterns = bench.frames(pose, images)[:, *pixels], bench.shown(images)
+def _residual_of_pose(reference: Reference, twin: Twin, start: TwinParameters, pose: int) -> PoseResidual:
+    images = reference.finest_spread
+    looked_at = board_mask(start.calibration.camera, start.poses[pose], reference.target, -SURROUNDINGS_PX)
+    pixels = subsample_pixels(looked_at, MAX_PIXELS)
+    seen, patterns = reference.frames(pose, images)[:, *pixels], reference.shown(images)
 
     def picked(levels: ExpectedLevels) -> Floats:
         return np.asarray(levels[:, *pixels], np.float64)
 
-    def seen_from(there: Parameters) -> Floats:
+    def seen_from(there: TwinParameters) -> Floats:
         twin.become(there)
-        return twin.expected_at(pose, patterns, bench.settings, pixels).astype(np.float64)
+        return twin.expected_at(pose, patterns, reference.settings, pixels).astype(np.float64)
 
     twin.become(start)
-    whole = twin.expected(pose, patterns, bench.settings)
+    whole = twin.expected(pose, patterns, reference.settings)
     here = picked(whole)
-    bent = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
-    slopes = [(sign * (seen_from(there) - here) / by) for there, by, sign in _shifted(start, pose)]
+    laplacian = picked(np.stack([cv2.Laplacian(one, cv2.CV_32F) for one in whole]))
+    gradient = [(sign * (seen_from(there) - here) / by) for there, by, sign in _shifted(start, pose)]
     # Where there is no light there is no noise either, and rounding errors are all the same.
-    dark = start.black_level * bench.full_scale + 1.0
-    clear = (seen < bench.full_scale) & (here < bench.full_scale) & (here > dark)
+    dark = start.black_level * reference.full_scale + 1.0
+    valid = (seen < reference.full_scale) & (here < reference.full_scale) & (here > dark)
     return PoseResidual(
         pose,
         tuple(images),
         pixels,
-        clear,
+        valid,
         here,
-        np.where(clear, seen - here, 0.0),
-        bent * clear,
-        np.stack(slopes, axis=-1) * clear[..., None],
+        np.where(valid, seen - here, 0.0),
+        laplacian * valid,
+        np.stack(gradient, axis=-1) * valid[..., None],
     )
 
 
-def _shifted(start: Parameters, pose: int) -> list[tuple[Parameters, float, float]]:
-    """The twin with the board shifted in its plane, and with the projector's picture shifted.
+def _shifted(start: TwinParameters, pose: int) -> list[tuple[TwinParameters, float, float]]:
+    """Shift the board in its plane, and the projector's image, along each axis.
 
-    With each, how far, and the sign with which the place looked at moves.
+    With each, how far, and the sign with which the point seen moves.
     """
     held = start.poses[pose]
     found = []
@@ -239,28 +342,34 @@ def _shifted(start: Parameters, pose: int) -> list[tuple[Parameters, float, floa
     return found
 
 
-def _places(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
-    """How the places that pixels look at, (x, y, u, v), change with every parameter, (P, 4, C)."""
+def _place_jacobian(pixels: Floats, known: Calibration, pose: RigidTransform, free: int) -> Floats:
+    """Differentiate the points (x, y, u, v) that pixels see by every parameter, (P, 4, C)."""
     camera, projector, pair = known.camera, known.projector, known.T_projector_camera
-    slopes = camera.normalise(pixels)
-    here = _place(slopes, projector, pair, pose)
+    normalised = camera.normalise(pixels)
+    here = _place_seen(normalised, projector, pair, pose)
 
     def change(there: Floats, step: float) -> Floats:
         return (there - here) / step
 
     columns = []
     for term in INTRINSICS[:free]:
-        seen = _other(camera, term).normalise(pixels)
-        columns.append(change(_place(seen, projector, pair, pose), STEPS[term]))
+        seen = _with_changed_term(camera, term).normalise(pixels)
+        columns.append(change(_place_seen(seen, projector, pair, pose), STEPS[term]))
     for term in INTRINSICS[:free]:
-        columns.append(change(_place(slopes, _other(projector, term), pair, pose), STEPS[term]))
-    for move, step in _small_moves():
         columns.append(
-            change(_place(slopes, projector, transform(_turned(vectors_of(pair), move)), pose), step)
+            change(_place_seen(normalised, _with_changed_term(projector, term), pair, pose), STEPS[term])
         )
     for move, step in _small_moves():
         columns.append(
-            change(_place(slopes, projector, pair, transform(_turned(vectors_of(pose), move))), step)
+            change(
+                _place_seen(normalised, projector, transform(_perturbed(vectors_of(pair), move)), pose), step
+            )
+        )
+    for move, step in _small_moves():
+        columns.append(
+            change(
+                _place_seen(normalised, projector, pair, transform(_perturbed(vectors_of(pose), move))), step
+            )
         )
     return np.stack(columns, axis=-1)
 
@@ -270,15 +379,15 @@ def _small_moves() -> list[tuple[Floats, float]]:
     return [(step * row, step) for step, row in zip(steps, np.eye(6), strict=True)]
 
 
-def _other(device: Pinhole, term: str) -> Pinhole:
+def _with_changed_term(device: Pinhole, term: str) -> Pinhole:
     intrinsics = _intrinsics(device)
     intrinsics[INTRINSICS.index(term)] += STEPS[term]
     return replace(device, matrix=matrix_of(intrinsics), distortion=intrinsics[4:])
 
 
-def _place(slopes: Floats, projector: Pinhole, pair: RigidTransform, pose: RigidTransform) -> Floats:
-    """Where rays of the camera (P, 2) meet the board, and where the projector lights that: (P, 4)."""
-    rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=-1)
+def _place_seen(normalised: Floats, projector: Pinhole, pair: RigidTransform, pose: RigidTransform) -> Floats:
+    """Intersect rays of the camera (P, 2) with the board and project these points: (x, y, u, v), (P, 4)."""
+    rays = np.concatenate([normalised, np.ones((len(normalised), 1))], axis=-1)
     normal = pose.rotation[:, 2]
     points = rays * ((normal @ pose.translation) / (rays @ normal))[:, None]
     on_board = pose.inverse().apply(points)

@@ -1,8 +1,8 @@
-"""Light and sharpness of the twin: Gauss-Newton on image residuals, with slopes by finite differences.
+"""Fit of light and sharpness of the twin: Gauss-Newton on image residuals, derivatives by finite differences.
 
-Only products are known: of lamp, board and lens. What is free is chosen so that it is determined: the level
-of the board's ground by `white` (or `paper`, where the white is known from a card), then its print, ambient
-light, and the camera's black level.
+Images determine only the product of lamp, board and lens. The free parameters are chosen so that they are
+determined: the level of the board's ground by `white` (or by `paper`, where white is known from a card), then
+the reflectance of its print, ambient light, and the camera's black level.
 """
 
 from __future__ import annotations
@@ -14,50 +14,89 @@ from typing import Any
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices
-from fpplab.matching.loss import BEYOND_PX, board_mask, soft_weights, thinned
+from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, huber_weights, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 
-PIXELS = 20_000
-"""Of a pose that are looked at."""
-ROUNDS = 3
-SETTLED = 5e-3
-"""Relative gain of a round from which it is the last."""
-HALVINGS = 4
+MAX_PIXELS = 20_000
+"""Pixels of each pose that are compared."""
+MAX_ROUNDS = 3
+CONVERGED_GAIN = 5e-3
+"""Relative decrease of the cost below which the fit has converged."""
+MAX_HALVINGS = 4
 
 
 @dataclass(frozen=True)
-class Knob:
-    """One number of a twin: how to read and set it, by how much to try it, and what it may be."""
+class AdjustableParameter:
+    """A scalar parameter of a twin that can be fitted.
+
+    Attributes
+    ----------
+    step : float
+        Step of the finite difference, in the parameter's unit.
+    lower, upper : float
+        Range of values that a world accepts.
+    read : callable
+        Gives the value from `TwinParameters`.
+    set : callable
+        Gives `TwinParameters` with another value; the range is not checked.
+    """
 
     step: float
-    least: float
-    most: float
-    read: Callable[[Parameters], float]
-    set: Callable[[Parameters, float], Parameters]
+    lower: float
+    upper: float
+    read: Callable[[TwinParameters], float]
+    set: Callable[[TwinParameters, float], TwinParameters]
 
-    def turned(self, parameters: Parameters, value: float) -> Parameters:
-        return self.set(parameters, min(max(value, self.least), self.most))
+    def with_value(self, parameters: TwinParameters, value: float) -> TwinParameters:
+        """Set the value, clipped to the range.
+
+        Parameters
+        ----------
+        parameters : TwinParameters
+            To start from; not changed.
+        value : float
+            In the parameter's unit.
+
+        Returns
+        -------
+        TwinParameters
+            With the value clipped to [lower, upper].
+        """
+        return self.set(parameters, min(max(value, self.lower), self.upper))
 
 
-def _plain(name: str, step: float, least: float, most: float) -> Knob:
-    def read(parameters: Parameters) -> float:
+def _plain(name: str, step: float, lower: float, upper: float) -> AdjustableParameter:
+    def read(parameters: TwinParameters) -> float:
         return float(getattr(parameters, name))
 
-    def set_(parameters: Parameters, value: float) -> Parameters:
+    def set_(parameters: TwinParameters, value: float) -> TwinParameters:
         changes: dict[str, Any] = {name: value}
         return replace(parameters, **changes)
 
-    return Knob(step, least, most, read, set_)
+    return AdjustableParameter(step, lower, upper, read, set_)
 
 
-def response_of(g: float, black: float) -> Curve:
-    """A response whose white is 1; black: what is shown of a dark picture, b."""
+def normalised_response(g: float, black: float) -> Curve:
+    """Build a response whose white is 1.
+
+    Parameters
+    ----------
+    g : float
+        Exponent.
+    black : float
+        Level of a dark image, b, relative to white.
+
+    Returns
+    -------
+    Curve
+        With a = 1 - black, b = black.
+    """
     return Curve(a=1.0 - black, b=black, g=g)
 
 
-KNOBS = {
+ADJUSTABLE = {
     "white": _plain("white", 0.01, 0.01, 100.0),
     "paper": _plain("paper", 0.01, 0.02, 1.0),
     "ink": _plain("ink", 0.005, 0.0, 1.0),
@@ -69,22 +108,39 @@ KNOBS = {
     "camera_focus_mm": _plain("camera_focus_mm", 2.0, 50.0, 5000.0),
     "f_number": _plain("f_number", 0.2, 0.7, 64.0),
     "vignetting": _plain("vignetting", 0.5, 0.0, 40.0),
-    "b": Knob(
+    "b": AdjustableParameter(
         0.005,
         0.0,
         0.5,
         lambda p: p.response.b,
-        lambda p, v: replace(p, response=response_of(p.response.g, v)),
+        lambda p, v: replace(p, response=normalised_response(p.response.g, v)),
     ),
-    "g": Knob(
-        0.01, 0.2, 5.0, lambda p: p.response.g, lambda p, v: replace(p, response=response_of(v, p.response.b))
+    "g": AdjustableParameter(
+        0.01,
+        0.2,
+        5.0,
+        lambda p: p.response.g,
+        lambda p, v: replace(p, response=normalised_response(v, p.response.b)),
     ),
 }
+"""The parameters that can be fitted, by name; `b` and `g` are those of the response."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
-    """Some pixels of some images of a pose, and the bench's levels (n, P) there."""
+class PixelSample:
+    """Some pixels of some images of a pose.
+
+    Attributes
+    ----------
+    pose : int
+        Index of the pose.
+    images : tuple of int
+        Indices of the n images in the plan.
+    pixels : PixelIndices
+        Rows and columns of the P pixels.
+    seen : Floats
+        Raw levels (n, P) of the reference.
+    """
 
     pose: int
     images: tuple[int, ...]
@@ -92,112 +148,204 @@ class Sample:
     seen: Floats
 
 
-def samples(
-    bench: Reference, parameters: Parameters, poses: Sequence[int], images: Sequence[int]
-) -> list[Sample]:
-    """Of the board and its edge in some images of some poses."""
+def sample_pixels(
+    reference: Reference, parameters: TwinParameters, poses: Sequence[int], images: Sequence[int]
+) -> list[PixelSample]:
+    """Sample the pixels of the board and its surroundings.
 
-    def one(pose: int) -> Sample:
-        area = board_mask(parameters.calibration.camera, parameters.poses[pose], bench.target, -BEYOND_PX)
-        pixels = thinned(area, PIXELS)
-        seen = bench.frames(pose, images)[:, *pixels].astype(np.float64)
-        return Sample(pose, tuple(images), pixels, seen)
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    parameters : TwinParameters
+        Their camera and poses tell where the board is in the image.
+    poses : sequence of int
+        Indices of the poses.
+    images : sequence of int
+        Indices of the images.
+
+    Returns
+    -------
+    list of PixelSample
+        One for each pose, of at most about `MAX_PIXELS` pixels.
+    """
+
+    def one(pose: int) -> PixelSample:
+        area = board_mask(
+            parameters.calibration.camera, parameters.poses[pose], reference.target, -SURROUNDINGS_PX
+        )
+        pixels = subsample_pixels(area, MAX_PIXELS)
+        seen = reference.frames(pose, images)[:, *pixels].astype(np.float64)
+        return PixelSample(pose, tuple(images), pixels, seen)
 
     return [one(pose) for pose in poses]
 
 
-def light_residuals(bench: Reference, twin: Twin, looked: Sequence[Sample]) -> Floats:
-    """The bench less the twin as it stands, in raw levels, 0 where either is saturated: (all pixels,)."""
-    return np.concatenate([_residual(bench, twin, sample).ravel() for sample in looked])
+def light_residuals(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -> Floats:
+    """Compute the residuals of the twin with its present parameters.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to evaluate.
+    samples : sequence of PixelSample
+        Pixels that are compared.
+
+    Returns
+    -------
+    Floats
+        Reference less twin in raw levels, of all samples in one row; 0 where either is saturated.
+    """
+    return np.concatenate([_residual(reference, twin, sample).ravel() for sample in samples])
 
 
-def _residual(bench: Reference, twin: Twin, sample: Sample) -> Floats:
-    patterns = bench.shown(sample.images)
-    here = twin.expected_at(sample.pose, patterns, bench.settings, sample.pixels).astype(np.float64)
-    clear = (sample.seen < bench.full_scale) & (here < bench.full_scale)
-    return np.where(clear, sample.seen - here, 0.0)
+def _residual(reference: Reference, twin: Twin, sample: PixelSample) -> Floats:
+    patterns = reference.shown(sample.images)
+    here = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels).astype(np.float64)
+    valid = (sample.seen < reference.full_scale) & (here < reference.full_scale)
+    return np.where(valid, sample.seen - here, 0.0)
 
 
-def difference(bench: Reference, twin: Twin, looked: Sequence[Sample]) -> float:
-    """Mean square of the residuals, in raw levels squared."""
-    return float(np.mean(light_residuals(bench, twin, looked) ** 2))
+def mean_square_difference(reference: Reference, twin: Twin, samples: Sequence[PixelSample]) -> float:
+    """Compute the mean square of the residuals.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to evaluate.
+    samples : sequence of PixelSample
+        Pixels that are compared.
+
+    Returns
+    -------
+    float
+        In raw levels squared.
+    """
+    return float(np.mean(light_residuals(reference, twin, samples) ** 2))
 
 
-def fit_light(bench: Reference, twin: Twin, names: Sequence[str], looked: Sequence[Sample]) -> Parameters:
-    """The twin's parameters with the named knobs turned to where the images differ least, all else held."""
+def fit_light(
+    reference: Reference, twin: Twin, names: Sequence[str], samples: Sequence[PixelSample]
+) -> TwinParameters:
+    """Fit the named parameters to the images; all others are held.
+
+    Robust Gauss-Newton with at most `MAX_ROUNDS` steps, each halved up to `MAX_HALVINGS` times until it
+    lowers the cost. The twin is left with the result.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Starts from its present parameters.
+    names : sequence of str
+        Keys of `ADJUSTABLE`.
+    samples : sequence of PixelSample
+        Pixels that are compared.
+
+    Returns
+    -------
+    TwinParameters
+        With the least cost that was found.
+    """
     best = twin.parameters
-    left = light_residuals(bench, twin, looked)
-    for _ in range(ROUNDS):
-        gained, best, left = _round(bench, twin, names, looked, best, left)
-        if gained < SETTLED:
+    residual = light_residuals(reference, twin, samples)
+    for _ in range(MAX_ROUNDS):
+        gained, best, residual = _round(reference, twin, names, samples, best, residual)
+        if gained < CONVERGED_GAIN:
             break
     twin.become(best)
     return best
 
 
 def _round(
-    bench: Reference,
+    reference: Reference,
     twin: Twin,
     names: Sequence[str],
-    looked: Sequence[Sample],
-    start: Parameters,
-    left: Floats,
-) -> tuple[float, Parameters, Floats]:
-    """One step: the relative gain, the parameters and what they leave."""
-    weight, _ = soft_weights(left)
-    cost = float(np.sum(weight * left**2))
+    samples: Sequence[PixelSample],
+    start: TwinParameters,
+    residual: Floats,
+) -> tuple[float, TwinParameters, Floats]:
+    """Make one step; return the relative gain, the parameters and their residuals."""
+    weight, _ = huber_weights(residual)
+    cost = float(np.sum(weight * residual**2))
     slopes = []
     for name in names:
-        knob = KNOBS[name]
+        knob = ADJUSTABLE[name]
         value = knob.read(start)
-        by = knob.step if value + knob.step <= knob.most else -knob.step
+        by = knob.step if value + knob.step <= knob.upper else -knob.step
         twin.become(knob.set(start, value + by))
-        slopes.append((left - light_residuals(bench, twin, looked)) / by)
+        slopes.append((residual - light_residuals(reference, twin, samples)) / by)
     matrix = np.stack(slopes, axis=1)
     scale = np.sqrt(np.sum(weight[:, None] * matrix**2, axis=0))
     scale[scale == 0] = 1.0
     scaled = matrix / scale
-    normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * left)
+    normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
     step = np.linalg.lstsq(normal, gradient, rcond=1e-9)[0] / scale
-    for tried, after in _tries(bench, twin, names, looked, start, step):
+    for tried, after in _step_candidates(reference, twin, names, samples, start, step):
         gain = 1.0 - float(np.sum(weight * after**2)) / max(cost, 1e-12)
         if gain > 0:
             return gain, tried, after
-    return 0.0, start, left
+    return 0.0, start, residual
 
 
-def _tries(
-    bench: Reference,
+def _step_candidates(
+    reference: Reference,
     twin: Twin,
     names: Sequence[str],
-    looked: Sequence[Sample],
-    start: Parameters,
+    samples: Sequence[PixelSample],
+    start: TwinParameters,
     step: Floats,
-) -> Iterator[tuple[Parameters, Floats]]:
-    """The step, and shorter ones."""
-    for halving in range(HALVINGS):
+) -> Iterator[tuple[TwinParameters, Floats]]:
+    """Apply the step, and halves of it; yield the parameters and their residuals."""
+    for halving in range(MAX_HALVINGS):
         tried = start
         for name, by in zip(names, step.tolist(), strict=True):
-            knob = KNOBS[name]
-            tried = knob.turned(tried, knob.read(start) + by / 2**halving)
+            knob = ADJUSTABLE[name]
+            tried = knob.with_value(tried, knob.read(start) + by / 2**halving)
         twin.become(tried)
-        yield tried, light_residuals(bench, twin, looked)
+        yield tried, light_residuals(reference, twin, samples)
 
 
-def coarse_focus(
-    bench: Reference,
+def search_focus_grid(
+    reference: Reference,
     twin: Twin,
-    looked: Sequence[Sample],
+    samples: Sequence[PixelSample],
     focus: str,
     aperture: str,
     apertures: Sequence[float],
-) -> Parameters:
-    """The best of a grid of focus and aperture, or the twin as it is: where a fit of both can start.
+) -> TwinParameters:
+    """Search a coarse grid of focus distance and aperture, to find a start for a fit of both.
 
-    apertures: relative to the twin's own. The nearest, the middle and the farthest pose tell enough.
+    Only the first, the middle and the last sample are compared: the nearest, middle and farthest pose. The
+    twin is left with the result.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Starts from its present parameters.
+    samples : sequence of PixelSample
+        Pixels, in the order of the poses' depths.
+    focus : str
+        Name of the focus distance, "projector_focus_mm" or "camera_focus_mm".
+    aperture : str
+        Name of the parameter of the aperture, "projector_aperture_mm" or "f_number".
+    apertures : sequence of float
+        Factors of the twin's present aperture parameter.
+
+    Returns
+    -------
+    TwinParameters
+        The best of the grid, or the present ones if none is better.
     """
     start = twin.parameters
-    looked = [looked[0], looked[len(looked) // 2], looked[-1]]
+    samples = [samples[0], samples[len(samples) // 2], samples[-1]]
     own = float(getattr(start, aperture))
     depths = np.array([pose.translation[2] for pose in start.poses])
     if focus == "projector_focus_mm":
@@ -205,12 +353,12 @@ def coarse_focus(
         depths = np.array([to_projector.apply(pose.translation)[2] for pose in start.poses])
     middle, half = float(np.median(depths)), max(float(np.ptp(depths)), 0.05 * float(np.median(depths)))
     grid = [(middle + share * half, own * opening) for share in (-0.4, 0.0, 0.4) for opening in apertures]
-    best, least = start, difference(bench, twin, looked)
+    best, least = start, mean_square_difference(reference, twin, samples)
     for depth, opening in grid:
         changes: dict[str, Any] = {focus: depth, aperture: opening}
         tried = replace(start, **changes)
         twin.become(tried)
-        if (found := difference(bench, twin, looked)) < least:
+        if (found := mean_square_difference(reference, twin, samples)) < least:
             best, least = tried, found
     twin.become(best)
     return best

@@ -1,7 +1,11 @@
-"""How far a twin is from its bench: `L = α log(1 + |ε_d|) + β (1 - SSIM)`, the paper's loss.
+"""The loss of a twin against the reference: `L = α log(1 + |ε_d|) + β (1 - SSIM)`, as in the paper.
 
-`ε_d = ε_r - ε_v` is the RMS reprojection error of the bench's characterisation less the twin's; the SSIM is
-the standard one (Wang et al., "Image quality assessment", 2004) with levels from 0 to full scale.
+`ε_d = ε_r - ε_v` is the RMS reprojection error of the reference's characterisation less that of the twin's.
+The SSIM is the standard one with levels from 0 to full scale.
+
+References
+----------
+Wang et al., "Image quality assessment", 2004
 """
 
 from __future__ import annotations
@@ -19,28 +23,38 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
 
 EDGE_POINTS = 50
-"""Points along each edge of a board's outline, which the lens bends."""
+"""Points along each edge of a board's outline, since the distortion of the lens bends it."""
 MARGIN_PX = 4
-"""How far inside its outline a board begins: half of the SSIM's window of 7 px, rounded up."""
+"""Edge margin of the board's area: half of the SSIM's window of 7 px, rounded up."""
 
-BEYOND_PX = 3
-"""The board's edge tells where it is, so its surroundings belong to the picture."""
-SOFT = 3.0
+SURROUNDINGS_PX = 3
+"""Width of the surroundings of the board that are compared too, since its edge tells where it is."""
+HUBER_LIMIT = 3.0
 """Residuals beyond this many robust standard deviations count linearly (Huber)."""
-ROUNDING = 0.29
-"""Standard deviation of rounding to integers, under which no residual can be."""
+ROUNDING_SIGMA = 0.29
+"""Standard deviation of rounding to integers, the least that residuals can have."""
 
 
 class Weights(Document):
-    """Of the loss; what suits a system with much noise is a lesser beta."""
+    """Weights of the two parts of the loss; a system with much noise needs a smaller beta."""
 
     alpha: float = 0.2
+    """Weight of `log(1 + |ε_d|)`, ε_d in px."""
     beta: float = 0.8
+    """Weight of 1 - SSIM."""
 
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """SSIM of images (n,): mean over the whole image, and over the board in it."""
+    """SSIM of n images.
+
+    Attributes
+    ----------
+    whole : Floats
+        Mean over the whole image, (n,).
+    board : Floats
+        Mean over the board in the image, (n,).
+    """
 
     whole: Floats
     board: Floats
@@ -48,9 +62,18 @@ class Similarity:
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """The loss with its parts: mean and spread over the images.
+    """The loss with its parts; each figure has a mean and a spread over the images.
 
-    epsilon_r, epsilon_v: joint RMS reprojection error of the bench and of the twin, in px.
+    Attributes
+    ----------
+    weights : Weights
+        Of the two parts.
+    epsilon_r : float
+        Joint RMS reprojection error of the reference in px.
+    epsilon_v : float
+        Joint RMS reprojection error of the twin in px.
+    similarity : Similarity
+        SSIM of every compared image.
     """
 
     weights: Weights
@@ -60,7 +83,7 @@ class Loss:
 
     @property
     def epsilon_d(self) -> float:
-        """In px, signed: the bench's less the twin's."""
+        """RMS reprojection error of the reference less that of the twin, in px, signed."""
         return self.epsilon_r - self.epsilon_v
 
     @property
@@ -70,7 +93,7 @@ class Loss:
 
     @property
     def board(self) -> float:
-        """The loss with the SSIM over the board, which a dark ground cannot flatter."""
+        """The loss with the SSIM over the board, which a dark background does not improve."""
         return float(self._of(self.similarity.board).mean())
 
     def _of(self, ssim: Floats) -> Floats:
@@ -78,7 +101,14 @@ class Loss:
         return np.asarray(geometric + self.weights.beta * (1.0 - ssim))
 
     def summary(self) -> dict[str, Any]:
-        """Plain values: the loss over whole images and over the board, its parts, and their spread."""
+        """Give plain values: the loss over whole images and over the board, its parts, and their spread.
+
+        Returns
+        -------
+        dict of str to Any
+            `loss`, `loss_board`, `ssim`, `ssim_board`, standard deviations over the images (`..._spread`),
+            reprojection errors `epsilon_d_px`, `epsilon_r_px`, `epsilon_v_px`, and the number of `images`.
+        """
         return {
             "loss": self.whole,
             "loss_board": self.board,
@@ -94,13 +124,30 @@ class Loss:
         }
 
 
-def ssim(bench: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask) -> tuple[float, float]:
-    """SSIM of two images [v, u] in raw levels: of the whole image, and over the mask `board`."""
+def ssim(reference: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask) -> tuple[float, float]:
+    """Compute the structural similarity of two images.
+
+    Parameters
+    ----------
+    reference : NDArray
+        Image [v, u] of the reference in raw levels.
+    twin : NDArray
+        Image of the twin, of the same shape.
+    full_scale : float
+        The greatest raw level.
+    board : Mask
+        Pixels [v, u] of the board.
+
+    Returns
+    -------
+    tuple of float
+        Mean SSIM of the whole image, and over the board.
+    """
     from skimage import metrics
 
     compared: Any = metrics.structural_similarity
     mean, every = compared(
-        bench.astype(np.float32), twin.astype(np.float32), data_range=full_scale, full=True
+        reference.astype(np.float32), twin.astype(np.float32), data_range=full_scale, full=True
     )
     return float(mean), float(every[board].mean())
 
@@ -108,7 +155,24 @@ def ssim(bench: NDArray[Any], twin: NDArray[Any], full_scale: float, board: Mask
 def board_mask(
     camera: Pinhole, T_camera_board: RigidTransform, target: Target, margin_px: int = MARGIN_PX
 ) -> Mask:
-    """Pixels [v, u] that look at the board, `margin_px` or more inside its outline (outside, if negative)."""
+    """Find the pixels that see the board.
+
+    Parameters
+    ----------
+    camera : Pinhole
+        With distortion.
+    T_camera_board : RigidTransform
+        Pose of the board.
+    target : Target
+        The board; its size counts.
+    margin_px : int
+        Edge margin by which the mask lies inside the board's outline; negative: beyond it.
+
+    Returns
+    -------
+    Mask
+        [v, u] of the camera's size.
+    """
     half_x, half_y = 0.5 * np.array(target.size_mm)
     along = np.linspace(-1.0, 1.0, EDGE_POINTS, endpoint=False)
     one = np.ones_like(along)
@@ -126,15 +190,39 @@ def board_mask(
     return np.asarray(area, np.bool_)
 
 
-def thinned(area: Mask, most: int) -> PixelIndices:
-    """An area's pixels, evenly thinned to about `most`."""
+def subsample_pixels(area: Mask, count: int) -> PixelIndices:
+    """Subsample the pixels of a mask evenly.
+
+    Parameters
+    ----------
+    area : Mask
+        [v, u], at least one pixel is set.
+    count : int
+        Approximate greatest number of pixels that are kept.
+
+    Returns
+    -------
+    PixelIndices
+        Rows and columns of the pixels.
+    """
     v, u = np.nonzero(area)
-    thin = max(1, int(np.sqrt(len(u) / most)))
-    chosen = (v % thin == 0) & (u % thin == 0)
+    stride = max(1, int(np.sqrt(len(u) / count)))
+    chosen = (v % stride == 0) & (u % stride == 0)
     return v[chosen], u[chosen]
 
 
-def soft_weights(residual: Floats) -> tuple[Floats, float]:
-    """Huber's weights, 1 for what is no outlier, and the robust standard deviation, in raw levels."""
-    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING)
-    return np.minimum(1.0, SOFT * sigma / np.maximum(np.abs(residual), 1e-12)), sigma
+def huber_weights(residual: Floats) -> tuple[Floats, float]:
+    """Compute robust weights of residuals.
+
+    Parameters
+    ----------
+    residual : Floats
+        In raw levels.
+
+    Returns
+    -------
+    tuple of Floats and float
+        Huber's weights, 1 for inliers, and the robust standard deviation in raw levels (from the median).
+    """
+    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING_SIGMA)
+    return np.minimum(1.0, HUBER_LIMIT * sigma / np.maximum(np.abs(residual), 1e-12)), sigma

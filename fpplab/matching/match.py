@@ -1,8 +1,8 @@
-"""Characterisation matching: step by step nearer to the bench, as long as the loss allows it.
+"""Characterisation matching: the twin's parameters are fitted in steps, each kept only if it lowers the loss.
 
-The steps follow what bears on what: geometry by the points observed, light, then one by one what the paper
-names as missing (ambient light, defocus of projector and camera, vignetting, noise), and at last everything
-together and the geometry by the images in turn, until it stays. Each step is one epoch.
+Order of the steps: geometry by the observed points, light, then one by one the effects that the paper names
+as missing (ambient light, defocus of projector and camera, vignetting, noise); at last all parameters of
+light together and the geometry by the images in turn, until the loss has converged. Each step is one epoch.
 """
 
 from __future__ import annotations
@@ -18,122 +18,188 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.matching import geometry, light, noise
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
-from fpplab.matching.light import Sample
+from fpplab.matching.light import PixelSample
 from fpplab.matching.loss import Weights
 from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 
 SAMPLED_POSES = 6
-TIE = 2e-4
-"""Losses that differ by less are the same but for noise; the images' mean difference decides then."""
+EQUAL_LOSS = 2e-4
+"""Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
 F_NUMBERS = (1.0, 2.0, 4.0)
 APERTURES = (0.5, 1.0, 2.0)
-"""Relative to the twin's own, with which a focus is first tried."""
+"""Factors of the twin's own aperture with which the search for a focus starts."""
 EXPLAINS = {
     "projector defocus": "blur of the projector that grows with the distance from its focus",
     "depth of field": "blur of the camera that grows with the distance from its focus",
-    "vignetting": "light that the camera's lens loses towards the picture's corners",
+    "vignetting": "light that the camera's lens loses towards the corners of the image",
     "ambient light": "light that is not the projector's, and the camera's black level",
     "noise": "noise of the sensor and vibration",
 }
-"""What is matched beyond the paper, by step."""
-FOCUSES = {"projector defocus", "depth of field"}
-"""Steps before which the twin is sharp where it need not be."""
+"""The effects that are matched beyond the paper, by step."""
+FOCUS_STEPS = {"projector defocus", "depth of field"}
+"""The steps that fit the focus; before them the twin may be sharp where the bench is not."""
 
 
-class Limits(Document):
-    """When to stop: after so many epochs or seconds, or when `patience` rounds of the last steps gained less
-    than `converged` of the loss.
-    """
+class MatchingLimits(Document):
+    """When a matching stops."""
 
     epochs: int = 25
+    """Greatest number of epochs."""
     seconds: float = 900.0
+    """Greatest duration in s, of all runs together."""
     patience: int = 1
+    """Number of rounds of the last steps without a gain after which the matching has converged."""
     converged: float = 2e-4
+    """Decrease of the loss over the board below which a round has no gain."""
 
 
 @dataclass(frozen=True, eq=False)
-class Context:
-    """What every step is given: where the images are looked at, and what is free."""
+class MatchingContext:
+    """What every step is given.
 
-    bench: Reference
+    Attributes
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        To be matched.
+    samples : list of PixelSample
+        Pixels at which images are compared.
+    white : str
+        The parameter that scales the levels: "white", or "paper" where a measured response fixes white.
+    """
+
+    reference: Reference
     twin: Twin
-    looked: list[Sample]
+    samples: list[PixelSample]
     white: str
 
-    def lights(self, *more: str) -> tuple[str, ...]:
-        response = () if self.bench.response is not None else ("b", "g")
+    def light_parameters(self, *more: str) -> tuple[str, ...]:
+        """Name the parameters of light that are free.
+
+        Parameters
+        ----------
+        *more : str
+            Further names to be appended.
+
+        Returns
+        -------
+        tuple of str
+            Keys of `fpplab.matching.light.ADJUSTABLE`; the response is free only where it was not measured.
+        """
+        response = () if self.reference.response is not None else ("b", "g")
         return (self.white, "ink", "ambient", "black_level", *response, *more)
 
-    def fit(self, *names: str) -> Parameters:
-        return light.fit_light(self.bench, self.twin, names, self.looked)
+    def fit(self, *names: str) -> TwinParameters:
+        """Fit parameters of light and sharpness to the samples.
+
+        Parameters
+        ----------
+        *names : str
+            Keys of `fpplab.matching.light.ADJUSTABLE`.
+
+        Returns
+        -------
+        TwinParameters
+            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
+        """
+        return light.fit_light(self.reference, self.twin, names, self.samples)
 
 
 @dataclass(frozen=True)
-class Step:
-    """Something to try. characterises: whether the twin's own RMS must be found anew."""
+class MatchingStep:
+    """One step of a matching.
+
+    Attributes
+    ----------
+    name : str
+        As recorded and reported.
+    propose : callable
+        Gives the parameters to try, from the `MatchingContext` whose twin has the best ones so far.
+    characterises : bool
+        Whether the twin's own RMS reprojection error must be found again.
+    """
 
     name: str
-    propose: Callable[[Context], Parameters]
+    propose: Callable[[MatchingContext], TwinParameters]
     characterises: bool = False
 
 
-def _projector_defocus(at: Context) -> Parameters:
+def _projector_defocus(at: MatchingContext) -> TwinParameters:
     names = ("projector_focus_mm", "projector_aperture_mm")
     if at.twin.parameters.projector_focus_mm is None:
-        light.coarse_focus(at.bench, at.twin, at.looked, *names, APERTURES)
+        light.search_focus_grid(at.reference, at.twin, at.samples, *names, APERTURES)
     if at.twin.parameters.projector_focus_mm is None:
         return at.fit("projector_blur")
     return at.fit("projector_blur", *names)
 
 
-def _depth_of_field(at: Context) -> Parameters:
+def _depth_of_field(at: MatchingContext) -> TwinParameters:
     names = ("camera_focus_mm", "f_number")
     if at.twin.parameters.camera_focus_mm is None:
-        light.coarse_focus(at.bench, at.twin, at.looked, *names, F_NUMBERS)
+        light.search_focus_grid(at.reference, at.twin, at.samples, *names, F_NUMBERS)
     if at.twin.parameters.camera_focus_mm is None:
         return at.twin.parameters
     return at.fit("projector_blur", *names)
 
 
-def _together(at: Context) -> Parameters:
+def _fit_together(at: MatchingContext) -> TwinParameters:
     now = at.twin.parameters
     names = ["projector_blur", "vignetting"]
     if now.projector_focus_mm is not None:
         names += ["projector_focus_mm", "projector_aperture_mm"]
     if now.camera_focus_mm is not None:
         names += ["camera_focus_mm", "f_number"]
-    return at.fit(*at.lights(*names))
+    return at.fit(*at.light_parameters(*names))
 
 
-def _by_images(at: Context) -> Parameters:
-    return geometry.by_images(at.bench, at.twin, at.bench.characterisation.level)
+def _refine_by_images(at: MatchingContext) -> TwinParameters:
+    return geometry.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
 
 
-FIRST = (
-    Step("points", lambda at: geometry.by_reprojection(at.twin.parameters, at.bench.characterisation)),
-    Step("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
-    Step("ambient light", lambda at: at.fit(*at.lights())),
-    Step("projector defocus", _projector_defocus),
-    Step("depth of field", _depth_of_field),
-    Step("vignetting", lambda at: at.fit(at.white, "vignetting")),
-    Step(
-        "noise", lambda at: noise.match_noise(at.bench, at.twin, at.bench.spread_poses(SAMPLED_POSES)), True
+FIRST_STEPS = (
+    MatchingStep(
+        "points",
+        lambda at: geometry.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
+    ),
+    MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
+    MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
+    MatchingStep("projector defocus", _projector_defocus),
+    MatchingStep("depth of field", _depth_of_field),
+    MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
+    MatchingStep(
+        "noise",
+        lambda at: noise.match_noise(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
+        True,
     ),
 )
-AGAIN = (Step("together", _together), Step("images", _by_images))
+REPEATED_STEPS = (MatchingStep("together", _fit_together), MatchingStep("images", _refine_by_images))
 
 
 @dataclass(frozen=True, eq=False)
-class Matched:
-    """Where a matching ended. explained: by step, share of the mean square difference that it took away; of
-    noise the share of what is left at the end that the twin's own noise makes.
+class MatchedTwin:
+    """Result of a matching.
 
-    unexplained: RMS over the board of what is left, in raw levels; ended: why it stopped.
+    Attributes
+    ----------
+    parameters : TwinParameters
+        The best that were found.
+    epochs : tuple of MatchingEpoch
+        All epochs, those of earlier runs included.
+    final : TwinEvaluation
+        Of the best parameters, with a new characterisation.
+    explained : dict of str to float
+        By step: share of the mean square difference that it removed. For noise: the share of what is left at
+        the end that the twin's own noise makes.
+    unexplained : float
+        RMS difference over the board that is left, in raw levels.
+    ended : str
+        Why the matching stopped.
     """
 
-    parameters: Parameters
+    parameters: TwinParameters
     epochs: tuple[MatchingEpoch, ...]
     final: TwinEvaluation
     explained: dict[str, float]
@@ -141,14 +207,14 @@ class Matched:
     ended: str
 
     @property
-    def focused(self) -> bool:
-        """Whether it lasted long enough for its edges to be compared with the bench's."""
-        return {epoch.step for epoch in self.epochs} >= FOCUSES
+    def refined_focus(self) -> bool:
+        """Whether both focus steps were made, so that sharpness can be compared with the reference's."""
+        return {epoch.step for epoch in self.epochs} >= FOCUS_STEPS
 
 
 @dataclass(eq=False)
 class _State:
-    at: Context
+    at: MatchingContext
     weights: Weights
     record: MatchingRecord
     epochs: list[MatchingEpoch]
@@ -167,49 +233,91 @@ EpochObserver = Callable[[MatchingEpoch], None]
 
 
 def match_twin(
-    bench: Reference,
+    reference: Reference,
     twin: Twin,
-    start: Parameters,
+    start: TwinParameters,
     record: MatchingRecord,
     weights: Weights,
-    limits: Limits,
+    limits: MatchingLimits,
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
-) -> Matched:
-    """Match `twin` to `bench` from `start`, or go on where the record ends.
+) -> MatchedTwin:
+    """Match a twin to the reference, or continue where the record ends.
 
-    observe: is given every epoch as it ends. Leaves the twin matched. Raises `CalibrationError` when the twin
-    cannot be characterised, or no step can be made.
+    The twin is left with the matched parameters.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        To be matched.
+    start : TwinParameters
+        To start from, unless the record holds epochs.
+    record : MatchingRecord
+        Every epoch is added to it; those that it holds are not computed again.
+    weights : Weights
+        Of the loss.
+    limits : MatchingLimits
+        When to stop.
+    progress : Progress
+        Told an estimated share of the steps.
+    observe : EpochObserver
+        Given every epoch as it ends.
+
+    Returns
+    -------
+    MatchedTwin
+        Parameters, epochs and their evaluation.
+
+    Raises
+    ------
+    CalibrationError
+        The twin cannot be characterised, or a step leads to images that cannot be compared.
+    DataError
+        The record is damaged.
     """
     epochs = record.read()
     begin = _best(epochs).parameters.parameters() if epochs else start
     twin.become(begin)
-    white = "paper" if bench.response is not None else "white"
-    looked = _looked(bench, begin)
+    white = "paper" if reference.response is not None else "white"
+    samples = _samples_of_poses(reference, begin)
     before = epochs[-1].seconds if epochs else 0.0
-    state = _State(Context(bench, twin, looked, white), weights, record, epochs, time.monotonic() - before)
+    state = _State(
+        MatchingContext(reference, twin, samples, white), weights, record, epochs, time.monotonic() - before
+    )
     if not epochs:
-        first = evaluate(bench, twin, weights)
-        _note(state, "start", first, _difference(state), True, observe)
+        first = evaluate(reference, twin, weights)
+        _record_epoch(state, "start", first, _difference(state), True, observe)
     ended = _run(state, limits, progress, observe)
     twin.become(state.best.parameters.parameters())
-    final = evaluate(bench, twin, weights)
-    state.at = replace(state.at, looked=_looked(bench, twin.parameters))
+    final = evaluate(reference, twin, weights)
+    state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
     left = _difference(state)
-    explained = shares(state.epochs) | {"noise": _noise(state) / left**2}
-    return Matched(twin.parameters, tuple(state.epochs), final, explained, left, ended)
+    explained = explained_shares(state.epochs) | {"noise": _noise(state) / left**2}
+    return MatchedTwin(twin.parameters, tuple(state.epochs), final, explained, left, ended)
 
 
 def _best(epochs: Sequence[MatchingEpoch]) -> MatchingEpoch:
-    """The last that was accepted."""
+    """Find the last epoch that was accepted."""
     return next(epoch for epoch in reversed(epochs) if epoch.accepted)
 
 
-def shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
-    """Of what each step of `EXPLAINS` but noise found before it, the share of the mean square it took away.
+def explained_shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
+    """Compute the share of the difference that each step of `EXPLAINS`, except noise, removed.
 
-    Shadows need relief: a flat board has none, so nothing of its images is theirs.
+    Shadows need relief: a flat board has none, so `shadowing` explains nothing.
+
+    Parameters
+    ----------
+    epochs : sequence of MatchingEpoch
+        In their order; the first is the start.
+
+    Returns
+    -------
+    dict of str to float
+        By step: share of the mean square difference before the step that it removed; 0 where it was rejected.
     """
     found, last = {"shadowing": 0.0}, epochs[0]
     for epoch in epochs[1:]:
@@ -221,19 +329,19 @@ def shares(epochs: Sequence[MatchingEpoch]) -> dict[str, float]:
     return found
 
 
-def _looked(bench: Reference, parameters: Parameters) -> list[Sample]:
-    images = sorted({*bench.one_of_each_set, *bench.finest})
-    return light.samples(bench, parameters, bench.spread_poses(SAMPLED_POSES), images)
+def _samples_of_poses(reference: Reference, parameters: TwinParameters) -> list[PixelSample]:
+    images = sorted({*reference.one_of_each_set, *reference.finest})
+    return light.sample_pixels(reference, parameters, reference.spread_poses(SAMPLED_POSES), images)
 
 
-def _steps() -> Iterator[Step]:
-    yield from FIRST
+def _steps() -> Iterator[MatchingStep]:
+    yield from FIRST_STEPS
     while True:
-        yield from AGAIN
+        yield from REPEATED_STEPS
 
 
-def _run(state: _State, limits: Limits, progress: Progress, observe: EpochObserver) -> str:
-    """Step until one of the limits; says which."""
+def _run(state: _State, limits: MatchingLimits, progress: Progress, observe: EpochObserver) -> str:
+    """Make steps until one of the limits; return which."""
     idle = 0
     for number, step in enumerate(_steps(), 1):
         if number >= len(state.epochs):  # not taken by an earlier run
@@ -241,60 +349,65 @@ def _run(state: _State, limits: Limits, progress: Progress, observe: EpochObserv
                 return f"after {limits.epochs} epochs"
             if state.seconds > limits.seconds:
                 return f"after {state.seconds:.0f} s"
-            progress(min(1.0, number / (len(FIRST) + 2 * len(AGAIN))))
-            _take(state, step, observe)
-        if number > len(FIRST) and (number - len(FIRST)) % len(AGAIN) == 0:
+            progress(min(1.0, number / (len(FIRST_STEPS) + 2 * len(REPEATED_STEPS))))
+            _take_step(state, step, observe)
+        if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(REPEATED_STEPS) == 0:
             before, after = (
-                _best(state.epochs[:end]).loss["loss_board"] for end in (number + 1 - len(AGAIN), number + 1)
+                _best(state.epochs[:end]).loss["loss_board"]
+                for end in (number + 1 - len(REPEATED_STEPS), number + 1)
             )
             idle = idle + 1 if before - after < limits.converged else 0
             if idle >= limits.patience:
                 return "converged"
-    raise AssertionError("the steps have no end")
+    raise AssertionError("the steps are endless")
 
 
-def _take(state: _State, step: Step, observe: EpochObserver) -> None:
+def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
     tried = step.propose(state.at)
     twin.become(tried)
     known = None if step.characterises else best.loss["epsilon_v_px"]
-    found = evaluate(state.at.bench, twin, state.weights, known)
-    state.at = replace(state.at, looked=_looked(state.at.bench, tried))
+    found = evaluate(state.at.reference, twin, state.weights, known)
+    state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
-    _note(state, step.name, found, difference, _accepted(best, found, difference), observe)
+    _record_epoch(state, step.name, found, difference, _accepted(best, found, difference), observe)
 
 
 def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
-    """By the loss over the board; where that is a tie, by the images' mean difference."""
+    """Decide by the loss over the board; where losses are equal, by the mean square difference."""
     gain = best.loss["loss_board"] - found.loss.board
-    if abs(gain) > TIE:
+    if abs(gain) > EQUAL_LOSS:
         return gain > 0
     return difference <= best.difference * (1.0 + 1e-3)
 
 
 def _difference(state: _State) -> float:
-    return float(np.sqrt(light.difference(state.at.bench, state.at.twin, state.at.looked)))
+    return float(np.sqrt(light.mean_square_difference(state.at.reference, state.at.twin, state.at.samples)))
 
 
 def _noise(state: _State) -> float:
-    """Mean square of the twin's own noise where the images are looked at: noise is in no expected image."""
-    bench, twin = state.at.bench, state.at.twin
+    """Mean square of the twin's own noise at the samples, since expected images have no noise."""
+    reference, twin = state.at.reference, state.at.twin
     squares = []
-    for sample in state.at.looked:
-        patterns = bench.shown(sample.images)
-        expected = twin.expected_at(sample.pose, patterns, bench.settings, sample.pixels)
-        for frame, level in zip(twin.frames(sample.pose, patterns, bench.settings), expected, strict=True):
+    for sample in state.at.samples:
+        patterns = reference.shown(sample.images)
+        expected = twin.expected_at(sample.pose, patterns, reference.settings, sample.pixels)
+        for frame, level in zip(
+            twin.frames(sample.pose, patterns, reference.settings), expected, strict=True
+        ):
             off = frame[sample.pixels].astype(np.float64) - level
             squares.append(float(np.mean(off**2)))
     return float(np.mean(squares))
 
 
-def _note(
+def _record_epoch(
     state: _State, name: str, found: TwinEvaluation, difference: float, accepted: bool, observe: EpochObserver
 ) -> None:
     if not np.isfinite(found.loss.board):
-        raise CalibrationError(f"the step '{name}' led to no image that can be compared")
+        raise CalibrationError(
+            f"the step '{name}' led to images that cannot be compared: their SSIM is not finite"
+        )
     epoch = MatchingEpoch(
         epoch=len(state.epochs),
         step=name,

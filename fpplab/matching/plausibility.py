@@ -1,4 +1,4 @@
-"""Twins that cannot become the bench, told by name instead of matched to nonsense."""
+"""Plausibility checks of a matching: a twin that cannot match the bench is refused with the reason."""
 
 from __future__ import annotations
 
@@ -16,19 +16,33 @@ from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
 
-APART = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
-"""Relative difference between what was found and the twin's own file beyond which one is not the other."""
-TURNED_DEG = 10.0
-SHARPER = 0.12
-"""Relative difference of edge contrast, bench to twin, between poses, that no matched focus leaves."""
-EDGE = 0.3
+MAX_RELATIVE_DIFFERENCE = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
+"""Greatest relative difference between what was found and the twin's own file."""
+MAX_ROTATION_DEG = 10.0
+MAX_CONTRAST_DIFFERENCE = 0.12
+"""Greatest relative difference of edge contrast, bench to twin, between poses, that a matched focus leaves.
+"""
+EDGE_GRADIENT = 0.3
 """Share of the steepest gradient from which a pixel lies on an edge."""
-ALIKE = 0.8
-"""SSIM over the board under which nothing has been matched."""
+MIN_SSIM = 0.8
+"""SSIM over the board below which the twin does not match."""
 
 
 def check_devices(twin: Twin, session: Session) -> None:
-    """Refuse a session of another camera or projector: `ConfigError` that says which."""
+    """Refuse a session of another camera or projector.
+
+    Parameters
+    ----------
+    twin : Twin
+        With its nominal parameters.
+    session : Session
+        Recorded on the bench.
+
+    Raises
+    ------
+    ConfigError
+        Size of the camera, or size or lattice of the projector differ; the message names both.
+    """
     known = twin.parameters.calibration
     width, height, _ = session.format
     size, lattice = session.projector()
@@ -46,7 +60,22 @@ def check_devices(twin: Twin, session: Session) -> None:
 
 
 def check_board(twin: Twin, target: Target, source: str) -> None:
-    """Refuse a target that is not the twin's board: `ConfigError` that names the first field that differs."""
+    """Refuse a target that is not the twin's board.
+
+    Parameters
+    ----------
+    twin : Twin
+        Whose board is compared.
+    target : Target
+        The board of the reference.
+    source : str
+        The target's file or option, for the message.
+
+    Raises
+    ------
+    ConfigError
+        Names the first field that differs, with both values.
+    """
     own = twin.target
     for name in (
         "kind",
@@ -64,10 +93,22 @@ def check_board(twin: Twin, target: Target, source: str) -> None:
             )
 
 
-def check_near(found: Calibration, nominal: Calibration) -> None:
-    """Refuse a bench that is far from what the twin's file says: `CalibrationError`.
+def check_geometry(found: Calibration, nominal: Calibration) -> None:
+    """Refuse a bench whose geometry is far from that of the twin's file.
 
-    A board of another pitch changes nothing in its pictures but the scale: it is found out by the baseline.
+    A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
+
+    Parameters
+    ----------
+    found : Calibration
+        Found on the bench.
+    nominal : Calibration
+        Of the twin's file.
+
+    Raises
+    ------
+    CalibrationError
+        A focal length, the baseline, or the angle between the devices differs too much.
     """
     pairs = {
         "camera's focal length": (found.camera.matrix[0, 0], nominal.camera.matrix[0, 0], "px"),
@@ -75,7 +116,7 @@ def check_near(found: Calibration, nominal: Calibration) -> None:
         "baseline": (found.baseline_mm, nominal.baseline_mm, "mm"),
     }
     for name, (is_, should, unit) in pairs.items():
-        if abs(is_ / should - 1.0) > APART[name]:
+        if abs(is_ / should - 1.0) > MAX_RELATIVE_DIFFERENCE[name]:
             why = (
                 "the board has another pitch than its target file says, or the devices stand elsewhere"
                 if name == "baseline"
@@ -86,60 +127,97 @@ def check_near(found: Calibration, nominal: Calibration) -> None:
             )
     turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
     angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-    if angle > TURNED_DEG:
+    if angle > MAX_ROTATION_DEG:
         raise CalibrationError(
             f"the projector is turned by {angle:.1f}° against the twin's: its pose in the twin's file is "
             "wrong, or one of the pictures is mirrored or turned"
         )
 
 
-def check_sharpness(bench: Reference, twin: Twin) -> None:
-    """Refuse a bench whose focus moved between poses: `CalibrationError` that names the worst.
+def check_sharpness(reference: Reference, twin: Twin) -> None:
+    """Refuse a reference whose focus moved between poses.
 
-    For the matched twin: each pose's edges must be as steep as the twin's, relative to the other poses: what
-    softens all of them alike is the bench's lens or print, and no focus that moved.
+    Each pose's edges must be as steep as the twin's, relative to the other poses: what softens all of them
+    alike is the bench's lens or print, not a focus that moved.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        Matched.
+
+    Raises
+    ------
+    CalibrationError
+        Names the pose that differs most from the median of all.
     """
-    contrasts = edge_contrast(bench, twin)
+    contrasts = edge_contrast(reference, twin)
     usual = float(np.median(contrasts))
     worst = int(np.argmax(np.abs(np.log(contrasts / usual))))
     off = float(contrasts[worst]) / usual - 1.0
-    if abs(off) <= SHARPER:
+    if abs(off) <= MAX_CONTRAST_DIFFERENCE:
         return
-    word, name = "softer" if off < 0 else "sharper", bench.sessions[worst].path.name
+    word, name = "softer" if off < 0 else "sharper", reference.sessions[worst].path.name
     raise CalibrationError(
-        f"{name}: its edges are {100 * abs(off):.0f} % {word} beside the matched twin's than those of the "
-        "other poses, and no focus or aperture explains all: the bench's focus moved, or the board did; take "
-        "the poses again"
+        f"{name}: its edges are {100 * abs(off):.0f} % {word}, relative to the matched twin's, than those of "
+        "the other poses: the bench's focus moved, or the board moved; record the poses again"
     )
 
 
-def edge_contrast(bench: Reference, twin: Twin) -> Floats:
-    """Of every pose, how steep edges and fringes are on the bench, relative to the twin; (M,)."""
-    images = bench.finest[:2]
-    return np.array([_contrast(bench, twin, pose, images) for pose in range(len(twin.parameters.poses))])
+def edge_contrast(reference: Reference, twin: Twin) -> Floats:
+    """Compare how steep edges and fringes are on the bench and in the twin.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With matched geometry and light.
+
+    Returns
+    -------
+    Floats
+        Gradient of the reference relative to that of the twin, (M,), one for each pose.
+    """
+    images = reference.finest[:2]
+    return np.array([_contrast(reference, twin, pose, images) for pose in range(len(twin.parameters.poses))])
 
 
-def _contrast(bench: Reference, twin: Twin, pose: int, images: Sequence[int]) -> float:
+def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]) -> float:
     now = twin.parameters
-    board = board_mask(now.calibration.camera, now.poses[pose], bench.target)
-    seen = twin.expected(pose, bench.shown(images), bench.settings)
-    real = bench.frames(pose, images)
+    board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+    seen = twin.expected(pose, reference.shown(images), reference.settings)
+    real = reference.frames(pose, images)
     products, squares = 0.0, 0.0
     for there, here in zip(real, seen, strict=True):
         for axis in ((1, 0), (0, 1)):
             a, b = (
                 cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
             )
-            edge = np.abs(b) > EDGE * np.abs(b).max()
+            edge = np.abs(b) > EDGE_GRADIENT * np.abs(b).max()
             products, squares = products + float(a[edge] @ b[edge]), squares + float(b[edge] @ b[edge])
     return products / max(squares, 1e-12)
 
 
-def check_alike(loss: Loss, unexplained: float) -> None:
-    """Refuse an end that is no match: `CalibrationError`."""
+def check_similarity(loss: Loss, unexplained: float) -> None:
+    """Refuse a matching whose result is not similar to the reference.
+
+    Parameters
+    ----------
+    loss : Loss
+        Of the result.
+    unexplained : float
+        RMS difference that is left, in raw levels, for the message.
+
+    Raises
+    ------
+    CalibrationError
+        The SSIM over the board is below `MIN_SSIM`.
+    """
     alike = float(loss.similarity.board.mean())
-    if alike < ALIKE:
+    if alike < MIN_SSIM:
         raise CalibrationError(
-            f"the twin does not become the bench: SSIM over the board is {alike:.3f} at best, and "
-            f"{ALIKE:g} is the least; {unexplained:.1f} levels of difference are left"
+            f"the twin does not match the bench: SSIM over the board is {alike:.3f} at best, but at least "
+            f"{MIN_SSIM:g} is needed; {unexplained:.1f} levels of difference are left"
         )

@@ -1,4 +1,4 @@
-"""The epochs of a matching on disk: one line of JSON each, from which an interrupted one goes on.
+"""Record of the epochs of a matching: a file of one JSON line each, from which an interrupted one continues.
 
 A line holds the step, whether it was accepted, the loss with its parts, and all parameters.
 """
@@ -18,34 +18,64 @@ from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import Parameters
+from fpplab.simulation.matchable import TwinParameters
 
 EPOCHS = "match.jsonl"
+"""Name of the file."""
 
 
 class ParametersFile(Document):
-    """`Parameters` as plain data; poses in degrees and mm."""
+    """`TwinParameters` as plain data; None means that the device is sharp at every depth."""
 
     calibration: CalibrationFile
+    """Both devices and the pose between them."""
     poses: tuple[PoseFile, ...]
+    """T_camera_item of the board in every pose, in degrees and mm."""
     white: float
+    """Level above black of the projector's white, relative to the twin's own file."""
     response: Curve
+    """Of the projector, with a + b = 1."""
     ambient: float
+    """Even ambient light, relative to the projector's white."""
     paper: float
+    """Reflectance of the board's ground."""
     ink: float
+    """Reflectance of the board's print."""
     projector_blur: float
+    """Standard deviation of the projector lens's point spread at its sharpest, in mirrors."""
     projector_focus_mm: float | None = None
+    """Distance in focus of the projector in mm."""
     projector_aperture_mm: float
+    """Diameter of the projector's aperture in mm."""
     camera_focus_mm: float | None = None
+    """Distance in focus of the camera in mm."""
     f_number: float
+    """Of the camera's lens."""
     vignetting: float
+    """Exponent n of the camera's loss of light cosⁿ towards the edge."""
     black_level: float
+    """Share of full scale."""
     read_noise_e: float
+    """Electrons of the unbinned pixel."""
     full_well_e: float
+    """Electrons of the unbinned pixel."""
     vibration_mm: float
+    """Standard deviation of the item's position from frame to frame in mm."""
 
     @classmethod
-    def of(cls, parameters: Parameters) -> ParametersFile:
+    def of(cls, parameters: TwinParameters) -> ParametersFile:
+        """Convert parameters to plain data.
+
+        Parameters
+        ----------
+        parameters : TwinParameters
+            Of a twin.
+
+        Returns
+        -------
+        ParametersFile
+            Without loss.
+        """
         return cls(
             calibration=CalibrationFile.of(parameters.calibration),
             poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
@@ -53,8 +83,15 @@ class ParametersFile(Document):
             **{name: getattr(parameters, name) for name in PLAIN},
         )
 
-    def parameters(self) -> Parameters:
-        return Parameters(
+    def parameters(self) -> TwinParameters:
+        """Convert back to parameters.
+
+        Returns
+        -------
+        TwinParameters
+            Of a twin.
+        """
+        return TwinParameters(
             calibration=self.calibration.calibration(),
             poses=tuple(pose.transform() for pose in self.poses),
             response=self.response,
@@ -63,33 +100,53 @@ class ParametersFile(Document):
 
 
 PLAIN = tuple(n for n in ParametersFile.model_fields if n not in ("calibration", "poses", "response"))
-"""The parameters that are numbers."""
+"""Names of the parameters that are numbers."""
 
 
 class MatchingEpoch(Document):
-    """One line.
-
-    step: what was tried. accepted: whether the loss let it stand. loss: as `Loss.summary`. difference: RMS of
-    bench less twin over the board, in raw levels. seconds: since the matching began, all its runs together.
-    """
+    """One epoch of a matching: a line of the record."""
 
     epoch: Annotated[int, Field(ge=0)]
+    """Number of the epoch; 0 is the start."""
     step: str
+    """Name of the step that was tried."""
     accepted: bool
+    """Whether the step was accepted by the loss."""
     loss: dict[str, float]
+    """As `Loss.summary` gives it."""
     difference: float
+    """RMS of reference less twin over the board, in raw levels."""
     seconds: float
+    """Duration of the matching so far in s, all runs together."""
     parameters: ParametersFile
+    """That were tried."""
 
 
 @dataclass(frozen=True)
 class MatchingRecord:
-    """The epochs in a folder."""
+    """The epochs that are recorded in a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Holds the file `match.jsonl`.
+    """
 
     folder: Path
 
     def read(self) -> list[MatchingEpoch]:
-        """What is there; a torn last line is an epoch that was not recorded. Raises `DataError`."""
+        """Read the epochs; an incomplete last line is an epoch that was not recorded.
+
+        Returns
+        -------
+        list of MatchingEpoch
+            In their order; empty when there is no file.
+
+        Raises
+        ------
+        DataError
+            A line holds no epoch.
+        """
         path = self.folder / EPOCHS
         if not path.is_file():
             return []
@@ -102,7 +159,15 @@ class MatchingRecord:
         return epochs
 
     def add(self, epoch: MatchingEpoch) -> None:
-        """Put one on disk before returning."""
+        """Append an epoch; it is on disk when the call returns.
+
+        The folder is created, and an incomplete last line is removed.
+
+        Parameters
+        ----------
+        epoch : MatchingEpoch
+            To be appended.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / EPOCHS
         path.touch()

@@ -1,4 +1,4 @@
-"""What a bench has recorded of its board, read once: frames, characterisation, response."""
+"""The reference: what was recorded of the bench's board, with its frames, characterisation and response."""
 
 from __future__ import annotations
 
@@ -22,13 +22,23 @@ LevelStack = NDArray[np.float32]
 """Raw levels of frames, (n, h, w)."""
 
 SPREAD = 4
+"""Images of a fringe set that `Reference.finest_spread` takes at most."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Sessions of a board, one per pose that could be characterised, and what they told.
+    """Recordings of a board on the bench, one session for each pose, and what was found from them.
 
-    response: of projector and camera, where it was measured.
+    Attributes
+    ----------
+    sessions : tuple of Session
+        Of the poses that the characterisation used, in its order.
+    target : Target
+        The board.
+    characterisation : Characterisation
+        Found from the sessions.
+    response : Response or None
+        Of projector and camera, where it was measured.
     """
 
     sessions: tuple[Session, ...]
@@ -44,17 +54,36 @@ class Reference:
         characterisation: Characterisation,
         response: Response | None = None,
     ) -> Reference:
-        """The sessions whose poses the characterisation used, in its order."""
+        """Choose the sessions whose poses the characterisation used.
+
+        Parameters
+        ----------
+        sessions : sequence of Session
+            Recorded; names are those of their folders.
+        target : Target
+            The board.
+        characterisation : Characterisation
+            Found from the sessions.
+        response : Response, optional
+            Of projector and camera.
+
+        Returns
+        -------
+        Reference
+            With the sessions in the order of the characterisation's observations.
+        """
         by_name = {session.path.name: session for session in sessions}
         used = tuple(by_name[o.name] for o in characterisation.observations)
         return cls(used, target, characterisation, response)
 
     @property
     def plan(self) -> Plan:
+        """The plan of the sessions, which is the same for all."""
         return self.sessions[0].plan
 
     @property
     def settings(self) -> CameraSettings:
+        """Settings of the camera in the first frame."""
         return self.sessions[0].records[0].settings
 
     @property
@@ -64,25 +93,27 @@ class Reference:
 
     @property
     def full_scale(self) -> int:
+        """The greatest raw level of the frames."""
         return full_scale(self.settings.bits)
 
     @property
     def projector(self) -> tuple[tuple[int, int], Lattice]:
+        """Size (width, height) in mirrors and lattice of the projector."""
         return self.sessions[0].projector()
 
     @cached_property
     def patterns(self) -> tuple[Pattern, ...]:
-        """Every pattern of the plan, in the order shown."""
+        """All patterns of the plan, in the order shown."""
         return make_patterns(self.plan, *self.projector)
 
     @cached_property
     def one_of_each_set(self) -> tuple[int, ...]:
-        """The first image of every fringe set."""
+        """Indices of the first image of every fringe set."""
         return tuple(index for index, (_, step, _) in enumerate(self.plan.steps()) if step == 0)
 
     @cached_property
     def finest(self) -> tuple[int, ...]:
-        """Of the finest set along every axis two images a quarter of a period apart: none of both is flat."""
+        """Two images of the finest set along each axis, a quarter of a period apart: not both extreme."""
         wanted = {self.plan.sets_along(axis)[-1] for axis in self.plan.axes}
         return tuple(
             index
@@ -92,7 +123,7 @@ class Reference:
 
     @cached_property
     def finest_spread(self) -> tuple[int, ...]:
-        """Of the finest set along every axis up to `SPREAD` images, evenly over the period."""
+        """Up to `SPREAD` images of the finest set along every axis, evenly spaced over the period."""
         wanted = {self.plan.sets_along(axis)[-1] for axis in self.plan.axes}
         found = []
         for index, (fringes, step, _) in enumerate(self.plan.steps()):
@@ -102,15 +133,50 @@ class Reference:
         return tuple(found)
 
     def shown(self, images: Sequence[int]) -> tuple[Pattern, ...]:
-        """The patterns of some images."""
+        """Give the patterns of some images.
+
+        Parameters
+        ----------
+        images : sequence of int
+            Indices of the images in the plan.
+
+        Returns
+        -------
+        tuple of Pattern
+            In the order of `images`.
+        """
         return tuple(self.patterns[index] for index in images)
 
     def frames(self, pose: int, images: Sequence[int]) -> LevelStack:
-        """Some frames of a pose, float32."""
+        """Read some frames of a pose; their checksums are not verified.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the session.
+        images : sequence of int
+            Indices of the images in the plan.
+
+        Returns
+        -------
+        LevelStack
+            Raw levels (n, h, w), float32.
+        """
         return np.stack([self.sessions[pose].read(i, verify=False) for i in images]).astype(np.float32)
 
     def spread_poses(self, count: int) -> tuple[int, ...]:
-        """So many poses, spread over the depths at which the board was held."""
+        """Choose poses that are evenly spread over the depths of the board.
+
+        Parameters
+        ----------
+        count : int
+            Greatest number of poses.
+
+        Returns
+        -------
+        tuple of int
+            Indices of the poses, from the nearest to the farthest.
+        """
         depths = np.array([pose.translation[2] for pose in self.characterisation.poses])
         order = np.argsort(depths)
         chosen = np.rint(np.linspace(0, len(order) - 1, min(count, len(order)))).astype(int)

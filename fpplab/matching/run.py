@@ -1,4 +1,4 @@
-"""The whole of a matching: from recorded sessions to a twin that runs in every command, and its figures."""
+"""A complete matching: from recorded sessions to a twin that runs in every command, and its figures."""
 
 from __future__ import annotations
 
@@ -13,31 +13,56 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.matching import plausibility
+from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
-from fpplab.matching.judgement import ArtefactJudgement, judge_artefacts
 from fpplab.matching.loss import Weights
-from fpplab.matching.match import EpochObserver, Limits, Matched, match_twin
+from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import Matchable, Parameters, Twin
+from fpplab.simulation.matchable import Matchable, Twin, TwinParameters
 from fpplab.targets import Target
 
 
-def there(nominal: Parameters) -> Parameters:
-    """Begin where the bench's own characterisation is."""
+def unchanged_start(nominal: TwinParameters) -> TwinParameters:
+    """Start from the nominal twin in the geometry of the reference; the default of `MatchingRequest.start`.
+
+    Parameters
+    ----------
+    nominal : TwinParameters
+        Of the twin, with the geometry that the bench's own characterisation found.
+
+    Returns
+    -------
+    TwinParameters
+        The same.
+    """
     return nominal
 
 
 @dataclass(frozen=True)
 class MatchingRequest:
-    """How to match.
+    """What to match, and how.
 
-    board, card: what the twin's fixture calls them. response: the bench's. scans: by item, for the judgement.
-    start: where to begin, given the nominal twin in the geometry that the bench found of itself.
+    Attributes
+    ----------
+    board : str
+        The board, as the twin's fixture calls it.
+    card : str
+        The grey card, as the twin's fixture calls it.
+    response : Response or None
+        Measured on the bench.
+    scans : mapping of str to Session
+        Recorded scans of artefacts by name, for the comparison of bench and twin.
+    weights : Weights
+        Of the loss.
+    limits : MatchingLimits
+        When to stop.
+    start : callable
+        Gives the parameters to start from, given the nominal twin in the geometry of the reference.
     """
 
     board: str = "board"
@@ -45,13 +70,23 @@ class MatchingRequest:
     response: Response | None = None
     scans: Mapping[str, Session] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
-    limits: Limits = field(default_factory=Limits)
-    start: Callable[[Parameters], Parameters] = there
+    limits: MatchingLimits = field(default_factory=MatchingLimits)
+    start: Callable[[TwinParameters], TwinParameters] = unchanged_start
 
 
 @dataclass(frozen=True)
-class Row:
-    """One row of the paper's table: whether geometry and light were refined, whether the response was."""
+class AblationRow:
+    """One row of the paper's table: the loss with and without each part of the matching.
+
+    Attributes
+    ----------
+    refined : bool
+        Whether geometry and light were refined.
+    gamma : bool
+        Whether the response was matched.
+    loss : dict of str to float
+        As `Loss.summary` gives it.
+    """
 
     refined: bool
     gamma: bool
@@ -60,23 +95,45 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class MatchingResult:
-    """Everything a matching found.
+    """Everything that a matching found.
 
-    start: where it began, with the response matched. nominal: the same, but lit as the twin's own file says.
-    before: of the nominal. rows: the paper's table; those with the response only where it was measured.
+    Attributes
+    ----------
+    reference : Reference
+        What the twin was matched to.
+    nominal : TwinParameters
+        The start, with light and response of the twin's own file.
+    start : TwinParameters
+        Where the matching began, with the response matched.
+    gamma : GammaMatch or None
+        Where a response was given.
+    before : TwinEvaluation
+        Of `nominal`.
+    matched : MatchedTwin
+        The result, with its epochs.
+    rows : tuple of AblationRow
+        The paper's table; rows with the response only where it was measured.
+    artefacts : tuple of ArtefactComparison
+        One for each recorded scan.
     """
 
-    bench: Reference
-    nominal: Parameters
-    start: Parameters
+    reference: Reference
+    nominal: TwinParameters
+    start: TwinParameters
     gamma: GammaMatch | None
     before: TwinEvaluation
-    matched: Matched
-    rows: tuple[Row, ...]
-    judgements: tuple[ArtefactJudgement, ...]
+    matched: MatchedTwin
+    rows: tuple[AblationRow, ...]
+    artefacts: tuple[ArtefactComparison, ...]
 
     def summary(self) -> dict[str, Any]:
-        """The figures for a machine to read, as the command line prints them."""
+        """Give the figures as plain data, as the command line prints them.
+
+        Returns
+        -------
+        dict of str to Any
+            The final loss with its parts, epochs, table, explained shares, parameters, poses and artefacts.
+        """
         loss, found = self.matched.final.loss.summary(), self.matched.parameters
         light = {name: getattr(found, name) for name in PLAIN}
         return {
@@ -90,12 +147,19 @@ class MatchingResult:
             "parameters": {**light, "response": found.response.model_dump()},
             "baseline_mm": found.calibration.baseline_mm,
             "poses": self.by_pose(),
-            "artefacts": [one.summary() for one in self.judgements],
+            "artefacts": [one.summary() for one in self.artefacts],
         }
 
     def by_pose(self) -> list[dict[str, Any]]:
-        """Of every pose its name, and `ssim`, `ssim_board`, `epsilon_d_px` with `_before` and `_after`."""
-        before, after = (one.of_poses(self.bench) for one in (self.before, self.matched.final))
+        """Give the figures of every pose before and after the matching.
+
+        Returns
+        -------
+        list of dict of str to Any
+            Of every pose `pose`, its name, and `ssim`, `ssim_board` and `epsilon_d_px`, each with `_before`
+            and `_after`.
+        """
+        before, after = (one.by_pose_name(self.reference) for one in (self.before, self.matched.final))
         return [
             {
                 "pose": name,
@@ -107,10 +171,28 @@ class MatchingResult:
 
 
 def twin_of(rig: Rig, board: str) -> Twin:
-    """The twin behind an open rig. Raises `ConfigError` when it has none."""
+    """Give the twin of an open rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    board : str
+        The board, as the rig's fixture calls it.
+
+    Returns
+    -------
+    Twin
+        Lives as long as the rig is open.
+
+    Raises
+    ------
+    ConfigError
+        The rig has no simulation that can be matched, or its fixture no such board.
+    """
     if not isinstance(rig.simulation, Matchable):
         raise ConfigError(
-            "--twin: its bench cannot be matched, for it is no simulation; name a rig such as rig_twin"
+            "--twin: the rig has no simulation that can be matched; name a rig such as rig_twin"
         )
     return rig.simulation.twin(board)
 
@@ -120,82 +202,125 @@ def match_sessions(
     sessions: Sequence[Session],
     target: Target,
     folder: Path,
-    wanted: MatchingRequest,
+    request: MatchingRequest,
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
 ) -> MatchingResult:
-    """Match the twin to recorded board sessions, and save it in `folder`.
+    """Match the twin to recorded sessions of a board, and save it.
 
-    Goes on where a record in `folder` ends. Raises `ConfigError` and `CalibrationError` that say what does
-    not fit when the twin is not the bench's.
+    Continues where a record in `folder` ends. The twin is left with the matched parameters.
+
+    Parameters
+    ----------
+    twin : Twin
+        Nominal.
+    sessions : sequence of Session
+        Recorded on the bench, one for each pose of the board.
+    target : Target
+        The board.
+    folder : Path
+        Gets the record and the matched twin's `rig.yaml`, `world.yaml` and `calibration.yaml`.
+    request : MatchingRequest
+        What to match, and how.
+    progress : Progress
+        Told the share that is done.
+    observe : EpochObserver
+        Given every epoch as it ends.
+
+    Returns
+    -------
+    MatchingResult
+        Parameters, figures and comparisons.
+
+    Raises
+    ------
+    ConfigError
+        The twin has another camera, projector or board than the bench.
+    CalibrationError
+        The twin does not fit the bench; the message says what differs.
+    DataError
+        A session or the record is damaged, or an artefact does not fit its recorded scan.
     """
     plausibility.check_devices(twin, sessions[0])
     plausibility.check_board(twin, target, "--target")
     nominal = twin.parameters
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
-    plausibility.check_near(found.calibration, nominal.calibration)
-    bench = Reference.of(sessions, target, found, wanted.response)
-    nominal = wanted.start(in_place(nominal, found))
+    plausibility.check_geometry(found.calibration, nominal.calibration)
+    reference = Reference.of(sessions, target, found, request.response)
+    nominal = request.start(with_reference_geometry(nominal, found))
     twin.become(nominal)
     gamma = None
-    if wanted.response is not None:
-        gamma = match_gamma(twin, wanted.response, wanted.card, bench.settings)
+    if request.response is not None:
+        gamma = match_gamma(twin, request.response, request.card, reference.settings)
     start = twin.parameters
     matched = match_twin(
-        bench,
+        reference,
         twin,
         start,
         MatchingRecord(folder),
-        wanted.weights,
-        wanted.limits,
+        request.weights,
+        request.limits,
         progress=lambda share: progress(0.1 + 0.7 * share),
         observe=observe,
     )
-    plausibility.check_alike(matched.final.loss, matched.unexplained)
-    if matched.focused:
-        plausibility.check_sharpness(bench, twin)
+    plausibility.check_similarity(matched.final.loss, matched.unexplained)
+    if matched.refined_focus:
+        plausibility.check_sharpness(reference, twin)
     twin.become(nominal)
-    before = evaluate(bench, twin, wanted.weights)
-    rows = _table(bench, twin, wanted.weights, nominal, before, matched, gamma is not None)
+    before = evaluate(reference, twin, request.weights)
+    rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
     twin.save(folder)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
-    judgements = judge_artefacts(
+    artefacts = compare_artefacts(
         twin,
-        wanted.scans,
+        request.scans,
         found.calibration,
         own.calibration,
         lambda share: progress(0.85 + 0.15 * share),
     )
-    return MatchingResult(bench, nominal, start, gamma, before, matched, rows, tuple(judgements))
+    return MatchingResult(reference, nominal, start, gamma, before, matched, rows, tuple(artefacts))
 
 
-def in_place(nominal: Parameters, found: Characterisation) -> Parameters:
-    """The nominal twin in the geometry that the bench found of itself."""
+def with_reference_geometry(nominal: TwinParameters, found: Characterisation) -> TwinParameters:
+    """Put the twin into the geometry that the bench's own characterisation found.
+
+    Parameters
+    ----------
+    nominal : TwinParameters
+        Of the twin; not changed.
+    found : Characterisation
+        Of the bench.
+
+    Returns
+    -------
+    TwinParameters
+        With calibration (without its RMS values) and poses of `found`.
+    """
     known = found.calibration
     calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {})
     return replace(nominal, calibration=calibration, poses=found.poses)
 
 
 def _table(
-    bench: Reference,
+    reference: Reference,
     twin: Twin,
     weights: Weights,
-    nominal: Parameters,
+    nominal: TwinParameters,
     before: TwinEvaluation,
-    matched: Matched,
+    matched: MatchedTwin,
     gamma: bool,
-) -> tuple[Row, ...]:
-    """The paper's table: before and after, without and with the response."""
-    first, after = Row(False, False, before.loss.summary()), matched.final.loss.summary()
+) -> tuple[AblationRow, ...]:
+    """Fill the paper's table: before and after, without and with the response."""
+    first, after = AblationRow(False, False, before.loss.summary()), matched.final.loss.summary()
     if not gamma:
-        return first, Row(True, False, after)
+        return first, AblationRow(True, False, after)
     twin.become(replace(matched.parameters, response=nominal.response, white=nominal.white))
     return (
         first,
-        Row(False, True, matched.epochs[0].loss),
-        Row(True, False, evaluate(bench, twin, weights).loss.summary()),
-        Row(True, True, after),
+        AblationRow(False, True, matched.epochs[0].loss),
+        AblationRow(True, False, evaluate(reference, twin, weights).loss.summary()),
+        AblationRow(True, True, after),
     )

@@ -1,4 +1,4 @@
-"""What people look at afterwards: pictures, and the page that holds them."""
+"""Reports: figures as PNG, HTML pages that hold them, and the viewer."""
 
 from fpplab.report.page import ScanSection, write_report
 from fpplab.report.scans import scan_section, write_scan_report

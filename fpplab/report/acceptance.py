@@ -1,4 +1,4 @@
-"""The acceptance test as a page: its judgement, every value, and where the errors lie."""
+"""The acceptance test as a page: its result, every value, and maps of the errors."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from fpplab.acceptance import (
     PlaneTest,
     SphereTest,
 )
-from fpplab.report.drawing import FULL, colour_bar, pair, picture, show
+from fpplab.report.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.report.figures import error_limit, error_map
-from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
-from fpplab.report.raster import lay, raster
+from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
+from fpplab.report.raster import raster_of, rasterise
 
 JUDGED = (
     "Quantity",
     "Values",
-    "Error of greatest size in µm",
-    "Standard known to µm",
+    "Largest error in µm",
+    "Uncertainty of the standard in µm",
     "Permissible in µm",
     "Judgement",
 )
 RULE = (
-    "Passed: the error in every position, and what the standard itself is uncertain by, stay within the "
-    "maximum permissible error. Of each feature's points the 3 per mille farthest from the fit are left out."
+    "Passed: in every position the error, together with the uncertainty of the standard, is within the "
+    "maximum permissible error. Of each feature the 3 ‰ of the points farthest from the fit are left out."
 )
 
 
@@ -46,19 +46,32 @@ class _Drawn:
 
     @classmethod
     def of(cls, found: MeasuredFeature) -> tuple[_Drawn, NDArray[np.float32]]:
-        """What was kept, and its signed distances in mm."""
+        """Select the points that were kept, and their signed distances in mm."""
         pixels = None if found.pixels is None else found.pixels[found.kept]
         return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
 
 
 def write_acceptance_report(path: Path, found: Acceptance) -> None:
-    """Write the acceptance test as one HTML file. Raises `DataError` when it cannot be written."""
+    """Write the acceptance test as one HTML file.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    found : Acceptance
+        Result of the test.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
     rule = found.standard.evaluation
     facts = {
         "Standard": found.standard.name,
         "Result": VERDICTS[found.passed],
-        "Method": "in the manner of VDI/VDE 2634 part 2, from single views",
-        "Points that count": f"incidence up to {rule.cap_deg:g}°, {rule.edge_mm:g} mm inside edges",
+        "Method": "following VDI/VDE 2634 part 2, from single views",
+        "Evaluated points": f"incidence up to {rule.cap_deg:g}°, {rule.edge_mm:g} mm inside edges",
     }
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
@@ -113,43 +126,55 @@ def _bar_row(bar: BallBarTest) -> tuple[str, ...]:
 def _bar_section(bar: BallBarTest, number: int) -> ReportSection:
     text = (
         f"{bar.source}: the spheres' centres are {bar.spacing_mm:.4f} mm apart, "
-        f"calibrated {bar.calibrated_mm:.4f} mm. Grey: not measured, or not counted."
+        f"calibrated {bar.calibrated_mm:.4f} mm. Grey: not measured, or not evaluated."
     )
-    caption = "Signed radial distance of every point that counts from its fitted sphere; red lies outside."
-    drawn = Figure.of(sphere_errors(bar.spheres), "Maps of both spheres' signed errors", caption, wide=True)
+    caption = "Signed radial distance of every evaluated point from its fitted sphere; red is outside."
+    drawn = ReportFigure.of(
+        sphere_errors(bar.spheres), "Maps of both spheres' signed errors", caption, wide=True
+    )
     return ReportSection(f"Ball bar, position {number}", text, figures=(drawn,))
 
 
 def _plane_section(plane: PlaneTest, number: int) -> ReportSection:
     text = (
-        f"{plane.source}: {plane.area_mm2:.0f} mm² of the plane count, "
-        f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not counted."
+        f"{plane.source}: {plane.area_mm2:.0f} mm² of the plane are evaluated, "
+        f"{plane.plane.point[2]:.0f} mm from the camera. Grey: not measured, or not evaluated."
     )
-    caption = "Signed distance of every point that counts from the fitted plane; red lies towards the camera."
+    caption = "Signed distance of every evaluated point from the fitted plane; red is towards the camera."
     found, distances = _Drawn.of(plane.measured)
-    drawn = Figure.of(error_map(found, distances), "Map of the plane's signed errors", caption, True)
+    drawn = ReportFigure.of(error_map(found, distances), "Map of the plane's signed errors", caption, True)
     return ReportSection(f"Plane, position {number}", text, figures=(drawn,))
 
 
-@picture
+@as_png
 def sphere_errors(spheres: tuple[SphereTest, SphereTest]) -> Sheet:
-    """Both spheres of a ball bar, coloured alike by their signed errors, without what was discarded.
+    """Draw both spheres of a ball bar, on one colour scale of signed errors, without discarded points.
 
-    The colours span ± the 98th percentile of the absolute error, which is stated.
+    The colours span ± the 98th percentile of the absolute error, which the colour bar states.
+
+    Parameters
+    ----------
+    spheres : tuple of SphereTest
+        Both spheres at one position of the bar.
+
+    Returns
+    -------
+    bytes
+        PNG file.
     """
     drawn = [_Drawn.of(test.measured) for test in spheres]
     limit = error_limit(1e3 * np.concatenate([distances for _, distances in drawn]))
-    sheet, panels = pair(0.44 * FULL, (1.0, 1.0))
+    figure, panels = side_by_side(0.44 * FULL, (1.0, 1.0))
     for axes, test, (found, distances) in zip(panels, spheres, drawn, strict=True):
-        grid = raster(found)
-        laid, extent = lay(grid, 1e3 * distances[:, None])
-        mappable = show(axes, laid[..., 0], "RdBu_r", (-limit, limit), extent)
+        grid = raster_of(found)
+        mapped, extent = rasterise(grid, 1e3 * distances[:, None])
+        mappable = draw_map(axes, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
         axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
         title = f"Sphere {test.number}: PF {test.form_um:.1f} µm, RMS {test.measured.rms_um:.1f} µm"
         axes.set_title(title, fontsize=8.5)
     label = f"signed error in µm (range ±{limit:.3g}, 98 % of points)"
-    colour_bar(sheet, panels[-1], mappable, label)
-    return sheet
+    colour_bar(figure, panels[-1], mappable, label)
+    return figure
 
 
 def _signed(name: str, value: float) -> str:

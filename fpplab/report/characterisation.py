@@ -1,4 +1,4 @@
-"""What a characterisation leaves beyond each device's own errors: epipolar distances, the board's shape."""
+"""Residual errors of a characterisation beyond each device's own: epipolar distances, the board's shape."""
 
 from __future__ import annotations
 
@@ -13,29 +13,52 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation, Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
-from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, blank, colour_bar, map_height, pair, picture
+from fpplab.report.drawing import (
+    ACCENT,
+    FULL,
+    INK,
+    SECOND,
+    as_png,
+    colour_bar,
+    map_height,
+    new_figure,
+    side_by_side,
+)
 
 BINS = 41
 CROWDED = 8
-"""Poses beyond which their names are written aslant."""
+"""Number of poses beyond which their names are rotated."""
 
 EPIPOLAR = (
-    "Distance in the projector's picture between each of its points and where the camera's point can lie "
-    "there, at whatever depth; no board comes into it. Where the mean of one pose is off, something moved "
-    "while it was captured."
+    "Distance in the projector's image between each point and the epipolar line of its camera pixel; it does "
+    "not depend on the board. Where the mean of one pose differs from zero, something moved while that pose "
+    "was captured."
 )
 BOARD = (
-    "The board's shape as refined against the board as drawn; position, turn and scale are taken off. "
+    "Deviation of the refined board from the board as drawn, after removal of position, rotation and scale. "
     "Left: out of its plane, positive away from the viewer. Right: within its plane."
 )
 
 
 def epipolar_distances(observation: Observation, calibration: Calibration) -> Floats:
-    """Signed distance of each point from where its camera pixel lies on the projector, (K,) in px.
+    """Compute the signed distance of each point from its epipolar curve on the projector.
 
-    A camera pixel is a ray, whose image on the projector is a curve (a line without distortion); the
-    distance is that of the projector's point from it, at the depth at which both rays pass nearest, to the
-    right of the direction in which depth moves it. Unlike the errors of each device it needs no board.
+    A camera pixel is a ray, whose image on the projector is a curve (a line without distortion); the distance
+    is that of the projector's point from it, at the depth at which both rays pass nearest, positive to the
+    right of the direction in which depth moves it. Unlike the reprojection errors it does not depend on the
+    board.
+
+    Parameters
+    ----------
+    observation : Observation
+        K points of the board in camera and projector.
+    calibration : Calibration
+        Of both devices.
+
+    Returns
+    -------
+    Floats
+        (K,) in px of the projector.
     """
     pair_of, projector = calibration.T_projector_camera, calibration.projector
     slopes = calibration.camera.normalise(observation.camera_px)
@@ -48,7 +71,7 @@ def epipolar_distances(observation: Observation, calibration: Calibration) -> Fl
 
 
 def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Floats:
-    """Along the camera's rays (K, 3), where they pass nearest to the projector's, (K,) in mm."""
+    """Depths (K,) in mm at which the camera's rays (K, 3) pass nearest to the projector's rays."""
     slopes = calibration.projector.normalise(projector_px)
     turned = np.column_stack([slopes, np.ones(len(slopes))]) @ calibration.T_projector_camera.rotation
     across = np.cross(rays, turned)
@@ -56,53 +79,95 @@ def _depths(rays: Floats, projector_px: Floats, calibration: Calibration) -> Flo
     return np.asarray((away * across).sum(axis=1) / (across**2).sum(axis=1))
 
 
-@picture
-def epipolar(found: Characterisation) -> Figure:
-    """Distances of the projector's points from their epipolar lines in px: all together, and by pose."""
+@as_png
+def epipolar_figure(found: Characterisation) -> Figure:
+    """Draw the epipolar distances of all points as a histogram, and by pose.
+
+    Parameters
+    ----------
+    found : Characterisation
+        With at least one observation.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
     poses = [epipolar_distances(o, found.calibration) for o in found.observations]
     distances = np.concatenate(poses)
     rms = float(np.sqrt(np.mean(distances**2)))
-    figure, (left, right) = pair(2.9, (1.0, 1.5))
+    figure, (left, right) = side_by_side(2.9, (1.0, 1.5))
     reach = max(float(np.percentile(np.abs(distances), 99.5)), 1e-9) * 1.05
     left.hist(distances, np.linspace(-reach, reach, BINS).tolist(), color=ACCENT)
     left.axvline(0, color=INK, linewidth=0.8)
     left.set(xlabel="distance from the epipolar line in px", ylabel="points", xlim=(-reach, reach))
     beyond = int(np.sum(np.abs(distances) > reach))
-    more = f", {beyond} beyond the frame" if beyond else ""
+    more = f", {beyond} outside the plot" if beyond else ""
     left.set_title(f"RMS {rms:.3g} px, {len(distances)} points{more}", fontsize=8.5)
     _by_pose(right, [o.name for o in found.observations], poses, reach)
     return figure
 
 
 def _by_pose(axes: Axes, names: Sequence[str], poses: Sequence[Floats], reach: float) -> None:
-    """Every point as a dot over its pose, with the pose's mean as a line: what moved shows as an offset."""
+    """Draw every point as a dot over its pose, with the mean as a line: motion shows as an offset."""
     for place, distances in enumerate(poses):
         spread = place + 0.3 * np.linspace(-1, 1, len(distances))
         axes.plot(spread, distances, ".", color=ACCENT, markersize=2.5, alpha=0.6)
     places = np.arange(len(poses))
     axes.hlines([d.mean() for d in poses], places - 0.4, places + 0.4, color=SECOND, linewidth=1.6)
     axes.axhline(0, color="#c4c8cc", linewidth=0.6, zorder=0)
-    aslant = len(names) > CROWDED
-    axes.set_xticks(places, names, rotation=35 if aslant else 0, ha="right" if aslant else "center")
+    rotated = len(names) > CROWDED
+    axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
     axes.set(ylabel="distance in px", xlim=(-0.6, len(names) - 0.4), ylim=(-reach, reach))
     axes.set_title("by pose, with its mean", fontsize=8.5)
 
 
 def board_deviation(found: Characterisation) -> tuple[Floats, Floats]:
-    """Of the points seen: where they were drawn, (K, 3) in mm, and how far the refined are off, (K, 3) in µm.
+    """Compute how far the refined board differs from the board as drawn.
 
-    Not counted: how the board is held, and its scale, which no picture can tell from the distance.
-    Raises `DataError` when the board was taken as it is drawn.
+    Position, rotation and scale of the board do not count; no image can tell the scale from the distance.
+
+    Parameters
+    ----------
+    found : Characterisation
+        Whose board was refined.
+
+    Returns
+    -------
+    tuple of Floats
+        Of the K points seen: drawn positions (K, 3) in mm, and deviations (K, 3) in µm.
+
+    Raises
+    ------
+    DataError
+        The board was taken as it is drawn.
     """
     if found.drawn is None:
         raise DataError("the board was taken as it is drawn; there is no shape to show")
     seen = np.unique(np.concatenate([o.ids for o in found.observations]))
     drawn = found.drawn[seen]
-    return drawn, 1e3 * (similar(found.board[seen], drawn) - drawn)
+    return drawn, 1e3 * (align_similarity(found.board[seen], drawn) - drawn)
 
 
-def similar(points: Floats, onto: Floats) -> Floats:
-    """Points (K, 3) turned, moved and scaled to lie on others as nearly as they can (Umeyama, 1991)."""
+def align_similarity(points: Floats, onto: Floats) -> Floats:
+    """Align points with others by the least-squares rotation, translation and scale.
+
+    Parameters
+    ----------
+    points : Floats
+        (K, 3), to be aligned.
+    onto : Floats
+        (K, 3), their counterparts.
+
+    Returns
+    -------
+    Floats
+        The aligned points (K, 3).
+
+    References
+    ----------
+    Umeyama, 1991
+    """
     centre, there = points.mean(axis=0), onto.mean(axis=0)
     u, sizes, vt = np.linalg.svd((onto - there).T @ (points - centre))
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -110,16 +175,29 @@ def similar(points: Floats, onto: Floats) -> Floats:
     return np.asarray(scale * (points - centre) @ ((u * handed) @ vt).T + there)
 
 
-@picture
+@as_png
 def board_shape(found: Characterisation) -> Figure:
-    """The refined board: distance from the drawn plane as a map, displacement within it as arrows.
+    """Draw the refined board: height above the drawn plane as a map, displacement within it as arrows.
 
-    Raises `DataError` when the board was taken as it is drawn.
+    Parameters
+    ----------
+    found : Characterisation
+        Whose board was refined.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The board was taken as it is drawn.
     """
     place, deviation = board_deviation(found)
     (x, y), along, height = place[:, :2].T, deviation[:, :2], deviation[:, 2]
     sides = np.ptp(place[:, :2], axis=0)
-    figure = blank(FULL, map_height((int(sides[1]) + 1, int(sides[0]) + 1), 0.5 * FULL) + 0.4)
+    figure = new_figure(FULL, map_height((int(sides[1]) + 1, int(sides[0]) + 1), 0.5 * FULL) + 0.4)
     left, right = cast(Any, figure.subplots(1, 2))
     limit = max(float(np.abs(height).max()), 1e-9)
     dots = left.scatter(x, y, c=height, s=90, cmap="RdBu_r", vmin=-limit, vmax=limit, edgecolors=INK,

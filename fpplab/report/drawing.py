@@ -1,4 +1,4 @@
-"""How every picture of the report is drawn: the house style, sheets and axes, maps with their colour bars."""
+"""Common style and helpers of all figures: figures and axes, maps, colour bars."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from fpplab.core.errors import DataError
 from fpplab.report.raster import Extent
 
 HALF, FULL = 4.8, 9.6
-"""Widths in inches of pictures that stand in pairs, and alone."""
+"""Widths in inches of figures in two columns, and of the full page."""
 DPI = 160
-FINEST = 1200
-"""Columns beyond which a map is thinned before it is drawn."""
+MAX_COLUMNS = 1200
+"""Columns beyond which a map is subsampled before it is drawn."""
 UNMEASURED = "#b9bcc0"
+"""Colour of what was not measured."""
 INK, ACCENT, SECOND, ALARM = "#22262b", "#1f6f9f", "#c0662b", "#ff3b1f"
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -47,8 +48,19 @@ STYLE: dict[str, Any] = {
 P = ParamSpec("P")
 
 
-def picture(draw: Callable[P, Figure]) -> Callable[P, bytes]:
-    """Draw in the house style and return the PNG file."""
+def as_png(draw: Callable[P, Figure]) -> Callable[P, bytes]:
+    """Decorate a drawing function: apply the common style and return the PNG file.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a matplotlib figure.
+
+    Returns
+    -------
+    callable
+        With the same parameters; returns the bytes of the PNG file, of 256 colours.
+    """
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
@@ -59,7 +71,7 @@ def picture(draw: Callable[P, Figure]) -> Callable[P, bytes]:
 
 
 def _png(figure: Figure) -> bytes:
-    """A PNG of 256 colours: a third of the size, which is what a page of many pictures needs."""
+    """Encode as PNG of 256 colours: a third of the size, for pages of many figures."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     rgb = Pixels.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -68,37 +80,106 @@ def _png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def blank(width: float, height: float) -> Figure:
-    """An empty sheet, in inches. Axes are laid on it by `subplots` or `add_gridspec`."""
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure; axes are added by `subplots` or `add_gridspec`.
+
+    Parameters
+    ----------
+    width, height : float
+        In inches.
+
+    Returns
+    -------
+    Figure
+        With constrained ("compressed") layout.
+    """
     return Figure(figsize=(width, height), dpi=DPI, layout="compressed", facecolor="white")
 
 
-def sheet(width: float, height: float) -> tuple[Figure, Axes]:
-    """A sheet, in inches, with one pair of axes."""
-    figure = blank(width, height)
+def single_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Make a figure with one pair of axes.
+
+    Parameters
+    ----------
+    width, height : float
+        In inches.
+
+    Returns
+    -------
+    tuple of Figure and Axes
+        The figure and its axes.
+    """
+    figure = new_figure(width, height)
     return figure, figure.subplots()
 
 
-def pair(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    """A sheet of full width, `height` in inches, with axes side by side whose widths are as `ratios`."""
-    figure = blank(FULL, height)
+def side_by_side(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
+    """Make a figure of full width with two pairs of axes side by side.
+
+    Parameters
+    ----------
+    height : float
+        In inches.
+    ratios : tuple of float
+        Relative widths of the left and the right axes.
+
+    Returns
+    -------
+    tuple of Figure and tuple of Axes
+        The figure; left and right axes.
+    """
+    figure = new_figure(FULL, height)
     cast(Any, figure.get_layout_engine()).set(wspace=0.05)
     left, right = figure.subplots(1, 2, width_ratios=ratios)
     return figure, (left, right)
 
 
-def map_sheet(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
-    """A sheet of half width for a map of `shape` (h, w)."""
-    return sheet(HALF, map_height(shape, HALF))
+def map_axes(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
+    """Make a figure of half width for a map.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the map, (h, w) or (h, w, C).
+
+    Returns
+    -------
+    tuple of Figure and Axes
+        The figure and its axes.
+    """
+    return single_axes(HALF, map_height(shape, HALF))
 
 
 def map_height(shape: tuple[int, ...], width: float) -> float:
-    """Height of a picture whose map, of `shape` (h, w), leaves room for labels; never a tower."""
+    """Compute the height of a figure for a map, with room for labels; limited to 1.25 of the width.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the map, (h, w) or (h, w, C).
+    width : float
+        Of the figure in inches.
+
+    Returns
+    -------
+    float
+        In inches.
+    """
     return float(np.clip((width - 1.1) * shape[0] / shape[1] + 0.7, 1.8, 1.25 * width))
 
 
 def sensor_axes(axes: Axes, size: tuple[int, int], device: str) -> None:
-    """The whole sensor of a `device` of size (width, height) in px, its first pixel at the upper left."""
+    """Set axes to the whole sensor of a device, its first pixel at the upper left.
+
+    Parameters
+    ----------
+    axes : Axes
+        To be set.
+    size : tuple of int
+        Width and height of the device in px.
+    device : str
+        Name of the device, for the labels.
+    """
     axes.set(
         xlim=(-0.5, size[0] - 0.5),
         ylim=(size[1] - 0.5, -0.5),
@@ -108,7 +189,7 @@ def sensor_axes(axes: Axes, size: tuple[int, int], device: str) -> None:
     )
 
 
-def show(
+def draw_map(
     axes: Axes,
     values: NDArray[Any],
     colours: str | mpl.colors.Colormap,
@@ -116,13 +197,30 @@ def show(
     extent: Extent | None = None,
     background: bool = True,
 ) -> ScalarMappable:
-    """Draw a map [v, u], NaN where not measured, thinned to about `FINEST` columns.
+    """Draw a map, subsampled to about `MAX_COLUMNS` columns.
 
-    limits: of the colours. extent: left, right, bottom and top edge in the units of the axes; the camera's
-    pixels by default. background: colour what is not measured, and name the axes the camera's.
+    Parameters
+    ----------
+    axes : Axes
+        To draw on.
+    values : NDArray
+        Map [v, u], NaN where not measured.
+    colours : str or Colormap
+        Colour map.
+    limits : tuple of float
+        Values of the first and the last colour.
+    extent : Extent, optional
+        Left, right, bottom and top edge in the units of the axes; the camera's pixels by default.
+    background : bool
+        Whether to colour what is not measured, and to label the axes as the camera's.
+
+    Returns
+    -------
+    ScalarMappable
+        For a colour bar.
     """
     height, width = values.shape
-    step = thinning(values.shape)
+    step = display_stride(values.shape)
     if background:
         axes.set_facecolor(UNMEASURED)
         axes.set(xlabel="camera u in px", ylabel="camera v in px")
@@ -136,21 +234,64 @@ def show(
 
 
 def colour_bar(figure: Figure, axes: Axes, mappable: ScalarMappable, label: str) -> mpl.colorbar.Colorbar:
-    """The house's colour bar beside `axes`."""
+    """Add a colour bar beside axes.
+
+    Parameters
+    ----------
+    figure : Figure
+        That holds the axes.
+    axes : Axes
+        Beside which the bar is placed.
+    mappable : ScalarMappable
+        Whose colours are explained.
+    label : str
+        Quantity and unit.
+
+    Returns
+    -------
+    Colorbar
+        The bar.
+    """
     bar = figure.colorbar(mappable, ax=axes, label=label, fraction=0.05, pad=0.02, aspect=28)
     bar.outline.set_visible(False)
     return bar
 
 
-def thinning(shape: tuple[int, ...]) -> int:
-    """Every how many columns of a map of `shape` (h, w) are drawn."""
-    return max(1, -(-shape[1] // FINEST))
+def display_stride(shape: tuple[int, ...]) -> int:
+    """Compute the sampling stride with which a map is drawn.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the map, (h, w).
+
+    Returns
+    -------
+    int
+        At least 1; at most `MAX_COLUMNS` columns remain.
+    """
+    return max(1, -(-shape[1] // MAX_COLUMNS))
 
 
 def value_range(values: Map, least: float, most: float) -> tuple[float, float]:
-    """Two percentiles of what is measured, the second never below the first.
+    """Compute two percentiles of a map, for the limits of its colours.
 
-    Raises `DataError` when nothing is measured.
+    Parameters
+    ----------
+    values : Map
+        NaN where not measured.
+    least, most : float
+        Percentiles, 0 … 100.
+
+    Returns
+    -------
+    tuple of float
+        The second is always greater than the first.
+
+    Raises
+    ------
+    DataError
+        No pixel of the map is measured.
     """
     known = values[np.isfinite(values)]
     if not len(known):

@@ -1,14 +1,14 @@
-"""Pictures of every step of a measurement, as PNG files in memory.
+"""Figures of every step of a measurement, as PNG files in memory.
 
 Maps are drawn as the camera or the projector sees them: u to the right, v down, in px.
-Where nothing was measured the picture is grey. Matplotlib is used through its object
-interface alone, so that drawing neither opens windows nor leaves state behind.
+What was not measured is grey. Matplotlib is used through its object interface only, so that
+drawing neither opens windows nor changes global state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import matplotlib as mpl
@@ -20,58 +20,58 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
 from fpplab.core.errors import DataError
-from fpplab.patterns.response import Response
 from fpplab.report.drawing import (
     ACCENT,
     ALARM,
     FULL,
     INK,
     SECOND,
-    blank,
+    as_png,
     colour_bar,
+    display_stride,
+    draw_map,
+    map_axes,
     map_height,
-    map_sheet,
-    pair,
-    picture,
     sensor_axes,
-    sheet,
-    show,
-    thinning,
+    side_by_side,
+    single_axes,
     value_range,
 )
-from fpplab.report.raster import CloudLike, block_mean, lay, raster
+from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 
 RELIEF_COLUMNS = 760
-"""Columns of a relief: points are averaged to this, which takes the noise out of the normals."""
+"""Columns of a relief: points are averaged to about this number, which reduces the noise of the normals."""
 CONTOUR_COLUMNS = 400
 
 
-class ResponseLike(Protocol):
-    """A response `out = a in^g + b`, both in [0, 1]."""
-
-    @property
-    def a(self) -> float: ...
-    @property
-    def b(self) -> float: ...
-    @property
-    def g(self) -> float: ...
-
-
-@picture
+@as_png
 def camera_image(image: Image, bits: int = 8) -> Figure:
-    """One frame with its saturated pixels marked. image: raw integers [v, u]; bits: their depth."""
+    """Draw one frame with its saturated pixels marked.
+
+    Parameters
+    ----------
+    image : Image
+        Raw integers [v, u].
+    bits : int
+        Bit depth of the frame.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
     full = full_scale(bits)
     saturated = image >= full
-    figure, axes = map_sheet(image.shape)
-    step = thinning(image.shape)
+    figure, axes = map_axes(image.shape)
+    step = display_stride(image.shape)
     bright = max(float(np.percentile(image[::step, ::step], 99.8)), 1.0)
-    mappable = show(axes, image, "gray", (0.0, bright))
+    mappable = draw_map(axes, image, "gray", (0.0, bright))
     share = float(saturated.mean())
     label = f"{saturated.sum():,} saturated pixels ({100 * share:.2g} %)" if share else "no saturated pixels"
     if share:
         marks = cv2.dilate(saturated.astype(np.uint8), np.ones((2 * step + 1,) * 2, np.uint8)) > 0
         overlay = np.where(marks, 1.0, np.nan)
-        show(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
+        draw_map(axes, overlay, mpl.colors.ListedColormap([ALARM]), (0.0, 1.0), background=False)
     axes.legend(
         handles=[Patch(facecolor=ALARM if share else "none", label=label)],
         loc="lower right",
@@ -83,21 +83,50 @@ def camera_image(image: Image, bits: int = 8) -> Figure:
     return figure
 
 
-@picture
+@as_png
 def wrapped_phase_figure(phase: Map) -> Figure:
-    """The phase of one fringe set in rad, [0, 2π), on a cyclic colour map."""
-    figure, axes = map_sheet(phase.shape)
-    bar = colour_bar(figure, axes, show(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
+    """Draw the wrapped phase of one fringe set on a cyclic colour map.
+
+    Parameters
+    ----------
+    phase : Map
+        [v, u] in rad, [0, 2π), NaN where not measured.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, axes = map_axes(phase.shape)
+    bar = colour_bar(figure, axes, draw_map(axes, phase, "twilight", (0.0, TWO_PI)), "wrapped phase in rad")
     bar.set_ticks([0, np.pi / 2, np.pi, 1.5 * np.pi, TWO_PI], labels=["0", "π/2", "π", "3π/2", "2π"])
     return figure
 
 
-@picture
-def coordinate(values: Map, axis: Axis) -> Figure:
-    """The projector's coordinate in px along `axis`, with contour lines."""
-    figure, axes = map_sheet(values.shape)
+@as_png
+def coordinate_map(values: Map, axis: Axis) -> Figure:
+    """Draw a projector coordinate with contour lines.
+
+    Parameters
+    ----------
+    values : Map
+        [v, u] in px of the projector, NaN where not measured.
+    axis : Axis
+        "x" for columns, "y" for rows.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        No pixel of the map is measured.
+    """
+    figure, axes = map_axes(values.shape)
     limits = value_range(values, 0.1, 99.9)
-    mappable = show(axes, values, "viridis", limits)
+    mappable = draw_map(axes, values, "viridis", limits)
     bar = colour_bar(figure, axes, mappable, f"projector {'u' if axis == 'x' else 'v'} in px")
     coarse, (height, width) = block_mean(values, CONTOUR_COLUMNS), values.shape
     levels = mpl.ticker.MaxNLocator(14).tick_values(*limits)
@@ -110,43 +139,98 @@ def coordinate(values: Map, axis: Axis) -> Figure:
     return figure
 
 
-@picture
-def modulation(values: Map) -> Figure:
-    """The fringes' amplitude in grey levels of 255."""
-    figure, axes = map_sheet(values.shape)
-    mappable = show(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
+@as_png
+def modulation_map(values: Map) -> Figure:
+    """Draw the modulation, the amplitude of the fringes.
+
+    Parameters
+    ----------
+    values : Map
+        [v, u] in grey levels of 255, NaN where not measured.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        No pixel of the map is measured.
+    """
+    figure, axes = map_axes(values.shape)
+    mappable = draw_map(axes, values, "inferno", (0.0, value_range(values, 0.0, 99.5)[1]))
     colour_bar(figure, axes, mappable, "modulation in grey levels of 255")
     return figure
 
 
-@picture
-def relief(cloud: CloudLike) -> Figure:
-    """The measured surface under a light from the upper left, as the camera sees it."""
-    grid = raster(cloud)
-    points, extent = lay(grid, cloud.points)
-    figure, axes = map_sheet(points.shape)
-    show(axes, shading(points), "gray", (0.0, 1.0), extent)
+@as_png
+def shaded_relief(cloud: CloudLike) -> Figure:
+    """Draw the measured surface as the camera sees it, illuminated from the upper left.
+
+    Parameters
+    ----------
+    cloud : CloudLike
+        With at least one point.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The cloud has no points.
+    """
+    grid = raster_of(cloud)
+    points, extent = rasterise(grid, cloud.points)
+    figure, axes = map_axes(points.shape)
+    draw_map(axes, shading(points), "gray", (0.0, 1.0), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
     return figure
 
 
-@picture
-def depth(cloud: CloudLike) -> Figure:
-    """Distance from the camera along its axis, in mm."""
-    grid = raster(cloud)
-    laid, extent = lay(grid, cloud.points[:, 2:])
-    figure, axes = map_sheet(laid.shape)
-    mappable = show(axes, laid[..., 0], "viridis_r", value_range(laid, 0.5, 99.5), extent)
+@as_png
+def depth_map(cloud: CloudLike) -> Figure:
+    """Draw the distance of the points from the camera along its axis.
+
+    Parameters
+    ----------
+    cloud : CloudLike
+        With at least one point.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The cloud has no points.
+    """
+    grid = raster_of(cloud)
+    mapped, extent = rasterise(grid, cloud.points[:, 2:])
+    figure, axes = map_axes(mapped.shape)
+    mappable = draw_map(axes, mapped[..., 0], "viridis_r", value_range(mapped, 0.5, 99.5), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
     colour_bar(figure, axes, mappable, "distance z from the camera in mm")
     return figure
 
 
 def shading(points: Map) -> Map:
-    """Brightness in [0, 1] of a lit matt surface, NaN where there is none.
+    """Compute the brightness of an illuminated, slightly glossy surface.
 
-    points: (h, w, 3) in mm of the camera's frame, NaN where not measured. The result is
-    averaged to about `RELIEF_COLUMNS` columns.
+    Parameters
+    ----------
+    points : Map
+        (h, w, 3) in mm of the camera's frame, NaN where not measured.
+
+    Returns
+    -------
+    Map
+        In [0, 1], averaged to about `RELIEF_COLUMNS` columns; NaN where there are no points.
     """
     coarse = block_mean(points, RELIEF_COLUMNS)
     known = np.isfinite(coarse[..., 0])
@@ -164,15 +248,32 @@ def shading(points: Map) -> Map:
     return np.where(known, bright, np.nan).astype(np.float32)
 
 
-@picture
+@as_png
 def error_map(
     cloud: CloudLike, distances_mm: NDArray[np.floating[Any]], counted: Mask | None = None
 ) -> Figure:
-    """The cloud coloured by its signed distance from the true shape, with the distribution.
+    """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these.
 
-    distances_mm: (N,) signed, NaN where a point has no counterpart. counted: (N,), the points
-    that are compared; the others are left out. The colours span ± the 98th percentile of the
-    absolute distance, which is stated. Raises `DataError` when nothing is left to draw.
+    The colours span ± the 98th percentile of the absolute distance, which the colour bar states.
+
+    Parameters
+    ----------
+    cloud : CloudLike
+        N points.
+    distances_mm : NDArray of float
+        (N,) signed, NaN where a point has no counterpart.
+    counted : Mask, optional
+        (N,), the points that are compared; the others are left out.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The numbers of points and distances differ, or no distance is left to draw.
     """
     errors = 1e3 * np.asarray(distances_mm, np.float32)
     if counted is not None:
@@ -180,10 +281,10 @@ def error_map(
     known = errors[np.isfinite(errors)]
     if len(errors) != len(cloud.points) or not len(known):
         raise DataError(f"{len(cloud.points)} points were given with {len(known)} distances; nothing to draw")
-    grid, limit = raster(cloud), error_limit(errors)
-    laid, extent = lay(grid, errors[:, None])
-    figure, (left, right) = pair(map_height(laid.shape, 0.64 * FULL), (2.15, 1.0))
-    mappable = show(left, laid[..., 0], "RdBu_r", (-limit, limit), extent)
+    grid, limit = raster_of(cloud), error_limit(errors)
+    mapped, extent = rasterise(grid, errors[:, None])
+    figure, (left, right) = side_by_side(map_height(mapped.shape, 0.64 * FULL), (2.15, 1.0))
+    mappable = draw_map(left, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
     left.set(xlabel=grid.names[0], ylabel=grid.names[1])
     colour_bar(figure, left, mappable, f"signed error in µm (range ±{limit:.3g}, 98 % of points)")
     _distribution(right, known, limit)
@@ -203,22 +304,52 @@ def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float) -
 
 
 def error_limit(errors: NDArray[np.floating[Any]]) -> float:
-    """Half the symmetric colour range of signed errors: the 98th percentile of what is finite."""
+    """Compute the limit of the symmetric colour range of signed errors.
+
+    Parameters
+    ----------
+    errors : NDArray of float
+        NaN where not known.
+
+    Returns
+    -------
+    float
+        The 98th percentile of the absolute values that are finite; 1 where there are none.
+    """
     known = np.abs(errors[np.isfinite(errors)])
     return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0
 
 
-@picture
+@as_png
 def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], device: str) -> Figure:
-    """Reprojection errors over the sensor as vectors, and as a scatter with its RMS circle.
+    """Draw reprojection errors over the sensor as arrows, and as a scatter plot with their RMS as a circle.
 
-    pixels, errors: (N, 2) in px; size: (width, height) of the `device`, "camera" or "projector".
+    Parameters
+    ----------
+    pixels : Floats
+        (N, 2), where the points are, in px.
+    errors : Floats
+        (N, 2) in px.
+    size : tuple of int
+        Width and height of the device in px.
+    device : str
+        "camera" or "projector".
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        There are no points, or the shapes differ.
     """
     if pixels.shape != errors.shape or not len(pixels):
         raise DataError(f"{device}: {len(errors)} residuals were given for {len(pixels)} pixels")
     length = np.linalg.norm(errors, axis=1)
     rms = float(np.sqrt(np.mean(length**2)))
-    figure, (left, right) = pair(min(map_height(size[::-1], 0.6 * FULL), 0.44 * FULL), (1.6, 1.0))
+    figure, (left, right) = side_by_side(min(map_height(size[::-1], 0.6 * FULL), 0.44 * FULL), (1.6, 1.0))
     sensor_axes(left, size, device)
     left.set_facecolor("white")
     gain = 0.05 * max(size) / max(2.0 * rms, 1e-12)
@@ -235,7 +366,7 @@ def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], devi
         headwidth=3.5,
     )
     left.quiverkey(arrows, 0.86, 1.04, rms * gain, f"{rms:.2g} px", labelpos="E", coordinates="axes")
-    left.set_title(" ", fontsize=8.5)  # makes room for the key
+    left.set_title(" ", fontsize=8.5)  # leaves space for the key
     right.scatter(errors[:, 0], errors[:, 1], s=4, color=ACCENT, alpha=0.35, linewidths=0)
     right.add_patch(Circle((0, 0), rms, fill=False, color=SECOND, linewidth=1.4))
     reach = 1.08 * max(float(np.percentile(length, 99.5)), 1.3 * rms, 1e-12)
@@ -245,18 +376,30 @@ def residuals_figure(pixels: Floats, errors: Floats, size: tuple[int, int], devi
     right.axhline(0, color="#c4c8cc", linewidth=0.6, zorder=0)
     right.axvline(0, color="#c4c8cc", linewidth=0.6, zorder=0)
     beyond = int(np.sum(np.max(np.abs(errors), axis=1) > reach))
-    more = f", {beyond} beyond the frame" if beyond else ""
+    more = f", {beyond} outside the plot" if beyond else ""
     right.set_title(f"RMS {rms:.3g} px (circle), {len(errors)} points{more}", fontsize=8.5)
     return figure
 
 
-@picture
+@as_png
 def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Figure:
-    """Where the board's points lay on a sensor, one colour per pose.
+    """Draw where the board's points were on a sensor, one colour per pose.
 
-    poses: (N, 2) px each; size: (width, height) of the `device`.
+    Parameters
+    ----------
+    poses : sequence of Floats
+        (N, 2) in px for each pose.
+    size : tuple of int
+        Width and height of the device in px.
+    device : str
+        "camera" or "projector".
+
+    Returns
+    -------
+    bytes
+        PNG file.
     """
-    figure, axes = map_sheet(size[::-1])
+    figure, axes = map_axes(size[::-1])
     sensor_axes(axes, size, device)
     axes.set_facecolor("white")
     colours = mpl.colormaps["turbo"](np.linspace(0.05, 0.95, len(poses)))
@@ -269,102 +412,23 @@ def coverage(poses: Sequence[Floats], size: tuple[int, int], device: str) -> Fig
     return figure
 
 
-@picture
-def response_curve(response: ResponseLike, levels: Floats) -> Figure:
-    """Levels measured and fitted, and what remains. levels: (K, 2), in and out, both in [0, 1]."""
-    shown, seen = levels.T
-    axis = np.linspace(0, 1, 200)
-    figure, (left, right) = pair(3.2, (1.3, 1.0))
-    left.plot(
-        axis,
-        response.a * axis**response.g + response.b,
-        color=SECOND,
-        linewidth=1.5,
-        label=_formula(response),
-    )
-    left.plot(shown, seen, "o", color=ACCENT, markersize=4, label="measured")
-    left.set(
-        xlabel="level shown, of full scale",
-        ylabel="level seen, of full scale",
-        xlim=(-0.02, 1.02),
-        ylim=(min(0.0, float(seen.min())), None),
-    )
-    left.legend(loc="upper left")
-    rest = 255 * (seen - (response.a * shown**response.g + response.b))
-    right.axhline(0, color=SECOND, linewidth=1.2)
-    right.vlines(shown, 0, rest, color=ACCENT, linewidth=1.0)
-    right.plot(shown, rest, "o", color=ACCENT, markersize=4)
-    right.set(
-        xlabel="level shown, of full scale",
-        ylabel="measured − fitted, in grey levels of 255",
-        xlim=(-0.02, 1.02),
-    )
-    return figure
-
-
-@picture
-def response_fit(response: Response) -> Figure:
-    """A fitted response: levels with error bars and the curve, the misfit below, regions' exponents beside.
-
-    Error bars span two standard uncertainties each way.
-    Raises `DataError` for a response that does not say what it was fitted to.
-    """
-    if not response.measured or not response.regions:
-        raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
-    shown, seen, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
-    error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
-    figure = blank(FULL, 3.8)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
-    curve, misfit = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
-    axis = np.linspace(0, 1, 200)
-    curve.plot(axis, response.apply(axis), color=SECOND, linewidth=1.5, label=_formula(response))
-    curve.errorbar(
-        shown,
-        seen,
-        error,
-        fmt="o",
-        color=ACCENT,
-        markersize=3.5,
-        label="seen, ± 2 standard uncertainties",
-        capsize=2,
-    )
-    curve.set(ylabel="level seen, of full scale", xlim=(-0.02, 1.02))
-    curve.legend(loc="upper left")
-    misfit.axhline(0, color=SECOND, linewidth=1.2)
-    misfit.errorbar(shown, 255 * rest, 255 * error, fmt="o", color=ACCENT, markersize=3.5, capsize=2)
-    misfit.set(
-        xlabel="level shown, of full scale", ylabel="seen − fitted\nin greys of 255", xlim=(-0.02, 1.02)
-    )
-    _region_exponents(figure.add_subplot(grid[:, 1]), response)
-    return figure
-
-
-def _region_exponents(axes: Axes, response: Response) -> None:
-    """G of every region, with two standard uncertainties, against that of all together."""
-    names = [f"{r.row + 1}, {r.column + 1}" for r in response.regions]
-    place = np.arange(len(names))
-    reach = 2 * response.sigma[2]
-    axes.axvspan(response.g - reach, response.g + reach, color=SECOND, alpha=0.25, linewidth=0)
-    axes.axvline(response.g, color=SECOND, linewidth=1.2)
-    axes.errorbar(
-        [r.g for r in response.regions],
-        place,
-        xerr=[2 * r.sigma_g for r in response.regions],
-        fmt="o",
-        color=ACCENT,
-        markersize=3.5,
-        capsize=2,
-    )
-    axes.set_yticks(place, names)
-    axes.set(xlabel="exponent g of each region", ylabel="region: row, column", ylim=(len(names) - 0.5, -0.5))
-    axes.xaxis.set_major_formatter(mpl.ticker.FormatStrFormatter("%.4f"))
-    axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(4))
-
-
-@picture
+@as_png
 def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Sequence[float]) -> Figure:
-    """RMS reprojection error of each pose in px, camera and projector side by side."""
-    figure, axes = sheet(FULL, 2.6)
+    """Draw the RMS reprojection error of each pose, camera and projector side by side.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the poses.
+    camera_px, projector_px : sequence of float
+        RMS errors in px, one for each pose.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, axes = single_axes(FULL, 2.6)
     place = np.arange(len(names))
     axes.bar(place - 0.2, camera_px, 0.38, color=ACCENT, label="camera")
     axes.bar(place + 0.2, projector_px, 0.38, color=SECOND, label="projector")
@@ -374,31 +438,3 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
     axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return figure
-
-
-@picture
-def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
-    """Levels seen of a marker of uniform greys, frame by frame, and those expected of frames in step.
-
-    shown: (K,) greys in their order. seen: (K,) shares of full scale of each run, NaN where no frame came. A
-    run's levels are expected to rise with the greys, so what is expected are the levels seen, in that order.
-    """
-    figure = blank(FULL, 2.6)
-    sheets = np.atleast_1d(figure.subplots(1, len(seen), sharey=True))
-    for axes, (how, levels) in zip(sheets, seen.items(), strict=True):
-        known = np.flatnonzero(np.isfinite(levels))
-        expected = np.sort(levels[known])[np.argsort(np.argsort(shown[known]))]
-        axes.plot(known, expected, color=SECOND, linewidth=1.2, label="in step")
-        axes.plot(known, levels[known], "o", color=ACCENT, markersize=4, label="seen")
-        astray = known[np.abs(levels[known] - expected) > 0.05 * np.ptp(levels[known])]
-        axes.plot(astray, levels[astray], "o", color=ALARM, markersize=4, label="seen, of another grey")
-        axes.set(xlabel="frame", xlim=(-0.5, len(shown) - 0.5))
-        axes.set_title(how, fontsize=8.5)
-    sheets[0].set(ylabel="level, of full scale")
-    sheets[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=3)
-    return figure
-
-
-def _formula(response: ResponseLike) -> str:
-    sign = "+" if response.b >= 0 else "−"
-    return rf"{response.a:.3f} · level$^{{{response.g:.3f}}}$ {sign} {abs(response.b):.3f}"

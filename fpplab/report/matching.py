@@ -1,4 +1,4 @@
-"""A matching as a page: the paper's table, how the loss fell, what each effect explains, and the images."""
+"""A matching as a page: the paper's table, the loss by epoch, what each effect explains, and images."""
 
 from __future__ import annotations
 
@@ -10,18 +10,29 @@ import numpy as np
 from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
+from fpplab.matching.artefacts import ArtefactComparison
 from fpplab.matching.gamma import GammaMatch
-from fpplab.matching.judgement import ArtefactJudgement
 from fpplab.matching.match import EXPLAINS
 from fpplab.matching.record import MatchingEpoch
 from fpplab.matching.reference import Reference
 from fpplab.matching.run import MatchingResult
-from fpplab.report.drawing import ACCENT, FULL, SECOND, blank, colour_bar, map_height, pair, picture, show
+from fpplab.report.drawing import (
+    ACCENT,
+    FULL,
+    SECOND,
+    as_png,
+    colour_bar,
+    draw_map,
+    map_height,
+    new_figure,
+    side_by_side,
+)
 from fpplab.report.figures import error_map
-from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
+from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]
+"""Image [v, u] in raw levels."""
 
 COLUMNS = ("Refined", "Response", "SSIM", "SSIM over the board", "ε_d in px", "Loss", "Loss over the board")
 SHOWN_POSES = 5
@@ -29,16 +40,31 @@ SHOWN_POSES = 5
 
 
 def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None:
-    """Write the matching as one HTML file; the twin is left matched. Raises `DataError`."""
+    """Write a matching as one HTML file. The twin is left with the matched parameters.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    found : MatchingResult
+        Result of the matching.
+    twin : Twin
+        Renders the images before and after the matching.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written, or a session is damaged.
+    """
     sections = [_epochs_section(found)]
     if found.gamma:
         sections.append(_gamma_section(found.gamma))
     sections += [_poses_section(found), _images_section(found, twin), _parameters_section(found)]
-    sections += [_artefact_section(one) for one in found.judgements]
+    sections += [_artefact_section(one) for one in found.artefacts]
     facts = {
         "Ended": found.matched.ended,
         "Poses": str(len(found.matched.parameters.poses)),
-        "Left unexplained": f"{found.matched.unexplained:.2f} levels RMS over the board",
+        "Unexplained difference": f"{found.matched.unexplained:.2f} levels RMS over the board",
     }
     write_page(path, "Matching of a twin", _summary(found), sections, facts)
 
@@ -54,19 +80,19 @@ def _summary(found: MatchingResult) -> list[ReportTable]:
     )
     tables = [
         ReportTable(
-            COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM), with the twin's noise in its images."
+            COLUMNS, rows, "L = α log(1 + |ε_d|) + β (1 − SSIM); the twin's images contain its noise."
         )
     ]
-    if found.judgements:
+    if found.artefacts:
         judged = tuple(
             (
                 one.item,
-                f"{one.bench_um:.1f}",
+                f"{one.reference_um:.1f}",
                 f"{one.twin_um:.1f}",
                 f"{one.delta_um:+.1f}",
                 f"{one.summary()['delta_percent']:.1f}",
             )
-            for one in found.judgements
+            for one in found.artefacts
         )
         columns = ("Artefact", "Bench in µm", "Twin in µm", "Difference in µm", "Difference in %")
         tables.append(
@@ -76,7 +102,7 @@ def _summary(found: MatchingResult) -> list[ReportTable]:
 
 
 def _epochs_section(found: MatchingResult) -> ReportSection:
-    columns = ("Epoch", "Step", "SSIM", "over the board", "ε_d in px", "Loss", "over the board", "Stands")
+    columns = ("Epoch", "Step", "SSIM", "over the board", "ε_d in px", "Loss", "over the board", "Accepted")
     rows = tuple(
         (
             str(epoch.epoch),
@@ -91,27 +117,38 @@ def _epochs_section(found: MatchingResult) -> ReportSection:
         for epoch in found.matched.epochs
     )
     explained = tuple(
-        (step, f"{100 * share:.1f} %", EXPLAINS.get(step, "a flat board casts none"))
+        (step, f"{100 * share:.1f} %", EXPLAINS.get(step, "a flat board casts no shadow"))
         for step, share in found.matched.explained.items()
     )
     words = ReportTable(
         ("Effect", "Share", "What it is"),
         explained,
-        "Share of the images' mean square difference, as it was before its step, that each effect took away.",
+        "Share of the images' mean square difference before the step of each effect that it removed.",
     )
-    drawn = Figure.of(
+    drawn = ReportFigure.of(
         loss_curve(found.matched.epochs),
         "Loss by epoch",
-        "The loss and its parts, with their spread.",
+        "Loss with its spread over the images, and RMS difference, by epoch. Hollow: rejected epochs.",
         wide=True,
     )
     return ReportSection("Epochs", tables=(ReportTable(columns, rows), words), figures=(drawn,))
 
 
-@picture
+@as_png
 def loss_curve(epochs: Sequence[MatchingEpoch]) -> Sheet:
-    """Loss and 1 - SSIM by epoch with their spread over the images, and ε_d; epochs taken back are hollow."""
-    figure, (left, right) = pair(3.0, (1.4, 1.0))
+    """Draw loss and difference by epoch; rejected epochs are hollow, the band is the spread over the images.
+
+    Parameters
+    ----------
+    epochs : sequence of MatchingEpoch
+        In their order.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, (left, right) = side_by_side(3.0, (1.4, 1.0))
     numbers = [epoch.epoch for epoch in epochs]
     for key, colour, words in (("loss", ACCENT, "whole image"), ("loss_board", SECOND, "over the board")):
         values = np.array([epoch.loss[key] for epoch in epochs])
@@ -142,18 +179,32 @@ def _gamma_section(found: GammaMatch) -> ReportSection:
         for number, epoch in enumerate(found.epochs)
     )
     table = ReportTable(
-        ("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1: W takes the scale."
+        ("Epoch", "W", "a", "b", "g", "Sum of squares"), rows, "a + b = 1; W is the scale of all levels."
     )
-    drawn = Figure.of(
-        gamma_curves(found), "Response by epoch", "Bench and twin by epoch, and what is left.", True
+    drawn = ReportFigure.of(
+        gamma_curves(found),
+        "Response by epoch",
+        "Levels seen by bench and twin by epoch, and their difference.",
+        True,
     )
     return ReportSection("Gamma matching", tables=(table,), figures=(drawn,))
 
 
-@picture
+@as_png
 def gamma_curves(found: GammaMatch) -> Sheet:
-    """Levels seen of the levels shown, of the bench and of the twin in every epoch, and their difference."""
-    figure, (left, right) = pair(3.0, (1.2, 1.0))
+    """Draw the levels seen against the levels shown, of the bench and of the twin in every epoch.
+
+    Parameters
+    ----------
+    found : GammaMatch
+        Result of the gamma matching.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, (left, right) = side_by_side(3.0, (1.2, 1.0))
     for number, epoch in enumerate(found.epochs):
         shade = 0.25 + 0.75 * (number + 1) / len(found.epochs)
         left.plot(found.shown, epoch.levels, "-", color=ACCENT, alpha=shade, label=f"twin, epoch {number}")
@@ -177,58 +228,75 @@ def _poses_section(found: MatchingResult) -> ReportSection:
         for one in found.by_pose()
     )
     columns = ("Pose", *(f"{word} {when}" for word in words for when in ("before", "after")))
-    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.bench)),))
+    return ReportSection("Poses", tables=(ReportTable(columns, rows, _flatness(found.reference)),))
 
 
 def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.4f}"
 
 
-def _flatness(bench: Reference) -> str:
-    """What is asked of a flat twin where the bench's board is not."""
-    found = bench.characterisation
+def _flatness(reference: Reference) -> str:
+    """State how far the bench's board is from flat, since the twin's is flat."""
+    found = reference.characterisation
     if found.drawn is None:
         return "ε_d: the bench's RMS reprojection error less the twin's."
     heights = 1e3 * (found.board[:, 2] - found.drawn[:, 2])
     return (
-        f"The bench's board is out of its plane by {np.sqrt(np.mean(heights**2)):.0f} µm RMS, "
-        f"{np.ptp(heights):.0f} µm from lowest to highest point; the twin's is flat, and differs by so much."
+        f"The bench's board deviates from its plane by {np.sqrt(np.mean(heights**2)):.0f} µm RMS, "
+        f"{np.ptp(heights):.0f} µm from lowest to highest point; the twin's board is flat."
     )
 
 
 def _images_section(found: MatchingResult, twin: Twin) -> ReportSection:
-    bench, figures = found.bench, []
-    images = bench.finest[:1]
-    for pose in bench.spread_poses(SHOWN_POSES):
+    reference, figures = found.reference, []
+    images = reference.finest[:1]
+    for pose in reference.spread_poses(SHOWN_POSES):
         before, after = (
-            _seen(bench, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
+            _seen(reference, twin, at, pose, images) for at in (found.nominal, found.matched.parameters)
         )
-        real = bench.frames(pose, images)[0]
-        name = bench.sessions[pose].path.name
-        caption = f"{name}: the bench, the matched twin; the bench less the twin before and after."
-        figures.append(Figure.of(differences(real, before, after), f"Images of {name}", caption, wide=True))
+        real = reference.frames(pose, images)[0]
+        name = reference.sessions[pose].path.name
+        caption = (
+            f"{name}. Top: the bench and the matched twin. Bottom: the bench less the twin before and after."
+        )
+        figures.append(
+            ReportFigure.of(difference_images(real, before, after), f"Images of {name}", caption, wide=True)
+        )
     return ReportSection("Images", figures=tuple(figures))
 
 
 def _seen(
-    bench: Reference, twin: Twin, parameters: Parameters, pose: int, images: Sequence[int]
+    reference: Reference, twin: Twin, parameters: TwinParameters, pose: int, images: Sequence[int]
 ) -> GreyPicture:
     twin.become(parameters)
-    return np.asarray(twin.expected(pose, bench.shown(images), bench.settings)[0])
+    return np.asarray(twin.expected(pose, reference.shown(images), reference.settings)[0])
 
 
-@picture
-def differences(real: GreyPicture, before: GreyPicture, after: GreyPicture) -> Sheet:
-    """The bench's image and the matched twin's, and the difference before and after, in raw levels."""
-    figure = blank(FULL, 2 * map_height(real.shape, FULL / 2))
+@as_png
+def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture) -> Sheet:
+    """Draw the bench's image, the matched twin's, and the differences before and after the matching.
+
+    Parameters
+    ----------
+    real : GreyPicture
+        Of the reference, in raw levels.
+    before, after : GreyPicture
+        Of the twin, in raw levels.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure = new_figure(FULL, 2 * map_height(real.shape, FULL / 2))
     (a, b), (c, d) = cast(Any, figure.subplots(2, 2))
     bright = max(float(np.percentile(real, 99.8)), 1.0)
     for axes, image, title in ((a, real, "bench"), (b, after, "matched twin")):
-        show(axes, image, "gray", (0.0, bright))
+        draw_map(axes, image, "gray", (0.0, bright))
         axes.set_title(title, fontsize=8.5)
     for axes, image, title in ((c, real - before, "difference before"), (d, real - after, "after")):
         limit = max(float(np.percentile(np.abs(image), 99.5)), 1.0)
-        drawn = show(axes, image, "RdBu_r", (-limit, limit))
+        drawn = draw_map(axes, image, "RdBu_r", (-limit, limit))
         colour_bar(figure, axes, drawn, "levels")
         axes.set_title(title, fontsize=8.5)
     return figure
@@ -239,7 +307,7 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     before, after = found.nominal, found.matched.parameters
 
     def word(value: float | None) -> str:
-        return "sharp" if value is None else f"{value:.4g}"
+        return "sharp at all depths" if value is None else f"{value:.4g}"
 
     rows = [(n, word(getattr(before, n)), word(getattr(after, n))) for n in names]
     rows += [
@@ -251,15 +319,15 @@ def _parameters_section(found: MatchingResult) -> ReportSection:
     return ReportSection("Parameters", tables=(ReportTable(("Parameter", "Before", "Matched"), tuple(rows)),))
 
 
-def _artefact_section(one: ArtefactJudgement) -> ReportSection:
+def _artefact_section(one: ArtefactComparison) -> ReportSection:
     figures = tuple(
-        Figure.of(
+        ReportFigure.of(
             error_map(cloud, comparison.distances_mm, comparison.counted),
             f"Errors of the {who}",
             f"{who.capitalize()}: signed distance from the true shape.",
         )
         for who, cloud, comparison in (
-            ("bench", one.bench_cloud, one.bench),
+            ("bench", one.reference_cloud, one.reference),
             ("twin", one.twin_cloud, one.twin),
         )
     )

@@ -1,4 +1,4 @@
-"""A search as a page: before and after, convergence, the front, each parameter, and maps of error."""
+"""A search as a page: before and after, convergence, Pareto front, each parameter, and maps of the errors."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
-from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, pair, picture, sheet
+from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
 from fpplab.report.figures import error_map
-from fpplab.report.page import Figure, ReportSection, ReportTable, write_page
+from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
 
 DISTANCE = "mean distance to the surface, µm"
-FAINT = "#9aa1a9"
+"""Label of the axes."""
+GREY = "#9aa1a9"
 COLUMNS = (
     "Plan",
     "Images",
@@ -33,7 +34,7 @@ COLUMNS = (
     "Steps",
     "Stage in mm",
     "Surface SMCD in µm",
-    "with other seeds",
+    "Surface SMCD in µm, other seeds",
     "Worst seed",
     "Surface RMS in µm",
     "SMCD (floor) in µm",
@@ -44,17 +45,22 @@ COLUMNS = (
 )
 
 ErrorMaps = Mapping[str, tuple[bytes, bytes]]
-"""Of each artefact the picture of its errors, PNG, with the start's plan and with the one found."""
+"""For each artefact its error maps as PNG files, with the start's plan and with the plan found."""
 
 
 @dataclass(frozen=True)
-class Looks:
-    """What is seen on the rig of a search when it is over.
+class SearchMaps:
+    """What is measured on the rig of a search when it is over.
 
-    angles: of triangulation in degrees, by the stage's position in mm; empty where nothing moves it.
+    Attributes
+    ----------
+    error_maps : ErrorMaps
+        Of every artefact.
+    angles : mapping of float to float
+        Angles of triangulation in degrees by the stage's position in mm; empty where nothing moves it.
     """
 
-    maps: ErrorMaps
+    error_maps: ErrorMaps
     angles: Mapping[float, float]
 
 
@@ -72,23 +78,64 @@ CONFIRMED = (
 
 
 def write_optimisation_report(
-    path: Path, found: SearchResult, confirmed: Sequence[ConfirmedPlan] = (), looks: Looks | None = None
+    path: Path, found: SearchResult, confirmed: Sequence[ConfirmedPlan] = (), maps: SearchMaps | None = None
 ) -> None:
-    """Write a search as one HTML file. Raises `DataError`."""
+    """Write a search as one HTML file.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    found : SearchResult
+        Result of the search.
+    confirmed : sequence of ConfirmedPlan
+        Confirmations on another rig, if there are any.
+    maps : SearchMaps, optional
+        Without it the page has no error maps.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
     sections = [_confirmed_section(confirmed)] if confirmed else []
     sections.append(_convergence_section(found))
     if len(found.front) > 1:
         sections.append(_front_section(found))
-    looks = looks or Looks({}, {})
+    maps = maps or SearchMaps({}, {})
     sections += [
-        _parameter_section(found, looks.angles),
-        *(_map_section(name, *both) for name, both in looks.maps.items()),
+        _parameter_section(found, maps.angles),
+        *(_map_section(name, *both) for name, both in maps.error_maps.items()),
     ]
     write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
 
 
-def look(rig: str, found: SearchResult) -> Looks:
-    """Every artefact measured once more on the rig of the search, before and after. Raises as measuring."""
+def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
+    """Measure every artefact once more on the rig of the search, with the first plan and with the plan found.
+
+    Parameters
+    ----------
+    rig : str
+        Rig file, by path or name; it is opened and closed.
+    found : SearchResult
+        Result of the search.
+
+    Returns
+    -------
+    SearchMaps
+        Error maps with the first seed, and angles of triangulation.
+
+    Raises
+    ------
+    ConfigError
+        The rig cannot take a candidate.
+    DeviceError
+        A device of the rig fails.
+    CalibrationError
+        No calibration fits a candidate's position of the stage, or the study names none.
+    DataError
+        No point of a scan is on the artefact.
+    """
     seed, plans = found.study.seeds[0], (found.start.candidate, found.optimum.candidate)
     candidates = {trial.candidate.stage_mm: trial.candidate for trial in found.trials}
     with closing(RigEvaluator(rig, found.study)) as evaluator:
@@ -96,10 +143,8 @@ def look(rig: str, found: SearchResult) -> Looks:
             name: (_errors(evaluator, name, plans[0], seed), _errors(evaluator, name, plans[1], seed))
             for name in found.study.artefacts
         }
-        angles = {
-            mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None
-        }
-    return Looks(maps, angles)
+        angles = {mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None}
+    return SearchMaps(maps, angles)
 
 
 def _errors(evaluator: RigEvaluator, name: str, candidate: Candidate, seed: int) -> bytes:
@@ -114,14 +159,15 @@ def _facts(found: SearchResult) -> dict[str, str]:
         "Artefacts": ", ".join(found.study.artefacts),
         "Method": found.study.method.kind,
         "Ended": found.ended,
-        "Candidates": f"{len(found.trials)}, with {len(found.study.seeds)} seeds each; {failed} in vain",
+        "Candidates": f"{len(found.trials)}, with {len(found.study.seeds)} seeds each; {failed} failed",
     }
     if found.refused:
         facts["Refused"] = "; ".join(f"{reason} ({count})" for reason, count in found.refused.items())
     if gain := found.gain:
         spread = "" if gain.uncertainty_um is None else f" ± {gain.uncertainty_um:.2g}"
         facts["Gain"] = (
-            f"{gain.down_um:.2f}{spread} µm, {gain.down_percent:.1f} %, with seeds not searched with"
+            f"{gain.down_um:.2f}{spread} µm, {gain.down_percent:.1f} %, "
+            "with seeds that the search did not use"
         )
     return facts
 
@@ -132,8 +178,8 @@ def _summary(found: SearchResult) -> list[ReportTable]:
         rows += [_row(f"front {i}", trial, found) for i, trial in enumerate(found.front, 1)]
     caption = (
         "Means over artefacts and seeds, ± standard deviation over the seeds. Surface SMCD: symmetric mean "
-        "distance between points and true surface. SMCD: the same between points and points, with what a "
-        "perfect measurement would score. Other seeds: those that chose no plan."
+        "distance between points and true surface. SMCD: the same between two sets of points; floor: that of "
+        "a perfect measurement. Other seeds: seeds that the search did not use."
     )
     return [ReportTable(COLUMNS, tuple(rows), caption)]
 
@@ -172,7 +218,7 @@ def _confirmed_section(confirmed: Sequence[ConfirmedPlan]) -> ReportSection:
         parts = (known.gain, known.uncertainty, known.by_repeat, known.by_sample, known.by_calibration)
         means = (f"{_mean_um(figures):.2f}" for figures in (known.before, known.after))
         rows.append((one.plan.name, str(one.images), *means, *(f"{100 * part:.2f} %" for part in parts)))
-    text = f"The artefacts measured on '{confirmed[0].rig}' with the start's plan and with each plan found."
+    text = f"The artefacts, measured on '{confirmed[0].rig}' with the start's plan and with each plan found."
     return ReportSection("Confirmation", text, tables=(ReportTable(CONFIRMED, tuple(rows)),))
 
 
@@ -181,21 +227,32 @@ def _mean_um(measured: Mapping[str, Sequence[ArtefactFigures]]) -> float:
 
 
 def _wide_section(title: str, png: bytes, shows: str, caption: str) -> ReportSection:
-    return ReportSection(title, figures=(Figure.of(png, shows, caption, wide=True),))
+    return ReportSection(title, figures=(ReportFigure.of(png, shows, caption, wide=True),))
 
 
 def _convergence_section(found: SearchResult) -> ReportSection:
     return _wide_section(
         "Convergence",
-        convergence(found),
+        convergence_figure(found),
         "Distance and images by candidate",
-        "Every candidate in the order measured, and the best until then; crosses break a limit.",
+        "Every candidate in the order measured, and the best so far; crosses exceed a limit.",
     )
 
 
-@picture
-def convergence(found: SearchResult) -> Sheet:
-    """Distance, and images if they differ, of every candidate as measured, and of the best until then."""
+@as_png
+def convergence_figure(found: SearchResult) -> Sheet:
+    """Draw distance, and number of images if it differs, of every candidate in order, and of the best so far.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Result of the search.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
     measured = [(i, trial) for i, trial in enumerate(found.trials) if trial.measured]
     best = [(epoch.measured - 1, epoch.best.figures) for epoch in found.epochs]
     names: tuple[tuple[str, Callable[[CandidateFigures], float]], ...] = (
@@ -204,13 +261,13 @@ def convergence(found: SearchResult) -> Sheet:
     )
     panels: tuple[Axes, ...]
     if len({trial.figures.images for _, trial in measured}) > 1:
-        figure, panels = pair(3.0, (1.0, 1.0))
+        figure, panels = side_by_side(3.0, (1.0, 1.0))
         panels[1].yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
-        figure, axes = sheet(FULL, 3.0)
+        figure, axes = single_axes(FULL, 3.0)
         panels = (axes,)
     for axes, (name, value) in zip(panels, names, strict=False):
-        for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
+        for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):
             chosen = [(i, value(t.figures)) for i, t in measured if found.ranking.is_acceptable(t) is keeps]
             axes.plot(*_columns(chosen), mark, color=colour, markersize=3)
         axes.step(*_columns([(i, value(f)) for i, f in best]), where="post", color=ACCENT, linewidth=1.4)
@@ -224,13 +281,13 @@ def _columns(pairs: Sequence[tuple[float, float]]) -> tuple[list[float], list[fl
 
 
 def _from_least(axes: Axes, values: Sequence[float]) -> None:
-    """A scale on which distances of failed plans do not hide the others."""
+    """Set a logarithmic scale where the distances of failed plans would hide the others."""
     if max(values) > 5 * min(values):
         _ratios(axes.yaxis, axes.set_yscale)
 
 
 def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
-    """A logarithmic scale with plain numbers."""
+    """Set a logarithmic scale with plain numbers."""
     scale("log")
     for formatter in (axis.set_major_formatter, axis.set_minor_formatter):
         formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2, 0.7)))
@@ -239,20 +296,31 @@ def _ratios(axis: Axis, scale: Callable[[str], None]) -> None:
 def _front_section(found: SearchResult) -> ReportSection:
     return _wide_section(
         "Pareto front",
-        front(found),
+        pareto_front(found),
         "Front of images and distance",
-        "Plans that no other is better than in everything, with the spread of seeds that chose none of them.",
+        "Plans that no other plan surpasses in both, with the spread over seeds that the search did not use.",
     )
 
 
-@picture
-def front(found: SearchResult) -> Sheet:
-    """Mean distance against images: all candidates, and the front with its spread."""
-    figure, axes = sheet(FULL, 3.6)
+@as_png
+def pareto_front(found: SearchResult) -> Sheet:
+    """Draw mean distance against number of images: all candidates, and the Pareto front with its spread.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Result of the search.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, axes = single_axes(FULL, 3.6)
     measured = [trial for trial in found.trials if trial.measured]
     for keeps, mark, colour, words in (
-        (True, ".", FAINT, "measured"),
-        (False, "x", SECOND, "breaks a limit"),
+        (True, ".", GREY, "measured"),
+        (False, "x", SECOND, "exceeds a limit"),
     ):
         chosen = [
             (t.figures.images, t.figures.surface_smcd_um)
@@ -292,27 +360,53 @@ def _parameter_section(found: SearchResult, angles: Mapping[float, float]) -> Re
     figures = []
     for i, parameter in enumerate(found.space.parameters):
         caption = (
-            f"Every candidate against {parameter.name}, with the spread of its seeds; crosses break a limit."
+            f"Every candidate against {parameter.name}, with the spread over its seeds; "
+            "crosses exceed a limit."
         )
-        figures.append(Figure.of(along(found, i, parameter), f"Distance against {parameter.name}", caption))
+        figures.append(
+            ReportFigure.of(
+                distance_by_parameter(found, i, parameter), f"Distance against {parameter.name}", caption
+            )
+        )
         if parameter.group == "geometry":
             caption = (
-                "What a wider baseline trades: the share of the surface that is measured, which shadow takes "
-                "away, and the RMS of what is measured. Dotted: start, red, and found."
+                "Trade-off of the baseline: share of the surface that is measured, which shadows reduce, and "
+                "RMS distance of the points. Dotted: start (red) and found (blue)."
             )
             along_angle = angles if parameter.name == "stage_mm" else {}
             figures.append(
-                Figure.of(
-                    shadow(found, i, parameter, along_angle), f"Shadow against {parameter.name}", caption
+                ReportFigure.of(
+                    completeness_by_parameter(found, i, parameter, along_angle),
+                    f"Shadow against {parameter.name}",
+                    caption,
                 )
             )
     return ReportSection("Parameters", figures=tuple(figures))
 
 
-@picture
-def shadow(found: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]) -> Sheet:
-    """Completeness and RMS of every candidate against one parameter of the geometry, or its angles."""
-    figure, axes = sheet(HALF, 3.0)
+@as_png
+def completeness_by_parameter(
+    found: SearchResult, i: int, parameter: Parameter, angles: Mapping[float, float]
+) -> Sheet:
+    """Draw completeness and RMS of every candidate against one parameter of the geometry, or its angle.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Result of the search.
+    i : int
+        Index of the parameter in the search space.
+    parameter : Parameter
+        That parameter.
+    angles : mapping of float to float
+        Angle of triangulation in degrees by value of the parameter; empty to draw against the value itself.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, axes = single_axes(HALF, 3.0)
     rms = axes.twinx()
     measured = sorted((t for t in found.trials if t.measured), key=lambda t: t.point[i])
 
@@ -331,12 +425,27 @@ def shadow(found: SearchResult, i: int, parameter: Parameter, angles: Mapping[fl
     return figure
 
 
-@picture
-def along(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
-    """Mean distance of every candidate against one parameter, with the spread over seeds."""
-    figure, axes = sheet(HALF, 3.0)
+@as_png
+def distance_by_parameter(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
+    """Draw the mean distance of every candidate against one parameter, with the spread over seeds.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Result of the search.
+    i : int
+        Index of the parameter in the search space.
+    parameter : Parameter
+        That parameter.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, axes = single_axes(HALF, 3.0)
     measured = [trial for trial in found.trials if trial.measured]
-    for keeps, mark, colour in ((True, ".", FAINT), (False, "x", SECOND)):
+    for keeps, mark, colour in ((True, ".", GREY), (False, "x", SECOND)):
         chosen = [trial for trial in measured if found.ranking.is_acceptable(trial) is keeps]
         axes.errorbar(
             [trial.point[i] for trial in chosen],
@@ -359,7 +468,7 @@ def along(found: SearchResult, i: int, parameter: Parameter) -> Sheet:
 
 def _map_section(name: str, before: bytes, after: bytes) -> ReportSection:
     figures = tuple(
-        Figure.of(
+        ReportFigure.of(
             png, f"Errors of the {name}, {words}", f"{words.capitalize()}: signed distance from the surface."
         )
         for png, words in ((before, "with the start's plan"), (after, "with the plan found"))

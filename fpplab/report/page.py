@@ -1,8 +1,8 @@
-"""The report: one HTML file that says what was measured, how well, and shows it.
+"""The report: one HTML file that says what was measured and how well, and shows it.
 
-Everything is inside the file, pictures included; there are no scripts and nothing is fetched,
-so that it can be mailed, printed and read in ten years. Every section is optional: the same
-function reports a demonstration, a single scan, or a characterisation.
+Everything is inside the file, figures included; it has no scripts and fetches nothing, so that it can be
+mailed, printed and archived. Every section is optional: the same function reports a demonstration, a single
+scan, or a characterisation.
 """
 
 from __future__ import annotations
@@ -27,16 +27,31 @@ from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.filtering import removal
 from fpplab.report import characterisation as devices
-from fpplab.report import figures, uncertainty
+from fpplab.report import figures, response_figures, uncertainty
 
 
 @dataclass(frozen=True, eq=False)
 class ScanSection:
     """What the report shows of one scan.
 
-    name: of the object. images: how many the plan takes. frame: one raw frame of the finest set
-    [v, u], of `bits` depth. wrapped: that set, demodulated. comparison: with the true shape,
-    where it is known.
+    Attributes
+    ----------
+    name : str
+        Of the object.
+    images : int
+        Number of images of the plan.
+    frame : Image
+        One raw frame [v, u] of the finest fringe set.
+    wrapped : Wrapped
+        Wrapped phase of that set.
+    decoded : Decoded
+        Projector coordinates.
+    cloud : Cloud
+        Points.
+    comparison : Comparison or None
+        With the true shape, where it is known.
+    bits : int
+        Bit depth of the frame.
     """
 
     name: str
@@ -50,8 +65,20 @@ class ScanSection:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A picture in the page: PNG as base64, what it shows in words, and its caption."""
+class ReportFigure:
+    """A figure of the page.
+
+    Attributes
+    ----------
+    png : str
+        PNG file as base64.
+    alt : str
+        What the figure shows, for readers without images.
+    caption : str
+        Below the figure.
+    wide : bool
+        Whether it takes the full width of the page.
+    """
 
     png: str
     alt: str
@@ -59,14 +86,43 @@ class Figure:
     wide: bool = False
 
     @classmethod
-    def of(cls, png: bytes, alt: str, caption: str, wide: bool = False) -> Figure:
-        """From the file's bytes."""
+    def of(cls, png: bytes, alt: str, caption: str, wide: bool = False) -> ReportFigure:
+        """Make a figure from a PNG file.
+
+        Parameters
+        ----------
+        png : bytes
+            The file.
+        alt : str
+            What the figure shows.
+        caption : str
+            Below the figure.
+        wide : bool
+            Whether it takes the full width of the page.
+
+        Returns
+        -------
+        ReportFigure
+            With the file as base64.
+        """
         return cls(base64.b64encode(png).decode("ascii"), alt, caption, wide)
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """Rows of text under columns; the first column names the row. words: the others are sentences."""
+    """A table of text.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Heads; the first column names the rows.
+    rows : tuple of tuple of str
+        Cells, as many as columns.
+    caption : str
+        Below the table.
+    words : bool
+        Whether cells hold sentences, which are aligned left and wrapped, instead of figures.
+    """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -76,12 +132,24 @@ class ReportTable:
 
 @dataclass(frozen=True)
 class ReportSection:
-    """One part of the page."""
+    """One section of the page.
+
+    Attributes
+    ----------
+    title : str
+        Heading.
+    text : str
+        Paragraph below the heading.
+    tables : tuple of ReportTable
+        Below the text.
+    figures : tuple of ReportFigure
+        Below the tables.
+    """
 
     title: str
     text: str = ""
     tables: tuple[ReportTable, ...] = ()
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[ReportFigure, ...] = ()
 
 
 def write_report(
@@ -94,11 +162,29 @@ def write_report(
     scans: Sequence[ScanSection] = (),
     when: datetime | None = None,
 ) -> None:
-    """Write the report as one HTML file, whole or not at all.
+    """Write the report as one HTML file. If it fails, an earlier file is unchanged.
 
-    facts: what else the head of the page says (rig, plan, operator). response: the fit and its
-    levels (K, 2), in and out in [0, 1]. when: the time of the measurement; now by default.
-    Raises `DataError` when it cannot be written or there is nothing to draw.
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    title : str
+        Heading of the page.
+    facts : mapping of str to str, optional
+        What the head of the page says besides (rig, plan, operator).
+    response : tuple of Response and Floats, optional
+        The fit, and its levels (K, 2), shown and seen, in [0, 1].
+    characterisation : Characterisation, optional
+        Shown with its residuals.
+    scans : sequence of ScanSection
+        One section each.
+    when : datetime, optional
+        Time of the measurement; now by default.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written, or there is nothing to draw.
     """
     sections = []
     if response:
@@ -117,7 +203,28 @@ def write_page(
     facts: Mapping[str, str] | None = None,
     when: datetime | None = None,
 ) -> None:
-    """Write tables and sections as one HTML file, whole or not at all. Raises `DataError`."""
+    """Write tables and sections as one HTML file. If it fails, an earlier file is unchanged.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    title : str
+        Heading of the page.
+    summary : sequence of ReportTable
+        At the top of the page.
+    sections : sequence of ReportSection
+        In their order.
+    facts : mapping of str to str, optional
+        What the head of the page says besides.
+    when : datetime, optional
+        Time of the measurement; now by default.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
     page = _template().render(
         title=title,
         when=(when or datetime.now().astimezone()).strftime("%Y-%m-%d %H:%M %Z").strip(),
@@ -152,25 +259,24 @@ COMPARED = (
     "Outliers",
 )
 FLOOR = (
-    "The floor is what a perfect measurement, sampled alike, would score for the SMCD; "
-    "the surface figures have none."
+    "SMCD floor: the SMCD of a perfect measurement with the same sampling; the surface figures need no floor."
 )
 SCANNED = ("Scan", "Images", "Points", "Roughness in µm", "Noise in µm")
 ROUGHNESS = (
-    "Roughness: median distance of a point from the quadric through its surroundings. "
+    "Roughness: median distance of a point from the quadric fitted to its neighbours. "
     "Noise: median standard deviation along the ray, as predicted from the fringes."
 )
 CHARACTERISED = (
     "Characterisation",
     "RMS in px",
-    "In poses left out, px",
-    "Fitted apart, px",
+    "Leave-one-out RMS in px",
+    "RMS fitted separately in px",
     "Focal length in px",
     "Principal point in px",
 )
 REPROJECTION = (
-    "RMS: distance between each point of the board and where the model sees it. In poses left out: "
-    "the same, in each pose as seen by the devices fitted to all the others."
+    "RMS: reprojection error of the board's points. Leave-one-out: the same for each pose, with the devices "
+    "fitted to all other poses."
 )
 
 
@@ -182,13 +288,13 @@ def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSect
     compared = tuple(_compared_row(s, s.comparison) for s in scans if s.comparison is not None)
     if compared:
         tables.append(ReportTable(COMPARED, compared, FLOOR))
-    alone = tuple(
+    scanned = tuple(
         (s.name, str(s.images), _count(len(s.cloud)), _roughness(s.cloud), _noise(s.cloud))
         for s in scans
         if s.comparison is None
     )
-    if alone:
-        tables.append(ReportTable(SCANNED, alone, ROUGHNESS))
+    if scanned:
+        tables.append(ReportTable(SCANNED, scanned, ROUGHNESS))
     return tables
 
 
@@ -246,7 +352,9 @@ def _characterisation_section(found: Characterisation) -> ReportSection:
         list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
     )
     pictures = [
-        Figure.of(bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True)
+        ReportFigure.of(
+            bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True
+        )
     ]
     cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
     seen = (
@@ -256,19 +364,22 @@ def _characterisation_section(found: Characterisation) -> ReportSection:
     for device, size, pixels, residuals in seen:
         drawn = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
         caption = (
-            f"Reprojection errors of the {device}, model minus observation: over its pixels, and together."
+            f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
+            "scatter plot."
         )
-        pictures.append(Figure.of(drawn, f"Reprojection errors of the {device}", caption, wide=True))
+        pictures.append(ReportFigure.of(drawn, f"Reprojection errors of the {device}", caption, wide=True))
     for device, size, pixels, _ in seen:
         drawn = figures.coverage(pixels, size, device)
-        caption = f"Where the board's points lay for the {device}, one colour per pose."
-        pictures.append(Figure.of(drawn, f"Points of the board over the {device}'s pixels", caption))
+        caption = f"Where the board's points were on the {device}, one colour per pose."
+        pictures.append(ReportFigure.of(drawn, f"Points of the board over the {device}'s pixels", caption))
     pictures.append(
-        Figure.of(devices.epipolar(found), "Epipolar distances by pose", devices.EPIPOLAR, wide=True)
+        ReportFigure.of(
+            devices.epipolar_figure(found), "Epipolar distances by pose", devices.EPIPOLAR, wide=True
+        )
     )
     if found.drawn is not None:
         shape = devices.board_shape(found)
-        pictures.append(Figure.of(shape, "Shape of the board as refined", devices.BOARD, wide=True))
+        pictures.append(ReportFigure.of(shape, "Shape of the board as refined", devices.BOARD, wide=True))
     joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
     text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
     text += f" Baseline {baseline:.2f} mm."
@@ -290,45 +401,45 @@ def _response_section(response: Response, levels: Floats) -> ReportSection:
     )
 
 
-def _response_figure(response: Response, levels: Floats) -> Figure:
+def _response_figure(response: Response, levels: Floats) -> ReportFigure:
     alt = f"Response of projector and camera, with a fitted exponent of {response.g:.3f}"
     if response.regions:
         caption = (
             "Left: the levels seen and the fitted response; below, seen minus fitted. "
-            "Right: the exponent of each region, beside that of all together."
+            "Right: the exponent of each region, and that of the common fit (band)."
         )
-        return Figure.of(figures.response_fit(response), alt, caption, wide=True)
+        return ReportFigure.of(response_figures.response_fit(response), alt, caption, wide=True)
     caption = "Left: the levels measured and the fitted response. Right: measured minus fitted."
-    return Figure.of(figures.response_curve(response, levels), alt, caption, wide=True)
+    return ReportFigure.of(response_figures.response_curve(response, levels), alt, caption, wide=True)
 
 
 def _scan_section(scan: ScanSection) -> ReportSection:
     name, decoded, cloud = scan.name, scan.decoded, scan.cloud
     phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
     pictures = [
-        Figure.of(
+        ReportFigure.of(
             figures.camera_image(scan.frame, scan.bits),
             f"Camera image of the {name} under the finest fringes",
             "One frame of the finest fringe set.",
         ),
-        Figure.of(
-            figures.modulation(decoded.modulation),
+        ReportFigure.of(
+            figures.modulation_map(decoded.modulation),
             f"Map of the fringes' modulation on the {name}",
             "Modulation: the amplitude of the fringes.",
         ),
-        Figure.of(
+        ReportFigure.of(
             figures.wrapped_phase_figure(phase),
             f"Map of the wrapped phase of the {name}",
             "Wrapped phase of the finest set.",
         ),
         *_coordinates(scan),
-        Figure.of(
-            figures.relief(cloud),
+        ReportFigure.of(
+            figures.shaded_relief(cloud),
             f"Shaded relief of the measured {name}",
-            f"The measured surface, lit from the upper left: {_count(len(cloud))} points.",
+            f"The measured surface, illuminated from the upper left: {_count(len(cloud))} points.",
         ),
-        Figure.of(
-            figures.depth(cloud),
+        ReportFigure.of(
+            figures.depth_map(cloud),
             f"Map of the distance of the {name} from the camera",
             "Distance from the camera along its axis.",
         ),
@@ -340,21 +451,21 @@ def _scan_section(scan: ScanSection) -> ReportSection:
     if (removed := removal(decoded)) is not None:
         share = removed.pop("share")
         rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
-        text += f" Of these the filter removed {_percent(share)} as lying on no surface: {rules}."
+        text += f" Of these the filter removed {_percent(share)} as outliers: {rules}."
     if scan.comparison is not None:
         pictures.append(_error_figure(scan, scan.comparison))
-        text += f" Both devices see {_percent(scan.comparison.visible_share)} of the true shape's surface."
+        text += f" {_percent(scan.comparison.visible_share)} of the true surface is visible to both devices."
     return ReportSection(name[:1].upper() + name[1:], text + " Grey: not measured.", figures=tuple(pictures))
 
 
-def _coordinates(scan: ScanSection) -> list[Figure]:
+def _coordinates(scan: ScanSection) -> list[ReportFigure]:
     maps: tuple[tuple[Axis, Map, str], ...] = (
         ("x", scan.decoded.u, "columns"),
         ("y", scan.decoded.v, "rows"),
     )
     return [
-        Figure.of(
-            figures.coordinate(values, axis),
+        ReportFigure.of(
+            figures.coordinate_map(values, axis),
             f"Map of the projector's {name} as seen on the {scan.name}",
             f"Unwrapped: the projector's {name}, with contour lines.",
         )
@@ -363,26 +474,26 @@ def _coordinates(scan: ScanSection) -> list[Figure]:
     ]
 
 
-def _sigmas(scan: ScanSection) -> list[Figure]:
+def _sigmas(scan: ScanSection) -> list[ReportFigure]:
     cloud = scan.cloud
     if cloud.sigma_noise_mm is None:
         return []
     alt = f"Maps of the standard uncertainty of the points of the {scan.name}"
     drawn, wide = uncertainty.sigma_maps(cloud), cloud.sigma_mm is not None
-    return [Figure.of(drawn, alt, uncertainty.caption(cloud), wide)]
+    return [ReportFigure.of(drawn, alt, uncertainty.sigma_caption(cloud), wide)]
 
 
-def _error_figure(scan: ScanSection, found: Comparison) -> Figure:
+def _error_figure(scan: ScanSection, found: Comparison) -> ReportFigure:
     alt = f"Signed error of the {scan.name}, with its distribution; RMS {_number(found.surface_rms_um)} µm"
     caption = (
-        f"Signed distance of every point that counts from the true surface; red lies outside the "
-        f"true shape. {_count(found.off_part)} points beside it are left out."
+        f"Signed distance of every compared point from the true surface; red is outside the "
+        f"true shape. {_count(found.off_part)} points beside the object are left out."
     )
     drawn = figures.error_map(scan.cloud, found.distances_mm, found.counted)
-    return Figure.of(drawn, alt, caption, wide=True)
+    return ReportFigure.of(drawn, alt, caption, wide=True)
 
 
-# Words
+# Formatting of numbers
 
 NOT_KNOWN = "–"
 

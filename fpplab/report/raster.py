@@ -1,4 +1,4 @@
-"""Points and maps on the raster of a picture."""
+"""Points on the pixel grid of an image, and maps made of them."""
 
 from __future__ import annotations
 
@@ -10,26 +10,43 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 
-STRAYS = 0.5
-"""Per cent of the points on each side that do not widen a picture."""
+OUTLIER_PERCENT = 0.5
+"""Percentage of the points at each side that may lie outside of a map."""
 MARGIN = 0.04
-"""Of the picture's greater side."""
+"""Margin around the points, as a share of the greater side."""
 
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top edge of a map in the units of its axes."""
 
 
 class CloudLike(Protocol):
-    """What is drawn of a cloud: points (N, 3) in mm, and camera pixels (N, 2) or None."""
+    """What the figures need of a cloud."""
 
     @property
-    def points(self) -> NDArray[np.float32]: ...
+    def points(self) -> NDArray[np.float32]:
+        """Points (N, 3) in mm."""
+        ...
+
     @property
-    def pixels(self) -> NDArray[np.int32] | None: ...
+    def pixels(self) -> NDArray[np.int32] | None:
+        """Camera pixels (N, 2), or None."""
+        ...
 
 
 class Raster(NamedTuple):
-    """Where points lie in a picture: their (N,) columns and rows, the origin, pitch and names of its axes."""
+    """Where N points lie on a grid.
+
+    Attributes
+    ----------
+    columns, rows : NDArray of int64
+        (N,).
+    origin : tuple of float
+        Coordinates of column 0 and row 0 in the units of the axes.
+    pitch : float
+        Of columns and rows, in the units of the axes.
+    names : tuple of str
+        Labels of the horizontal and the vertical axis.
+    """
 
     columns: NDArray[np.int64]
     rows: NDArray[np.int64]
@@ -38,10 +55,23 @@ class Raster(NamedTuple):
     names: tuple[str, str]
 
 
-def raster(cloud: CloudLike) -> Raster:
-    """The camera's pixels; for points that have none, a view along the optical axis, in mm.
+def raster_of(cloud: CloudLike) -> Raster:
+    """Put points on the grid of the camera's pixels; without these, on one in mm across the optical axis.
 
-    Raises `DataError` when there are no points.
+    Parameters
+    ----------
+    cloud : CloudLike
+        With at least one point.
+
+    Returns
+    -------
+    Raster
+        Columns and rows of the points.
+
+    Raises
+    ------
+    DataError
+        The cloud has no points.
     """
     if not len(cloud.points):
         raise DataError("the cloud has no points; nothing to draw")
@@ -56,24 +86,47 @@ def raster(cloud: CloudLike) -> Raster:
     return Raster(columns, rows, (left, top), pitch, ("x in mm", "y in mm"))
 
 
-def lay(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
-    """Values (N, C) of points as a map (h, w, C), NaN where there is no point, and the map's extent.
+def rasterise(grid: Raster, values: NDArray[np.float32]) -> tuple[Map, Extent]:
+    """Make a map of values of points.
 
-    The map ends where the points end, a few strays left aside, so that a small object fills it.
+    The map is cropped to the points with a margin, a few outliers left aside, so that a small object fills
+    it.
+
+    Parameters
+    ----------
+    grid : Raster
+        Of N points.
+    values : NDArray of float32
+        (N, C).
+
+    Returns
+    -------
+    tuple of Map and Extent
+        Map (h, w, C), NaN where there is no point, and its extent in the units of the axes.
     """
     left, top, right, bottom = (round(edge) for edge in _box(grid.columns, grid.rows))
     inside = (grid.columns >= left) & (grid.columns <= right) & (grid.rows >= top) & (grid.rows <= bottom)
-    laid = np.full((bottom - top + 1, right - left + 1, values.shape[1]), np.nan, np.float32)
-    laid[grid.rows[inside] - top, grid.columns[inside] - left] = values[inside]
+    mapped = np.full((bottom - top + 1, right - left + 1, values.shape[1]), np.nan, np.float32)
+    mapped[grid.rows[inside] - top, grid.columns[inside] - left] = values[inside]
     x, y = grid.origin
     edges = np.array([left - 0.5, right + 0.5, bottom + 0.5, top - 0.5]) * grid.pitch + [x, x, y, y]
-    return laid, cast(Extent, tuple(edges.tolist()))
+    return mapped, cast(Extent, tuple(edges.tolist()))
 
 
 def block_mean(values: Map, columns: int) -> Map:
-    """Means over square blocks, down to about `columns`, of what is known; NaN where under half is.
+    """Average a map over square blocks.
 
-    values: (h, w) or (h, w, C).
+    Parameters
+    ----------
+    values : Map
+        (h, w) or (h, w, C), NaN where not measured.
+    columns : int
+        Approximate number of columns that remain.
+
+    Returns
+    -------
+    Map
+        Means of what is finite; NaN where less than half of a block is.
     """
     step = max(1, min(round(values.shape[1] / columns), values.shape[0]))
     if step == 1:
@@ -88,8 +141,10 @@ def block_mean(values: Map, columns: int) -> Map:
 
 
 def _box(columns: NDArray[Any], rows: NDArray[Any]) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom of all but the strays, with a margin."""
-    (left, right), (top, bottom) = (np.percentile(c, (STRAYS, 100 - STRAYS)) for c in (columns, rows))
+    """Left, top, right and bottom without outliers, with a margin."""
+    (left, right), (top, bottom) = (
+        np.percentile(c, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT)) for c in (columns, rows)
+    )
     margin = MARGIN * max(right - left, bottom - top)
     return (
         float(max(left - margin, columns.min())),

@@ -1,4 +1,4 @@
-"""A recorded scan as a part of the report, or as a page of its own."""
+"""A recorded scan as a section of the report, or as a page of its own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,24 @@ from fpplab.sessions.session import Session
 
 
 def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:
-    """The pictures of one scan as a page. Raises `DataError` when it cannot be written."""
+    """Write the figures of one scan as an HTML page.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    session : Session
+        The recorded scan.
+    decoded : Decoded
+        Its projector coordinates.
+    cloud : Cloud
+        Its points.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written, or there is nothing to draw.
+    """
     name = session.path.name
     write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
 
@@ -20,7 +37,26 @@ def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Clo
 def scan_section(
     name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
 ) -> ScanSection:
-    """What the report shows of one scan: the finest fringes along the first axis, and the results."""
+    """Make the section of one scan: the finest fringes along the first axis, and the results.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    session : Session
+        The recorded scan.
+    decoded : Decoded
+        Its projector coordinates.
+    cloud : Cloud
+        Its points.
+    comparison : Comparison, optional
+        With the true shape, where it is known.
+
+    Returns
+    -------
+    ScanSection
+        For `write_report`.
+    """
     recording = session.recording(verify=False)
     fringe, frames = recording.finest()
     wrapped = wrapped_phase(frames, fringe)

@@ -1,4 +1,4 @@
-"""What a data set asks of a simulation: any scene, and everything that is true of it.
+"""What the data-set generator asks of a simulation: to arrange any scene, and to give its ground truth.
 
 A rig's simulation that can do so is `Arrangeable`.
 """
@@ -16,9 +16,14 @@ from fpplab.simulation.scene import DatasetScene
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """What stands before the camera. mesh: in mm in the camera's frame; flat ones have two sides.
+    """Ground truth of an arranged scene.
 
-    calibration: the true devices, with the stage where it is.
+    Attributes
+    ----------
+    mesh : trimesh.Trimesh
+        True surface in mm in the camera's frame; flat items are meshes of two sides.
+    calibration : Calibration
+        The true devices, with the stage where it is.
     """
 
     mesh: trimesh.Trimesh
@@ -26,26 +31,87 @@ class SceneTruth:
 
 
 class SceneStudio(Protocol):
-    """A simulation that takes any scene. Raises `ConfigError` for one that it cannot have."""
+    """A simulation in which scenes can be arranged.
+
+    `fpplab dataset` gets one from `Arrangeable.studio`, and then for each scene calls `arrange`, moves the
+    stage, captures through the rig's devices, and asks for `truth` and `world`.
+
+    Examples
+    --------
+    >>> studio = rig.simulation.studio()
+    >>> studio.arrange(scene)
+    >>> mesh = studio.truth().mesh
+    """
 
     def nominal(self) -> dict[str, Any]:
-        """What all scenes share: the world that they are variations of, as plain data."""
+        """Give what all scenes share: the world that they are variations of.
+
+        Called before the first scene, to record it in the data set's card.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain data, as in a world file.
+        """
         ...
 
     def calibration(self, stage_mm: float) -> Calibration:
-        """The true devices with the stage at `stage_mm`."""
+        """Give the true devices at a position of the stage.
+
+        Called while scenes are drawn, to place items in the measuring volume; the stage need not be there.
+
+        Parameters
+        ----------
+        stage_mm : float
+            Position of the stage in mm.
+
+        Returns
+        -------
+        Calibration
+            Without uncertainty.
+        """
         ...
 
     def arrange(self, scene: DatasetScene) -> None:
-        """Stand the scene's item before the devices, in the scene's light. The stage moves as a device."""
+        """Put the scene's item before the devices, in the scene's light.
+
+        Called before each scene is captured; frames that follow show the new scene. The stage is not moved
+        here: the caller moves it as a device.
+
+        Parameters
+        ----------
+        scene : DatasetScene
+            Item, pose, paint, light and noise.
+
+        Raises
+        ------
+        ConfigError
+            The simulation cannot have such a scene.
+        """
         ...
 
     def world(self) -> dict[str, Any]:
-        """The world as it is arranged, as plain data."""
+        """Give the world as it is arranged.
+
+        Called after `arrange`, to record how the scene was made.
+
+        Returns
+        -------
+        dict of str to Any
+            Plain data, as in a world file.
+        """
         ...
 
     def truth(self) -> SceneTruth:
-        """What stands there."""
+        """Give the ground truth of the scene.
+
+        Called after `arrange`, with the stage where it was when the scene was captured.
+
+        Returns
+        -------
+        SceneTruth
+            In the camera's frame.
+        """
         ...
 
 

@@ -1,4 +1,4 @@
-"""What can be matched of a twin, and what a twin can do: the only way from here to a simulation.
+"""The parameters of a twin that can be matched, and the Protocol by which matching reaches a simulation.
 
 A rig's simulation that has a twin is `Matchable`.
 """
@@ -23,26 +23,47 @@ from fpplab.patterns.response import Curve
 from fpplab.targets import Target
 
 ExpectedLevels = NDArray[np.float32]
-"""Raw levels without noise and without rounding, (n, h, w), 0 … full scale, clipped there."""
+"""Raw levels without noise and without rounding, (n, h, w), clipped to 0 … full scale."""
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class TwinParameters:
     """Everything of a twin that matching may change. A parameter that is None is absent from the world.
 
-    Geometry: calibration: both devices and the pose between them. poses: `T_camera_item` of the board.
-
-    Light: white: level above black of a surface that faces the lamp at its distance, relative to what the
-    twin's own file gives: a change of `f_number`, `full_well_e` or `black_level` does not change it (the
-    lamp makes up for it). response: of the projector, with a + b = 1, for white takes the scale. ambient:
-    even light, relative to the projector's white. paper, ink: reflectances of the board's ground and print.
-
-    Sharpness: projector_blur: in mirrors. projector_focus_mm, projector_aperture_mm: as in a world, None:
-    sharp at every depth. camera_focus_mm: None: sharp at every depth. f_number: of the camera's lens.
-    vignetting: exponent of the camera's.
-
-    Noise: black_level: share of full scale. read_noise_e, full_well_e: electrons of the unbinned pixel.
-    vibration_mm: standard deviation of the item's place from frame to frame.
+    Attributes
+    ----------
+    calibration : Calibration
+        Both devices and the pose between them.
+    poses : tuple of RigidTransform
+        `T_camera_item` of the board.
+    white : float
+        Level above black of a surface that faces the lamp at its distance, relative to what the twin's own
+        file gives. A change of `f_number`, `full_well_e` or `black_level` does not change it (the lamp makes
+        up for it).
+    response : Curve
+        Of the projector, with a + b = 1, since `white` takes the scale.
+    ambient : float
+        Even ambient light, relative to the projector's white.
+    paper, ink : float
+        Reflectances of the board's ground and print.
+    projector_blur : float
+        Standard deviation of the projector lens's point spread at its sharpest, in mirrors.
+    projector_focus_mm : float or None
+        Distance in focus of the projector, as in a world file; None: sharp at every depth.
+    projector_aperture_mm : float
+        Diameter of the projector's aperture, as in a world file.
+    camera_focus_mm : float or None
+        Distance in focus of the camera; None: sharp at every depth.
+    f_number : float
+        Of the camera's lens.
+    vignetting : float
+        Exponent n of the camera's loss of light cosⁿ towards the edge.
+    black_level : float
+        Share of full scale.
+    read_noise_e, full_well_e : float
+        Electrons of the unbinned pixel.
+    vibration_mm : float
+        Standard deviation of the item's position from frame to frame.
     """
 
     calibration: Calibration
@@ -63,58 +84,211 @@ class Parameters:
     full_well_e: float
     vibration_mm: float
 
-    def with_pose(self, index: int, pose: RigidTransform) -> Parameters:
-        """The same but for one of the poses."""
+    def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
+        """Replace one of the poses.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        pose : RigidTransform
+            `T_camera_item` of the board.
+
+        Returns
+        -------
+        TwinParameters
+            The same but for that pose.
+        """
         return replace(self, poses=(*self.poses[:index], pose, *self.poses[index + 1 :]))
 
 
 class Twin(Protocol):
-    """A simulation whose parameters can be set. Poses are indices into `parameters.poses`.
+    """A simulation of a board whose parameters can be set.
 
-    Raises `ConfigError` for parameters that no world can have.
+    `fpplab.matching` gets one from `Matchable.twin` and calls its methods from one thread, in any order.
+    Poses are indices into `parameters.poses`; frames and levels are raw, of the bit depth of the settings.
+
+    Examples
+    --------
+    >>> twin.become(dataclasses.replace(twin.parameters, ambient=0.02))
+    >>> levels = twin.expected(0, patterns, settings)
     """
 
     @property
-    def parameters(self) -> Parameters:
-        """As it stands; at first what its own file says."""
+    def parameters(self) -> TwinParameters:
+        """The present parameters; at first those of the twin's own file."""
 
     @property
     def target(self) -> Target:
         """The board, as it is printed."""
 
-    def become(self, parameters: Parameters) -> None:
-        """Go on with these; what does not depend on the change is kept."""
+    def become(self, parameters: TwinParameters) -> None:
+        """Set the parameters; what does not depend on the change is kept.
+
+        Called before every evaluation with other parameters, so it should be fast.
+
+        Parameters
+        ----------
+        parameters : TwinParameters
+            What `self.parameters` gives afterwards.
+
+        Raises
+        ------
+        ConfigError
+            No world can have these parameters.
+        """
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """What the camera sees of the board on average, without noise and vibration."""
+        """Give what the camera sees of the board on average, without noise and vibration.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the pose.
+        patterns : sequence of Pattern
+            That the projector shows, n.
+        settings : CameraSettings
+            Of the camera.
+
+        Returns
+        -------
+        ExpectedLevels
+            (n, h, w).
+        """
 
     def expected_at(
         self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
     ) -> ExpectedLevels:
-        """What `expected` is at these pixels, (n, P), for little more than their share of the time."""
+        """Give what `expected` gives at some pixels, in little more than their share of the time.
+
+        Called by the fits, which compare a sample of the pixels.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the pose.
+        patterns : sequence of Pattern
+            That the projector shows, n.
+        settings : CameraSettings
+            Of the camera.
+        pixels : PixelIndices
+            Rows and columns of P pixels.
+
+        Returns
+        -------
+        ExpectedLevels
+            (n, P).
+        """
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
-        """Frames of the board with the sensor's noise and the item's vibration; another draw each call.
+        """Take frames of the board with the sensor's noise and the item's vibration.
 
-        Vibration counts to first order in the item's displacement.
+        Noise and vibration are drawn anew in each call. Vibration counts to first order in the item's
+        displacement.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the pose.
+        patterns : sequence of Pattern
+            That the projector shows.
+        settings : CameraSettings
+            Of the camera.
+
+        Returns
+        -------
+        list of Image
+            One frame for each pattern.
         """
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        """What the camera sees of another item of the world (a card), where the world has it.
+        """Give what the camera sees of another item of the world, where the world has it, on average.
 
-        Raises `ConfigError` when the world has no such item.
+        Called with a grey card, for gamma matching.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item in the world.
+        patterns : sequence of Pattern
+            That the projector shows, n.
+        settings : CameraSettings
+            Of the camera.
+
+        Returns
+        -------
+        ExpectedLevels
+            (n, h, w).
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
         """
 
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> list[Image]:
-        """Frames, with noise, of an item of the world that is moved to `pose` (T_camera_item)."""
+        """Take frames of an item of the world at another pose, with noise and vibration.
+
+        Called for the comparison with scans of artefacts.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item in the world.
+        pose : RigidTransform
+            `T_camera_item`.
+        patterns : sequence of Pattern
+            That the projector shows.
+        settings : CameraSettings
+            Of the camera.
+
+        Returns
+        -------
+        list of Image
+            One frame for each pattern.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
 
     def mesh(self, item: str) -> trimesh.Trimesh:
-        """The true shape of an item of the world, in its own frame in mm."""
+        """Give the true shape of an item of the world.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item in the world.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            In the item's own frame in mm.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item, or it is flat.
+        """
 
     def save(self, folder: Path) -> Path:
-        """Leave `rig.yaml`, `world.yaml` and `calibration.yaml` in `folder`; the path of the rig file."""
+        """Write `rig.yaml`, `world.yaml` and `calibration.yaml` with the present parameters.
+
+        Called once, with the matched parameters. Afterwards every command accepts the rig file.
+
+        Parameters
+        ----------
+        folder : Path
+            Created where it is missing.
+
+        Returns
+        -------
+        Path
+            Of the rig file.
+        """
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""Simulations whose noise can be told what to follow from: common random numbers for comparisons."""
+"""Simulations with reproducible noise: common random numbers for comparisons."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Seeded(Protocol):
-    """A simulation whose noise follows from numbers that the caller gives.
+    """A simulation whose noise follows from random seeds that the caller gives.
 
-    With the same numbers two candidates of a search differ by themselves and not by their noise.
+    `fpplab optimise` uses it (common random numbers): with the same numbers two candidates of a search differ
+    by their plans and not by the realisation of the noise.
+
+    Examples
+    --------
+    >>> rig.simulation.draw(range(plan.images))
+    >>> frames = list(capture(rig, plan))
     """
 
     def draw(self, numbers: Iterable[int]) -> None:
         """Let the noise of the next frames follow from these numbers and the world's seed.
 
-        Called before the frames are acquired; what was left of earlier numbers is forgotten. Frames beyond
+        Called before frames are acquired. Numbers left over from an earlier call are discarded; frames beyond
         the numbers follow from their own count.
 
         Parameters

@@ -14,7 +14,7 @@ from benchmarks.match import MatchBenchmarkSetup, errors, match_figures, perturb
 from fpplab.core import config
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
-from fpplab.matching.match import Limits
+from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -67,7 +67,7 @@ def results(folder: Path) -> dict[str, Result]:
         scan_plan=plan(folder / "plan_scan.yaml", "x", 3),
         poses=POSES,
         artefacts=("pyramid",),
-        limits=Limits(epochs=EPOCHS),
+        limits=MatchingLimits(epochs=EPOCHS),
         focus_moved_mm=FOCUS_MOVED_MM,
     )
     record(folder, trial)

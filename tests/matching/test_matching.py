@@ -1,4 +1,4 @@
-"""Matching a twin to a bench, where both are the plane twin and the truth is known."""
+"""Matching of a twin to a reference, both simulated by the plane twin, so that the truth is known."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.matching import geometry, light, noise, plausibility
 from fpplab.matching.gamma import match_gamma
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from fpplab.matching.match import shares
+from fpplab.matching.match import explained_shares
 from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve, Response, fit_response
-from fpplab.simulation.matchable import Parameters
+from fpplab.simulation.matchable import TwinParameters
 from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered, moved, nominal, tilted
 
 PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4), Sinusoid(axis="y", stripes=8, steps=4)))
 FACING = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
 
 
-def bench_of(truth: Parameters, seed: int = 1) -> Reference:
-    """What such a bench would have recorded; only its images are asked for."""
+def reference_of(truth: TwinParameters, seed: int = 1) -> Reference:
+    """What a bench with these parameters would have recorded; only its images are used."""
     twin = PlaneTwin(truth, seed)
     sessions = tuple(Remembered.of(twin, PLAN, pose) for pose in range(len(truth.poses)))
     return Reference(cast(Any, sessions), TARGET, cast(Any, _Known(truth)))
@@ -42,27 +42,27 @@ def bench_of(truth: Parameters, seed: int = 1) -> Reference:
 class _Known:
     """A characterisation that knows the poses."""
 
-    def __init__(self, truth: Parameters) -> None:
+    def __init__(self, truth: TwinParameters) -> None:
         self.poses = truth.poses
 
 
 @pytest.fixture(scope="module")
-def truth() -> Parameters:
+def truth() -> TwinParameters:
     return replace(
         nominal(tilted(4)), white=0.9, ink=0.08, ambient=0.03, response=Curve(a=0.92, b=0.08, g=1.03)
     )
 
 
 @pytest.fixture(scope="module")
-def bench(truth: Parameters) -> Reference:
-    return bench_of(truth)
+def reference(truth: TwinParameters) -> Reference:
+    return reference_of(truth)
 
 
 def loss(epsilon_d: float, whole: list[float], board: list[float]) -> Loss:
     return Loss(Weights(), 0.05 + epsilon_d, 0.05, Similarity(np.array(whole), np.array(board)))
 
 
-def test_loss_is_the_papers() -> None:
+def test_loss_agrees_with_the_paper() -> None:
     # The last row of the paper's table: SSIM 0.872 and 0.002 px make 0.103.
     found = loss(0.002, [0.872], [0.872])
     assert found.whole == pytest.approx(0.2 * np.log(1.002) + 0.8 * 0.128, rel=1e-12)
@@ -77,7 +77,7 @@ def test_loss_gives_mean_and_spread_over_the_images() -> None:
     assert summary["loss_spread"] == pytest.approx(0.8 * 0.1)
 
 
-def test_ssim_is_the_standard_one() -> None:
+def test_ssim_agrees_with_scikit_image() -> None:
     random = np.random.default_rng(0)
     a, b = random.integers(0, 255, (2, 60, 80)).astype(np.uint8)
     board = np.zeros((60, 80), bool)
@@ -89,7 +89,7 @@ def test_ssim_is_the_standard_one() -> None:
     assert ssim(a, a, 255, board) == pytest.approx((1.0, 1.0))
 
 
-def test_board_mask_is_the_boards_outline_less_its_margin() -> None:
+def test_board_mask_is_the_projected_outline_less_the_edge_margin() -> None:
     straight = replace(CAMERA, distortion=np.zeros(8))
     focal, (width, height) = 1216 / 450, TARGET.size_mm
     for margin in (0, 4, -3):
@@ -100,15 +100,15 @@ def test_board_mask_is_the_boards_outline_less_its_margin() -> None:
         assert (u.mean(), v.mean()) == pytest.approx((230, 150), abs=0.6)
 
 
-def test_images_put_the_geometry_right(truth: Parameters, bench: Reference) -> None:
-    # Off by a tenth of a pixel, light and all else as it is.
+def test_refinement_by_images_finds_the_geometry(truth: TwinParameters, reference: Reference) -> None:
+    # The start is off by a tenth of a pixel; light and everything else is true.
     start = moved(truth, 0.04, 0.01)
     twin = PlaneTwin(start)
-    held = replace(bench)
+    held = replace(reference)
     for _ in range(2):
-        twin.become(geometry.by_images(held, twin, DistortionModel.K1))
+        twin.become(geometry.refine_by_images(held, twin, DistortionModel.K1))
 
-    def places(parameters: Parameters) -> np.ndarray:
+    def places(parameters: TwinParameters) -> np.ndarray:
         known = parameters.calibration
         seen = [pose.apply(TARGET.points()) for pose in parameters.poses]
         camera = [known.camera.project(points) for points in seen]
@@ -120,63 +120,65 @@ def test_images_put_the_geometry_right(truth: Parameters, bench: Reference) -> N
     assert after < 0.01
 
 
-def test_slopes_of_images_are_those_of_the_twin(truth: Parameters, bench: Reference) -> None:
+def test_jacobian_of_images_agrees_with_the_twin(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(truth)
-    view = geometry._look(bench, twin, truth, 0)
-    slopes = next(view.slopes(truth, 5))
+    view = geometry._residual_of_pose(reference, twin, truth, 0)
+    slopes = next(view.jacobian(truth, 5))
     move = np.zeros(6)
     move[3:] = 0.01, -0.01, 0.02
-    there = geometry._turned(geometry.vectors_of(truth.poses[0]), move)
+    there = geometry._perturbed(geometry.vectors_of(truth.poses[0]), move)
     twin.become(replace(truth, poses=(geometry.transform(there), *truth.poses[1:])))
-    first = bench.finest_spread[:1]
-    change = twin.expected_at(0, bench.shown(first), SETTINGS, view.pixels)[0] - view.expected[0]
-    looked_at = view.by_place[0].any(axis=-1)
+    first = reference.finest_spread[:1]
+    change = twin.expected_at(0, reference.shown(first), SETTINGS, view.pixels)[0] - view.expected[0]
+    looked_at = view.level_gradient[0].any(axis=-1)
     predicted = slopes[:, 16:22] @ move
     rest = (change - predicted)[looked_at]
-    # The plane twin looks mirrors up bilinearly, so its slopes jump from mirror to mirror.
+    # The plane twin interpolates mirrors bilinearly, so its derivatives jump from mirror to mirror.
     assert np.std(rest) < 0.1 * np.std(change[looked_at])
 
 
-def test_where_the_board_was_when_an_image_was_taken_is_found(truth: Parameters, bench: Reference) -> None:
-    """Though it was displaced by a third of a pixel, over which an edge's level is no straight line."""
+def test_displacement_of_the_board_in_one_image_is_found(truth: TwinParameters, reference: Reference) -> None:
+    """A displacement of a third of a pixel, over which the level of an edge is not linear."""
     twin, move = PlaneTwin(replace(truth, vibration_mm=0.05)), np.array([0.06, -0.04, 0.03])
-    view = geometry._look(bench, twin, twin.parameters, 0)
-    slopes = next(view.slopes(truth, 5))[:, 2 * 5 + 6 + 3 :]
-    there = geometry._turned(geometry.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
+    view = geometry._residual_of_pose(reference, twin, twin.parameters, 0)
+    slopes = next(view.jacobian(truth, 5))[:, 2 * 5 + 6 + 3 :]
+    there = geometry._perturbed(geometry.vectors_of(truth.poses[0]), np.append(np.zeros(3), move))
     twin.become(replace(truth, poses=(geometry.transform(there), *truth.poses[1:])))
-    seen = twin.expected_at(0, bench.shown(view.images[:1]), SETTINGS, view.pixels)[0]
-    view.residual[0] = np.where(view.clear[0], seen - view.expected[0], 0.0)
-    own, left = geometry._shaken(bench, twin, replace(truth, vibration_mm=0.05), view, 0, slopes)
+    seen = twin.expected_at(0, reference.shown(view.images[:1]), SETTINGS, view.pixels)[0]
+    view.residual[0] = np.where(view.valid[0], seen - view.expected[0], 0.0)
+    own, left = geometry._remove_vibration(
+        reference, twin, replace(truth, vibration_mm=0.05), view, 0, slopes
+    )
     assert np.all(np.abs(own - move) < [2e-3, 2e-3, 0.02])  # depth is known the least
     assert np.std(left) < 0.1 * np.std(view.residual[0])
 
 
-def test_light_is_found(truth: Parameters, bench: Reference) -> None:
+def test_light_is_found(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(replace(truth, white=1.0, ink=0.05, ambient=0.01, projector_blur=0.9))
-    looked = light.samples(bench, truth, (0, 2), bench.finest)
-    found = light.fit_light(bench, twin, ("white", "ink", "ambient", "projector_blur"), looked)
+    samples = light.sample_pixels(reference, truth, (0, 2), reference.finest)
+    found = light.fit_light(reference, twin, ("white", "ink", "ambient", "projector_blur"), samples)
     assert found.white == pytest.approx(truth.white, rel=2e-3)
     assert found.ink == pytest.approx(truth.ink, rel=0.01)
     assert found.ambient == pytest.approx(truth.ambient, abs=2e-3)
     assert found.projector_blur == pytest.approx(truth.projector_blur, abs=0.03)
 
 
-def test_noise_is_found(truth: Parameters) -> None:
+def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
-    found = noise.match_noise(bench_of(noisy, 4), twin, (0, 1, 3))
-    # In the picture's plane four frames of three poses have 18 degrees of freedom: 17 % is one deviation.
+    found = noise.match_noise(reference_of(noisy, 4), twin, (0, 1, 3))
+    # In the image plane four frames of three poses have 18 degrees of freedom: 17 % is one deviation.
     assert found.vibration_mm == pytest.approx(0.01, rel=0.5)
     assert found.full_well_e == pytest.approx(4000.0, rel=0.3)
     assert twin.parameters is truth
 
 
-def test_a_knob_stops_at_what_a_world_can_have() -> None:
-    knob = light.KNOBS["paper"]
-    assert knob.read(knob.turned(nominal(()), 1.7)) == 1.0
+def test_an_adjustable_parameter_is_clipped_to_its_range() -> None:
+    knob = light.ADJUSTABLE["paper"]
+    assert knob.read(knob.with_value(nominal(()), 1.7)) == 1.0
 
 
-def response_of(truth: Parameters) -> Response:
+def response_of(truth: TwinParameters) -> Response:
     twin, shown = PlaneTwin(truth), np.linspace(0, 1, 6)
     from fpplab.patterns.fringes import uniform_patterns
 
@@ -187,7 +189,7 @@ def response_of(truth: Parameters) -> Response:
     return fit_response(np.rint(255 * shown) / 255, seen).model_copy(update={"dark": (dark, 1e-4)})
 
 
-def test_gamma_is_matched(truth: Parameters) -> None:
+def test_gamma_is_matched(truth: TwinParameters) -> None:
     twin = PlaneTwin(nominal(truth.poses))
     found = match_gamma(twin, response_of(truth), "grey_card", SETTINGS)
     summary = found.summary()
@@ -198,7 +200,7 @@ def test_gamma_is_matched(truth: Parameters) -> None:
     assert twin.parameters is found.parameters
 
 
-def test_gamma_of_something_else_is_refused(truth: Parameters) -> None:
+def test_a_response_that_the_twin_cannot_have_is_refused(truth: TwinParameters) -> None:
     response = response_of(truth)
     odd = [
         level.model_copy(update={"seen": 0.5 + 0.05 * (-1) ** k}) for k, level in enumerate(response.measured)
@@ -225,14 +227,14 @@ def epoch(step: str, difference: float, accepted: bool = True) -> MatchingEpoch:
     )
 
 
-def test_shares_count_from_what_was_left_before() -> None:
+def test_explained_shares_refer_to_the_difference_before_the_step() -> None:
     steps = [
         epoch("start", 4.0),
         epoch("depth of field", 2.0),
         epoch("vignetting", 3.0, False),
         epoch("ambient light", 1.0),
     ]
-    found = shares(steps)
+    found = explained_shares(steps)
     assert found["depth of field"] == pytest.approx(0.75)
     assert found["vignetting"] == 0.0
     assert found["ambient light"] == pytest.approx(0.75)
@@ -246,7 +248,7 @@ def test_one_pose_is_replaced_among_the_others() -> None:
     assert known.poses == poses
 
 
-def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) -> None:
+def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: TwinParameters) -> None:
     record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
     record.add(epoch("points", 3.0).model_copy(update={"parameters": ParametersFile.of(truth)}))
@@ -259,7 +261,7 @@ def test_epochs_are_read_back_as_they_were(tmp_path: Path, truth: Parameters) ->
     assert (found.ink, found.camera_focus_mm) == (truth.ink, None)
 
 
-def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
+def test_an_incomplete_last_line_is_ignored(tmp_path: Path) -> None:
     record = MatchingRecord(tmp_path)
     record.add(epoch("start", 4.0))
     with (tmp_path / EPOCHS).open("ab") as stream:
@@ -269,21 +271,21 @@ def test_a_torn_epoch_was_not_recorded(tmp_path: Path) -> None:
     assert [e.step for e in record.read()] == ["start", "points"]
 
 
-def test_a_damaged_record_is_named(tmp_path: Path) -> None:
+def test_a_damaged_record_names_its_line(tmp_path: Path) -> None:
     (tmp_path / EPOCHS).write_text('{"epoch": -1}\n')
     with pytest.raises(DataError, match="line 1: is no epoch"):
         MatchingRecord(tmp_path).read()
 
 
-def test_another_camera_is_told(truth: Parameters, bench: Reference) -> None:
+def test_another_camera_is_refused(truth: TwinParameters, reference: Reference) -> None:
     known = truth.calibration
     small = replace(known.camera, size=(228, 152))
     twin = PlaneTwin(replace(truth, calibration=replace(known, camera=small)))
     with pytest.raises(ConfigError, match="456 x 304 pixels, the twin's 228 x 152"):
-        plausibility.check_devices(twin, bench.sessions[0])
+        plausibility.check_devices(twin, reference.sessions[0])
 
 
-def test_another_board_is_told(truth: Parameters) -> None:
+def test_another_board_is_refused(truth: TwinParameters) -> None:
     other = config.validate(
         {**TARGET.model_dump(mode="json", exclude_none=True), "spacing_mm": [4.4, 9]}, type(TARGET), "other"
     )
@@ -298,35 +300,35 @@ def scaled(known: Calibration, factor: float) -> Calibration:
     return replace(known, T_projector_camera=RigidTransform(pair.rotation, factor * pair.translation))
 
 
-def test_a_board_of_another_pitch_is_told_by_the_baseline(truth: Parameters) -> None:
+def test_a_board_of_another_pitch_is_detected_by_the_baseline(truth: TwinParameters) -> None:
     known = truth.calibration
-    plausibility.check_near(scaled(known, 1.05), known)
+    plausibility.check_geometry(scaled(known, 1.05), known)
     with pytest.raises(CalibrationError, match=r"the baseline is .* another pitch"):
-        plausibility.check_near(scaled(known, 1.2), known)
+        plausibility.check_geometry(scaled(known, 1.2), known)
 
 
-def test_a_focus_that_moved_is_told(truth: Parameters, bench: Reference) -> None:
-    plausibility.check_sharpness(bench, PlaneTwin(truth))
+def test_a_focus_that_moved_is_refused(truth: TwinParameters, reference: Reference) -> None:
+    plausibility.check_sharpness(reference, PlaneTwin(truth))
     blurred = PlaneTwin(replace(truth, camera_focus_mm=400.0, f_number=3.0), 2)
-    sessions = (*bench.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
+    sessions = (*reference.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
     with pytest.raises(
-        CalibrationError, match=r"pose_03: its edges are .* softer .* the bench's focus moved"
+        CalibrationError, match=r"pose_03: its edges are .* softer, .* the bench's focus moved"
     ):
-        plausibility.check_sharpness(replace(bench, sessions=sessions), PlaneTwin(truth))
+        plausibility.check_sharpness(replace(reference, sessions=sessions), PlaneTwin(truth))
 
 
-def test_a_lens_that_softens_all_poses_alike_is_no_focus_that_moved(
-    truth: Parameters, bench: Reference
-) -> None:
+def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: Reference) -> None:
     twin = PlaneTwin(truth, 2)
-    seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(bench.sessions))]
+    seen = [Remembered.of(twin, PLAN, pose) for pose in range(len(reference.sessions))]
     blurred = [replace(s, images=[cv2.GaussianBlur(i, (0, 0), 1.0) for i in s.images]) for s in seen]
-    softer = replace(bench, sessions=cast(Any, tuple(blurred)))
-    assert plausibility.edge_contrast(softer, PlaneTwin(truth)).max() < 1 - plausibility.SHARPER
+    softer = replace(reference, sessions=cast(Any, tuple(blurred)))
+    assert (
+        plausibility.edge_contrast(softer, PlaneTwin(truth)).max() < 1 - plausibility.MAX_CONTRAST_DIFFERENCE
+    )
     plausibility.check_sharpness(softer, PlaneTwin(truth))
 
 
-def test_an_end_that_is_no_match_is_refused() -> None:
-    plausibility.check_alike(loss(0.0, [0.99], [0.95]), 1.0)
-    with pytest.raises(CalibrationError, match=r"does not become the bench: SSIM over the board is 0.500"):
-        plausibility.check_alike(loss(0.0, [0.99], [0.5]), 20.0)
+def test_a_result_of_low_similarity_is_refused() -> None:
+    plausibility.check_similarity(loss(0.0, [0.99], [0.95]), 1.0)
+    with pytest.raises(CalibrationError, match=r"does not match the bench: SSIM over the board is 0.500"):
+        plausibility.check_similarity(loss(0.0, [0.99], [0.5]), 20.0)

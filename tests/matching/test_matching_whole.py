@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpplab.matching.match import Limits
+from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.report.matching import write_matching_report
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import Parameters
+from fpplab.simulation.matchable import TwinParameters
 from tests.support.plane_twin import TARGET, PlaneTwin, nominal, record, tilted
 
 PLAN = Plan(
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 @dataclass(frozen=True)
 class Matching:
-    truth: Parameters
+    truth: TwinParameters
     sessions: list[Session]
     folder: Path
     outcome: MatchingResult
@@ -50,12 +50,12 @@ def matching(tmp_path_factory: pytest.TempPathFactory) -> Matching:
     )
     sessions = record(PlaneTwin(truth, 1), PLAN, folder / "board")
     twin = PlaneTwin(nominal(()), 7)
-    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS))
+    wanted = MatchingRequest(limits=MatchingLimits(epochs=EPOCHS))
     outcome = match_sessions(twin, sessions, TARGET, folder / "matched", wanted)
     return Matching(truth, sessions, folder / "matched", outcome, twin)
 
 
-def test_the_twin_becomes_the_bench(matching: Matching) -> None:
+def test_the_twin_matches_the_reference(matching: Matching) -> None:
     summary = matching.outcome.summary()
     assert summary["ssim_board"] > 0.95
     assert summary["ssim"] > 0.95
@@ -76,23 +76,23 @@ def test_every_pose_has_its_figures(matching: Matching) -> None:
         assert all(abs(one[f"epsilon_d_px_{when}"]) < 0.1 for one in summary["poses"])
 
 
-def test_light_is_the_benchs(matching: Matching) -> None:
+def test_light_of_the_reference_is_found(matching: Matching) -> None:
     found, truth = matching.outcome.matched.parameters, matching.truth
     assert found.white == pytest.approx(truth.white, rel=0.02)
     assert found.ink == pytest.approx(truth.ink, rel=0.05)
     assert found.ambient == pytest.approx(truth.ambient, abs=0.01)
 
 
-def test_every_epoch_is_on_disk_and_the_twin_beside_it(matching: Matching) -> None:
+def test_epochs_and_twin_are_saved(matching: Matching) -> None:
     epochs = MatchingRecord(matching.folder).read()
     assert [e.step for e in epochs][:4] == ["start", "points", "light", "ambient light"]
     assert len(epochs) == EPOCHS + 1
     assert (matching.folder / "calibration.yaml").is_file()
 
 
-def test_a_matching_goes_on_where_it_ended(matching: Matching) -> None:
+def test_a_matching_continues_from_its_record(matching: Matching) -> None:
     before = len(MatchingRecord(matching.folder).read())
-    wanted = MatchingRequest(limits=Limits(epochs=EPOCHS + 1))
+    wanted = MatchingRequest(limits=MatchingLimits(epochs=EPOCHS + 1))
     again = match_sessions(PlaneTwin(nominal(()), 8), matching.sessions, TARGET, matching.folder, wanted)
     epochs = MatchingRecord(matching.folder).read()
     assert len(epochs) == before + 1
@@ -100,7 +100,7 @@ def test_a_matching_goes_on_where_it_ended(matching: Matching) -> None:
     assert again.matched.ended == f"after {EPOCHS + 1} epochs"
 
 
-def test_the_report_shows_it(matching: Matching, tmp_path: Path) -> None:
+def test_report_of_a_matching(matching: Matching, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     write_matching_report(page, matching.outcome, matching.twin)
     text = page.read_text()

@@ -22,7 +22,7 @@ from fpplab.patterns.response_fit import (
     rounding_variance,
     statistics,
 )
-from fpplab.report.figures import response_fit
+from fpplab.report.response_figures import response_fit
 
 SHAPE = (60, 90)
 SHOWN = np.linspace(0, 1, 16)

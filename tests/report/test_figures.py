@@ -1,4 +1,4 @@
-"""Pictures show what they are given: colours, marks, light and ranges are read back from the PNG."""
+"""Figures show what they are given: colours, marks, shading and ranges are read back from the PNG file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image as Pixels
 
 from fpplab.core.errors import DataError
-from fpplab.report import figures
-from fpplab.report.raster import block_mean, lay, raster
+from fpplab.report import figures, response_figures
+from fpplab.report.raster import block_mean, raster_of, rasterise
 
 SIZE = (64, 48)
 LIGHT = np.array([-0.55, -0.65, -0.8]) / np.linalg.norm([-0.55, -0.65, -0.8])
@@ -42,7 +42,7 @@ def tilted(slope_x: float, slope_y: float) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.5, 0.0), (0.0, -0.7), (-0.4, 0.9)])
-def test_a_plane_is_as_bright_as_the_law_of_reflection_says(slopes: tuple[float, float]) -> None:
+def test_shading_of_a_plane_follows_the_reflection_model(slopes: tuple[float, float]) -> None:
     normal = np.array([*slopes, -1.0]) / np.linalg.norm([*slopes, 1.0])
     halfway = (LIGHT + [0, 0, -1]) / np.linalg.norm(LIGHT + [0, 0, -1])
     expected = 0.08 + 0.80 * max(normal @ LIGHT, 0.0) + 0.12 * max(normal @ halfway, 0.0) ** 24
@@ -50,7 +50,7 @@ def test_a_plane_is_as_bright_as_the_law_of_reflection_says(slopes: tuple[float,
     assert figures.shading(tilted(*slopes))[8:-8, 8:-8] == pytest.approx(expected, abs=2e-4)
 
 
-def test_what_faces_the_light_is_brighter() -> None:
+def test_a_surface_facing_the_light_is_brighter() -> None:
     away, towards = (np.nanmedian(figures.shading(tilted(s, 0.0))) for s in (0.6, -0.6))
     assert away < towards
 
@@ -74,7 +74,7 @@ def test_errors_are_red_outside_and_blue_inside() -> None:
     assert redness[map_columns[len(map_columns) * 3 // 4]] < -60
 
 
-def test_points_that_do_not_count_are_left_out() -> None:
+def test_points_that_are_not_counted_are_left_out() -> None:
     plane = cloud()
     distances = np.where(plane.pixels[:, 0] < 32, 0.02, -0.02)
     counted = plane.pixels[:, 0] < 32
@@ -111,7 +111,7 @@ def test_saturated_pixels_are_marked_at_any_depth(bits: int, full: int) -> None:
     assert marked() > 1000
 
 
-def test_the_cyclic_map_has_no_jump_at_zero() -> None:
+def test_the_cyclic_colour_map_is_continuous_at_zero() -> None:
     colours = mpl.colormaps["twilight"]([0.0, 1.0])
     assert colours[0] == pytest.approx(colours[1], abs=0.01)
     phase = np.full((48, 64), 0.01, np.float32)
@@ -122,30 +122,30 @@ def test_the_cyclic_map_has_no_jump_at_zero() -> None:
     assert inside.reshape(-1, 3).std(0).max() < 3
 
 
-@pytest.mark.parametrize("draw", [figures.modulation, lambda m: figures.coordinate(m, "x")])
+@pytest.mark.parametrize("draw", [figures.modulation_map, lambda m: figures.coordinate_map(m, "x")])
 def test_an_empty_map_is_refused(draw: Any) -> None:
     with pytest.raises(DataError, match="no measured pixel"):
         draw(np.full((20, 30), np.nan, np.float32))
 
 
-def test_drawing_leaves_matplotlib_as_it_was() -> None:
+def test_drawing_does_not_change_matplotlib_settings() -> None:
     before = dict(mpl.rcParams)
     ramp = np.tile(np.arange(64, dtype=np.float32), (48, 1))
-    assert figures.coordinate(ramp, "y") == figures.coordinate(ramp, "y")
+    assert figures.coordinate_map(ramp, "y") == figures.coordinate_map(ramp, "y")
     assert dict(mpl.rcParams) == before
 
 
-def test_every_other_picture_is_drawn() -> None:
+def test_all_other_figures_are_drawn() -> None:
     rng = np.random.default_rng(3)
     pixels = rng.uniform(0, 47, (30, 2))
     response = SimpleNamespace(a=0.9, b=0.02, g=2.2)
     levels = np.linspace(0, 1, 9)
     pictures = [
-        figures.relief(cloud()),
-        figures.depth(cloud()),
+        figures.shaded_relief(cloud()),
+        figures.depth_map(cloud()),
         figures.residuals_figure(pixels, rng.normal(0, 0.05, (30, 2)), SIZE, "camera"),
         figures.coverage([pixels[:15], pixels[15:]], SIZE, "projector"),
-        figures.response_curve(response, np.stack([levels, 0.9 * levels**2.2 + 0.02], axis=1)),
+        response_figures.response_curve(response, np.stack([levels, 0.9 * levels**2.2 + 0.02], axis=1)),
         figures.pose_rms(["a", "b"], [0.05, 0.06], [0.07, 0.08]),
     ]
     for png in pictures:
@@ -165,30 +165,30 @@ def test_the_colour_range_holds_98_per_cent() -> None:
 
 def test_points_lie_where_their_pixels_are() -> None:
     plane = cloud()
-    laid, extent = lay(raster(plane), plane.points)
+    mapped, extent = rasterise(raster_of(plane), plane.points)
     # A margin of 4 % of the map is wider than the strays, so that the whole sensor is there.
     assert extent == (-0.5, SIZE[0] - 0.5, SIZE[1] - 0.5, -0.5)
-    assert np.array_equal(laid.reshape(-1, 3), plane.points)
+    assert np.array_equal(mapped.reshape(-1, 3), plane.points)
 
 
-def test_a_picture_ends_near_its_object() -> None:
+def test_a_map_is_cropped_to_its_object() -> None:
     pixels = np.array([(u, v) for v in range(500, 540) for u in range(300, 360)] + [(0, 0)], np.int32)
     points = np.ones((len(pixels), 3), np.float32)
-    laid, extent = lay(raster(SimpleNamespace(points=points, pixels=pixels)), points)
-    assert laid.shape[0] < 50
+    mapped, extent = rasterise(raster_of(SimpleNamespace(points=points, pixels=pixels)), points)
+    assert mapped.shape[0] < 50
     assert 295 < extent[0] < 300
     assert 539 < extent[2] < 545
 
 
 def test_points_without_pixels_keep_their_millimetres() -> None:
     plane = cloud(with_pixels=False)
-    laid, (left, right, bottom, top) = lay(raster(plane), plane.points)
-    height, width = laid.shape[:2]
-    v, u = np.nonzero(np.isfinite(laid[..., 0]))
+    mapped, (left, right, bottom, top) = rasterise(raster_of(plane), plane.points)
+    height, width = mapped.shape[:2]
+    v, u = np.nonzero(np.isfinite(mapped[..., 0]))
     x = left + (u + 0.5) * (right - left) / width
     y = top + (v + 0.5) * (bottom - top) / height
-    assert np.abs(laid[v, u, 0] - x).max() < 0.51 * (right - left) / width
-    assert np.abs(laid[v, u, 1] - y).max() < 0.51 * (bottom - top) / height
+    assert np.abs(mapped[v, u, 0] - x).max() < 0.51 * (right - left) / width
+    assert np.abs(mapped[v, u, 1] - y).max() < 0.51 * (bottom - top) / height
 
 
 @given(level=st.floats(-1e3, 1e3), holes=st.integers(0, 2**16), columns=st.integers(3, 30))
@@ -209,7 +209,11 @@ def test_block_means_need_half_a_block() -> None:
 def test_a_line_of_points_is_drawn(points: int) -> None:
     pixels = np.stack([np.arange(points), np.full(points, 7)], axis=1).astype(np.int32)
     line = SimpleNamespace(points=np.full((points, 3), 400, np.float32), pixels=pixels)
-    for png in (figures.relief(line), figures.depth(line), figures.error_map(line, np.full(points, 0.01))):
+    for png in (
+        figures.shaded_relief(line),
+        figures.depth_map(line),
+        figures.error_map(line, np.full(points, 0.01)),
+    ):
         assert rgb(png).std() > 5
 
 
@@ -217,16 +221,16 @@ def test_scattered_pixels_need_no_contours() -> None:
     values = np.full((800, 1200), np.nan, np.float32)
     values[::40, ::40] = 5.0
     values[0, 0] = 300.0
-    assert rgb(figures.coordinate(values, "x")).std() > 5
+    assert rgb(figures.coordinate_map(values, "x")).std() > 5
 
 
-def test_a_marker_out_of_step_is_drawn_in_the_alarm_colour() -> None:
+def test_mismatched_marker_levels_are_drawn_in_the_alarm_colour() -> None:
     shown = np.array([160, 0, 110, 255])
     in_step, late = shown / 300.0, np.array([0.0, 160, 0, 110]) / 300.0
     alarm = np.array([int(figures.ALARM[i : i + 2], 16) for i in (1, 3, 5)])
 
     def alarmed(levels: NDArray[np.float64]) -> int:
-        picture = rgb(figures.marker_levels(shown, {"stepped": levels}))
+        picture = rgb(response_figures.marker_levels(shown, {"stepped": levels}))
         return int((np.abs(picture - alarm).sum(axis=2) < 40).sum())
 
     assert alarmed(late) > 2 * alarmed(in_step)

@@ -1,4 +1,4 @@
-"""The page is one file, complete, escaped, readable without its pictures, and has only what it was given."""
+"""The page is one self-contained file, escaped, readable without images, with only the given sections."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.response import Region, Response, ResponseLevel
 from fpplab.phase import Decoded, Wrapped
 from fpplab.report import ScanSection, figures, write_report
-from fpplab.report.uncertainty import caption, sigma_maps
+from fpplab.report.uncertainty import sigma_caption, sigma_maps
 
 SIZE = (64, 48)
 
@@ -154,7 +154,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_nothing_leaves_the_file(full: Path) -> None:
+def test_the_page_refers_to_nothing_outside_the_file(full: Path) -> None:
     page = Page(full)
     assert not {"script", "link", "iframe", "object", "form"} & set(page.tags)
     assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
@@ -164,7 +164,7 @@ def test_nothing_leaves_the_file(full: Path) -> None:
     assert "http" not in text.replace("http-equiv", "")
 
 
-def test_every_picture_is_a_png_with_words(full: Path) -> None:
+def test_every_image_is_a_png_with_alternative_text(full: Path) -> None:
     page = Page(full)
     # response; poses, two residuals, two coverages, epipolar; seven and eight maps with an error map each
     assert len(page.images) == 1 + 6 + 8 + 9
@@ -176,7 +176,7 @@ def test_every_picture_is_a_png_with_words(full: Path) -> None:
         assert picture.width <= 1600
 
 
-def test_the_figures_come_first(full: Path) -> None:
+def test_the_summary_tables_come_first(full: Path) -> None:
     text = full.read_text(encoding="utf-8")
     assert text.index("Surface RMS") < text.index("<img")
     cells = Page(full).cells
@@ -221,12 +221,12 @@ def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
     assert "SMCD in µm" not in page.cells
 
 
-def test_the_caption_says_what_moves_the_whole_cloud() -> None:
+def test_the_uncertainty_caption_explains_common_errors() -> None:
     noise = cloud()
-    assert "nothing of its own uncertainty" in caption(noise)
+    assert "nothing of its own uncertainty" in sigma_caption(noise)
     both = replace(noise, sigma_calibration_mm=np.full(len(noise), 0.03, np.float32))
-    assert "common to all points" in caption(both)
-    assert "median 32.5 µm" in caption(both)  # √(12.5² + 30²)
+    assert "common to all points" in sigma_caption(both)
+    assert "median 32.5 µm" in sigma_caption(both)  # √(12.5² + 30²)
     narrow, wide = (Pixels.open(io.BytesIO(sigma_maps(c))).width for c in (noise, both))
     assert wide == pytest.approx(2 * narrow, rel=0.02)
 
@@ -240,7 +240,7 @@ def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) ->
     assert len(Page(path).images) == 6
 
 
-def test_only_points_that_count_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_counted_points_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
 
     def drawn(*given: Any) -> bytes:
@@ -261,7 +261,7 @@ def test_a_characterisation_alone(tmp_path: Path) -> None:
     assert Page(path).headings[1:] == ["Characterisation"]
 
 
-def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_report_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
         write_report(tmp_path / "file" / "report.html", "Scan")

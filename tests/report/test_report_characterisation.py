@@ -1,4 +1,4 @@
-"""What the report draws of a characterisation: distances from epipolar lines, and the board's own shape."""
+"""Figures of a characterisation: epipolar distances, and the shape of the board."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.report import write_report
 from fpplab.report.characterisation import (
+    align_similarity,
     board_deviation,
     board_shape,
-    epipolar,
     epipolar_distances,
-    similar,
+    epipolar_figure,
 )
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, observed, poses
 
@@ -49,7 +49,7 @@ def test_true_devices_have_no_epipolar_distances() -> None:
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
-def test_only_what_is_off_the_line_counts(along_px: float, across_px: float) -> None:
+def test_epipolar_distance_ignores_displacement_along_the_line(along_px: float, across_px: float) -> None:
     """Distortion bends the lines: at 0.3 px along one they leave its tangent by far less than 1e-5 px."""
     (seen,), (held,) = observed(poses(1)), poses(1)
     points = held.apply(BOARD.points())
@@ -61,15 +61,15 @@ def test_only_what_is_off_the_line_counts(along_px: float, across_px: float) -> 
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 6), st.floats(0.9, 1.1))
-def test_position_turn_and_scale_are_no_shape(pose: tuple[float, ...], scale: float) -> None:
+def test_position_rotation_and_scale_are_removed(pose: tuple[float, ...], scale: float) -> None:
     held = RigidTransform.from_vectors(np.array(pose[:3]), np.array(pose[3:]))
-    assert similar(scale * held.apply(bent()), bent()) == pytest.approx(bent(), abs=1e-9)
+    assert align_similarity(scale * held.apply(bent()), bent()) == pytest.approx(bent(), abs=1e-9)
 
 
-def test_the_shape_is_the_board_s(refined: Characterisation) -> None:
+def test_the_deviation_is_that_of_the_board(refined: Characterisation) -> None:
     drawn, deviation = board_deviation(refined)
     assert drawn == pytest.approx(BOARD.points())
-    truth = 1e3 * (similar(bent(), BOARD.points()) - BOARD.points())
+    truth = 1e3 * (align_similarity(bent(), BOARD.points()) - BOARD.points())
     assert np.sqrt(np.mean((deviation - truth) ** 2)) < 0.15 * np.sqrt(np.mean(truth**2))
 
 
@@ -83,7 +83,7 @@ def test_a_board_taken_as_drawn_has_no_shape_to_show() -> None:
 
 
 def test_the_page_shows_both(refined: Characterisation, tmp_path: Path) -> None:
-    assert epipolar(refined).startswith(b"\x89PNG")
+    assert epipolar_figure(refined).startswith(b"\x89PNG")
     write_report(tmp_path / "c.html", "Characterisation", characterisation=refined)
     page = (tmp_path / "c.html").read_text(encoding="utf-8")
     assert "Epipolar distances by pose" in page

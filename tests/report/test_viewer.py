@@ -1,4 +1,4 @@
-"""What the viewer is sent, read back from a recording; and the server that it is sent to."""
+"""The data sent to the viewer, read back from a recording; and the viewer's server."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.report import viewer as live
+from fpplab.report import viewer_server
 from fpplab.sessions.session import Session
 from tests.support.plane_twin import CAMERA, nominal, tilted
 
@@ -132,7 +133,7 @@ def test_the_phase_follows_the_last_frame_of_each_set(recording: Recording) -> N
     assert np.abs(fine[:, 7:52] - fine[:, :45]).mean() > 30
 
 
-def test_devices_stand_where_the_calibration_says(recording: Recording) -> None:
+def test_devices_are_placed_by_the_calibration(recording: Recording) -> None:
     known = calibration()
     for entity, device, pose in (
         ("world/camera", known.camera, RigidTransform.identity()),
@@ -148,7 +149,7 @@ def test_devices_stand_where_the_calibration_says(recording: Recording) -> None:
         assert recording.value(entity, "Translation3D") == pytest.approx(pose.translation, abs=1e-4)
 
 
-def test_the_results_are_always_there(recording: Recording) -> None:
+def test_results_are_logged_as_static(recording: Recording) -> None:
     points = np.array(recording.value("world/cloud", "Position3D"), np.float32)
     assert np.array_equal(points, cloud().points)
     u = recording.rgb("maps/u")
@@ -156,7 +157,7 @@ def test_the_results_are_always_there(recording: Recording) -> None:
     assert not np.array_equal(u[20, 5], u[20, 60])
 
 
-def test_errors_colour_the_cloud(tmp_path: Path) -> None:
+def test_the_cloud_is_coloured_by_errors(tmp_path: Path) -> None:
     path = tmp_path / "errors.rrd"
     errors = np.linspace(-0.05, 0.05, 200)
     errors[7] = np.nan
@@ -166,7 +167,7 @@ def test_errors_colour_the_cloud(tmp_path: Path) -> None:
     red, blue = packed >> 24, (packed >> 8) & 255
     assert red[0] < 60 < 90 < blue[0]
     assert blue[-1] < 60 < 90 < red[-1]
-    assert (red[7], blue[7]) == (live.UNMEASURED[0], viewer.UNMEASURED[2])
+    assert (red[7], blue[7]) == (live.UNMEASURED[0], live.UNMEASURED[2])
 
 
 def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
@@ -281,7 +282,7 @@ def test_a_viewer_that_does_not_start(
     fake = tmp_path / "rerun"
     fake.write_text('#!/bin/sh\n[ "$1" = analytics ] && exit 0\necho "no such driver" >&2\nexit 3\n')
     fake.chmod(0o755)
-    monkeypatch.setattr(live, "_program", lambda: str(fake))
+    monkeypatch.setattr(viewer_server, "_program", lambda: str(fake))
     with live.Viewer.open("window") as viewer:
         viewer.frame(frame(0))
     assert viewer.fault == "viewer: open: rerun ended: no such driver"
@@ -313,7 +314,7 @@ print(view_session(Session.open(Path(sys.argv[1])), None, "browser", lambda wher
 """
 
 
-def test_ctrl_c_ends_the_viewer_and_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_viewer_and_its_processes(tmp_path: Path) -> None:
     made = session(tmp_path / "scan", PLAN)
     command = [sys.executable, "-c", WAITING, str(made.path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ}) as program:

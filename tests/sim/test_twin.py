@@ -20,7 +20,7 @@ from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
-from fpplab.simulation.matchable import Parameters, Twin
+from fpplab.simulation.matchable import Twin, TwinParameters
 from sim.build import Setup
 from sim.light import Light, Show
 from sim.sensor import SensorModel
@@ -243,7 +243,7 @@ def test_a_body_is_scanned_in_the_given_pose(blender: Blender) -> None:
     assert twin.mesh("pillars").is_watertight
 
 
-WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
+WRONG: list[tuple[Callable[[TwinParameters], TwinParameters], str]] = [
     (lambda p: replace(p, paper=1.2), r"the twin's parameters: 'items\.board\.reflectance' is 1\.2"),
     (lambda p: replace(p, projector_blur=0.1), "'blur' is 0.1: must be 0"),
     (lambda p: replace(p, camera_focus_mm=10.0), "'focus_mm' is 10: must be greater than 'focal_mm'"),
@@ -253,8 +253,8 @@ WRONG: list[tuple[Callable[[Parameters], Parameters], str]] = [
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG)
-def test_impossible_parameters_are_refused(
-    twin: SimTwin, change: Callable[[Parameters], Parameters], said: str
+def test_what_no_world_can_have_is_refused(
+    twin: SimTwin, change: Callable[[TwinParameters], TwinParameters], said: str
 ) -> None:
     before = twin.parameters
     with pytest.raises(ConfigError, match=said):

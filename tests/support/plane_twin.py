@@ -24,7 +24,7 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
 from fpplab.sessions.session import Session
-from fpplab.simulation.matchable import ExpectedLevels, Parameters
+from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 
 CAMERA = Pinhole.from_focal((456, 304), (1216, 1216), (230, 150), (-0.08, 0.1, 4e-4, -3e-4, 0))
@@ -48,8 +48,8 @@ def tilted(count: int, seed: int = 0) -> tuple[RigidTransform, ...]:
     return tuple(RigidTransform.from_vectors(t, p) for t, p in zip(tilts, places, strict=True))
 
 
-def nominal(poses: Sequence[RigidTransform]) -> Parameters:
-    return Parameters(
+def nominal(poses: Sequence[RigidTransform]) -> TwinParameters:
+    return TwinParameters(
         calibration=Calibration(CAMERA, PROJECTOR, PAIR, {}),
         poses=tuple(poses),
         white=1.0,
@@ -78,7 +78,7 @@ def between(picture: NDArray[np.float32], u: Floats, v: Floats) -> NDArray[np.fl
 class PlaneTwin:
     """Implements `fpplab.simulation.matchable.Twin`."""
 
-    def __init__(self, parameters: Parameters, seed: int = 0) -> None:
+    def __init__(self, parameters: TwinParameters, seed: int = 0) -> None:
         self._now = parameters
         self._random = np.random.default_rng(seed)
         self._kept: dict[bytes, tuple[Floats, ...]] = {}
@@ -88,14 +88,14 @@ class PlaneTwin:
         self._board = cv2.GaussianBlur(np.pad(np.ones_like(grey), 20).astype(np.float32), (0, 0), 2.0)
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> TwinParameters:
         return self._now
 
     @property
     def target(self) -> Target:
         return TARGET
 
-    def become(self, parameters: Parameters) -> None:
+    def become(self, parameters: TwinParameters) -> None:
         self._now = parameters
 
     def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
@@ -232,7 +232,7 @@ def _rays(camera: Pinhole, du: float, dv: float) -> Floats:
     return _known_rays[key]
 
 
-def moved(parameters: Parameters, mm: float, degrees: float, seed: int = 0) -> Parameters:
+def moved(parameters: TwinParameters, mm: float, degrees: float, seed: int = 0) -> TwinParameters:
     """With every pose of the board off by so much, each in another direction."""
     random = np.random.default_rng(seed)
 

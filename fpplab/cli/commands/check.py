@@ -36,7 +36,7 @@ def check_command(
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.report import figures
+    from fpplab.report.response_figures import marker_levels
 
     if out:
         need_suffix(out, ".png")
@@ -45,7 +45,7 @@ def check_command(
     with console.progress("Checking") as report:
         found = sync_check.check_rig(bench, wanted, item, report)
     if out and found.runs:
-        drawn = figures.marker_levels(found.shown, {run.how: run.levels for run in found.runs})
+        drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))
     console.answer(found.summary(), json, lambda: _show_check(found))
     if found.findings:

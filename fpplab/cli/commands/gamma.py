@@ -62,7 +62,7 @@ def gamma_command(
         response, _ = measure_response(bench, exposure, greys, report)
         judgement = judge_response(response, wanted, bench.projector.caps.size)
 
-    from fpplab.report.figures import response_fit
+    from fpplab.report.response_figures import response_fit
 
     for reason in response.left_out:
         console.say(f"left out: {reason}")

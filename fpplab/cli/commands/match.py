@@ -139,9 +139,9 @@ def _weights(alpha: float, beta: float) -> Any:
 
 
 def _limits(epochs: int, seconds: float) -> Any:
-    from fpplab.matching.match import Limits
+    from fpplab.matching.match import MatchingLimits
 
-    return Limits(epochs=epochs, seconds=seconds)
+    return MatchingLimits(epochs=epochs, seconds=seconds)
 
 
 YES = {True: "yes", False: "no"}

@@ -74,7 +74,7 @@ def optimise_command(
     _make_way(what, out, force)
 
     from fpplab.optimisation import confirm_result, run
-    from fpplab.report.optimisation import look, write_optimisation_report
+    from fpplab.report.optimisation import measure_search_maps, write_optimisation_report
     from fpplab.report.viewer import Viewer
 
     if confirm:
@@ -109,7 +109,7 @@ def optimise_command(
                 )
         page = run.report_path(what, out)
         with console.progress("Comparing before and after"):
-            write_optimisation_report(page, found, confirmed, look(rig, found))
+            write_optimisation_report(page, found, confirmed, measure_search_maps(rig, found))
         result = {
             **found.summary(),
             "confirmed": [one.summary() for one in confirmed],

@@ -1,0 +1,155 @@
+"""Comparison of bench and matched twin by the errors with which they measure artefacts.
+
+Bench and twin scan the same plan at the same pose; each scan is reconstructed with the scanner's own
+calibration and compared with the true shape by the symmetric distance between points and surface. The pose of
+the artefact on the bench is found by aligning its true shape with the bench's cloud.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.comparison import Comparison, compare
+from fpplab.comparison.alignment import align_mesh
+from fpplab.core.geometry import RigidTransform
+from fpplab.core.progress import Progress, no_progress
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.pipeline import points_of, reconstruct
+from fpplab.sessions.session import Session
+from fpplab.simulation.matchable import Twin
+
+
+@dataclass(frozen=True, eq=False)
+class ArtefactComparison:
+    """One artefact, measured by bench and twin and compared with its true shape.
+
+    Attributes
+    ----------
+    item : str
+        The artefact, as the twin's world calls it.
+    reference : Comparison
+        Of the cloud recorded on the bench.
+    twin : Comparison
+        Of the twin's cloud.
+    reference_cloud : Cloud
+        Recorded on the bench.
+    twin_cloud : Cloud
+        Measured by the twin.
+    """
+
+    item: str
+    reference: Comparison
+    twin: Comparison
+    reference_cloud: Cloud
+    twin_cloud: Cloud
+
+    @property
+    def reference_um(self) -> float:
+        """Symmetric mean distance between points and true surface in µm, of the recorded scan."""
+        return _surface(self.reference)
+
+    @property
+    def twin_um(self) -> float:
+        """Symmetric mean distance between points and true surface in µm, of the twin's scan."""
+        return _surface(self.twin)
+
+    @property
+    def delta_um(self) -> float:
+        """The twin's less the reference's distance in µm: negative where the twin measures better."""
+        return self.twin_um - self.reference_um
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures that reports and the command line print.
+
+        Returns
+        -------
+        dict of str to Any
+            `item`, `bench_um`, `twin_um`, `delta_um` and `delta_percent` (absolute, of `bench_um`).
+        """
+        return {
+            "item": self.item,
+            "bench_um": self.reference_um,
+            "twin_um": self.twin_um,
+            "delta_um": self.delta_um,
+            "delta_percent": 100.0 * abs(self.delta_um) / self.reference_um,
+        }
+
+
+def _surface(found: Comparison) -> float:
+    assert found.surface_smcd_um is not None  # every cloud of a scan lies on a pixel grid
+    return found.surface_smcd_um
+
+
+def compare_artefacts(
+    twin: Twin,
+    scans: Mapping[str, Session],
+    reference_calibration: Calibration,
+    twin_calibration: Calibration,
+    progress: Progress = no_progress,
+) -> list[ArtefactComparison]:
+    """Scan artefacts with the twin and compare its errors with those of recorded scans.
+
+    Parameters
+    ----------
+    twin : Twin
+        Matched; it has the artefacts in its world.
+    scans : mapping of str to Session
+        Scans recorded on the bench, by name of the artefact.
+    reference_calibration : Calibration
+        Found by the bench's own characterisation.
+    twin_calibration : Calibration
+        Found by the characterisation of the twin's own frames.
+    progress : Progress
+        Told the share of the artefacts that are done.
+
+    Returns
+    -------
+    list of ArtefactComparison
+        One for each scan, in their order.
+
+    Raises
+    ------
+    DataError
+        The true shape of an item does not fit the recorded cloud.
+    ConfigError
+        The twin's world has no such item.
+    """
+    found = []
+    for number, (item, session) in enumerate(scans.items(), 1):
+        found.append(_compared(twin, item, session, reference_calibration, twin_calibration))
+        progress(number / len(scans))
+    return found
+
+
+def _compared(
+    twin: Twin, item: str, session: Session, reference_calibration: Calibration, twin_calibration: Calibration
+) -> ArtefactComparison:
+    mesh = twin.mesh(item)
+    _, cloud = reconstruct(session, reference_calibration)
+    T_camera_item = align_mesh(cloud.points.astype(float), mesh).transform
+    own = _scanned(twin, item, session, T_camera_item, twin_calibration)
+    placed = mesh.copy().apply_transform(T_camera_item.matrix)
+    return ArtefactComparison(
+        item,
+        compare(cloud, placed, reference_calibration, align=True),
+        compare(own, placed, twin_calibration, align=True),
+        cloud,
+        own,
+    )
+
+
+def _scanned(
+    twin: Twin, item: str, session: Session, T_camera_item: RigidTransform, calibration: Calibration
+) -> Cloud:
+    """Scan an item at its pose `T_camera_item` with the twin, by the session's plan and settings."""
+    plan, (size, lattice) = session.plan, session.projector()
+    settings = session.records[0].settings
+    frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
+    recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
+    return points_of(decode(recording), calibration, plan, recording.mean_image())[1]

@@ -1,0 +1,197 @@
+"""Figures of the response of projector and camera, and of the levels seen of a synchronisation marker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
+from fpplab.patterns.response import Response
+from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, new_figure, side_by_side
+
+
+class ResponseLike(Protocol):
+    """A response `out = a in^g + b`, both in [0, 1]."""
+
+    @property
+    def a(self) -> float:
+        """Factor."""
+        ...
+
+    @property
+    def b(self) -> float:
+        """Level of a dark image."""
+        ...
+
+    @property
+    def g(self) -> float:
+        """Exponent."""
+        ...
+
+
+@as_png
+def response_curve(response: ResponseLike, levels: Floats) -> Figure:
+    """Draw levels measured and fitted, and the residuals.
+
+    Parameters
+    ----------
+    response : ResponseLike
+        The fit.
+    levels : Floats
+        (K, 2), levels shown and seen, both in [0, 1].
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    shown, seen = levels.T
+    axis = np.linspace(0, 1, 200)
+    figure, (left, right) = side_by_side(3.2, (1.3, 1.0))
+    left.plot(
+        axis,
+        response.a * axis**response.g + response.b,
+        color=SECOND,
+        linewidth=1.5,
+        label=_formula(response),
+    )
+    left.plot(shown, seen, "o", color=ACCENT, markersize=4, label="measured")
+    left.set(
+        xlabel="level shown, of full scale",
+        ylabel="level seen, of full scale",
+        xlim=(-0.02, 1.02),
+        ylim=(min(0.0, float(seen.min())), None),
+    )
+    left.legend(loc="upper left")
+    rest = 255 * (seen - (response.a * shown**response.g + response.b))
+    right.axhline(0, color=SECOND, linewidth=1.2)
+    right.vlines(shown, 0, rest, color=ACCENT, linewidth=1.0)
+    right.plot(shown, rest, "o", color=ACCENT, markersize=4)
+    right.set(
+        xlabel="level shown, of full scale",
+        ylabel="measured − fitted, in grey levels of 255",
+        xlim=(-0.02, 1.02),
+    )
+    return figure
+
+
+@as_png
+def response_fit(response: Response) -> Figure:
+    """Draw a fitted response: levels with error bars, the curve, the residuals, and the exponents of regions.
+
+    Error bars span two standard uncertainties each way.
+
+    Parameters
+    ----------
+    response : Response
+        With the levels and regions that it was fitted to.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The response holds no levels and regions.
+    """
+    if not response.measured or not response.regions:
+        raise DataError("the response holds no levels and regions to draw; measure it with `fpplab gamma`")
+    shown, seen, rest = np.array([(p.shown, p.seen, p.residual) for p in response.measured]).T
+    error = 2 * np.array([p.sigma or 0.0 for p in response.measured])
+    figure = new_figure(FULL, 3.8)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(1.7, 1.0))
+    curve, misfit = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
+    axis = np.linspace(0, 1, 200)
+    curve.plot(axis, response.apply(axis), color=SECOND, linewidth=1.5, label=_formula(response))
+    curve.errorbar(
+        shown,
+        seen,
+        error,
+        fmt="o",
+        color=ACCENT,
+        markersize=3.5,
+        label="seen, ± 2 standard uncertainties",
+        capsize=2,
+    )
+    curve.set(ylabel="level seen, of full scale", xlim=(-0.02, 1.02))
+    curve.legend(loc="upper left")
+    misfit.axhline(0, color=SECOND, linewidth=1.2)
+    misfit.errorbar(shown, 255 * rest, 255 * error, fmt="o", color=ACCENT, markersize=3.5, capsize=2)
+    misfit.set(
+        xlabel="level shown, of full scale", ylabel="seen − fitted\nin grey levels of 255", xlim=(-0.02, 1.02)
+    )
+    _region_exponents(figure.add_subplot(grid[:, 1]), response)
+    return figure
+
+
+def _region_exponents(axes: Axes, response: Response) -> None:
+    """Exponent of every region with two standard uncertainties, and that of the common fit as a band."""
+    names = [f"{r.row + 1}, {r.column + 1}" for r in response.regions]
+    place = np.arange(len(names))
+    reach = 2 * response.sigma[2]
+    axes.axvspan(response.g - reach, response.g + reach, color=SECOND, alpha=0.25, linewidth=0)
+    axes.axvline(response.g, color=SECOND, linewidth=1.2)
+    axes.errorbar(
+        [r.g for r in response.regions],
+        place,
+        xerr=[2 * r.sigma_g for r in response.regions],
+        fmt="o",
+        color=ACCENT,
+        markersize=3.5,
+        capsize=2,
+    )
+    axes.set_yticks(place, names)
+    axes.set(xlabel="exponent g of each region", ylabel="region: row, column", ylim=(len(names) - 0.5, -0.5))
+    axes.xaxis.set_major_formatter(mpl.ticker.FormatStrFormatter("%.4f"))
+    axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(4))
+
+
+@as_png
+def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
+    """Draw the levels seen of a marker frame by frame, and those expected of synchronous frames.
+
+    The levels seen are expected to rise with the levels shown: expected are the levels seen of a run, sorted
+    in the order of the levels shown.
+
+    Parameters
+    ----------
+    shown : NDArray of int
+        (K,) grey levels in the order shown.
+    seen : mapping of str to Floats
+        For each run (K,) shares of full scale, NaN where no frame came.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure = new_figure(FULL, 2.6)
+    sheets = np.atleast_1d(figure.subplots(1, len(seen), sharey=True))
+    for axes, (how, levels) in zip(sheets, seen.items(), strict=True):
+        known = np.flatnonzero(np.isfinite(levels))
+        expected = np.sort(levels[known])[np.argsort(np.argsort(shown[known]))]
+        axes.plot(known, expected, color=SECOND, linewidth=1.2, label="expected")
+        axes.plot(known, levels[known], "o", color=ACCENT, markersize=4, label="seen")
+        mismatched = known[np.abs(levels[known] - expected) > 0.05 * np.ptp(levels[known])]
+        axes.plot(
+            mismatched, levels[mismatched], "o", color=ALARM, markersize=4, label="seen, of another image"
+        )
+        axes.set(xlabel="frame", xlim=(-0.5, len(shown) - 0.5))
+        axes.set_title(how, fontsize=8.5)
+    sheets[0].set(ylabel="level, of full scale")
+    sheets[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=3)
+    return figure
+
+
+def _formula(response: ResponseLike) -> str:
+    sign = "+" if response.b >= 0 else "−"
+    return rf"{response.a:.3f} · level$^{{{response.g:.3f}}}$ {sign} {abs(response.b):.3f}"
