@@ -20,6 +20,7 @@ PACKAGES = ("fpplab", "drivers", "sim", "benchmarks")
 ABOVE = ("drivers", "sim", "benchmarks")
 LOADERS = {
     "fpplab/__init__.py",  # its own public names, when first used
+    "fpplab/artefacts/catalogue.py",  # the files of `fpplab.artefacts.shapes`
     "fpplab/cli/__init__.py",  # the files of `fpplab.cli.commands`
     "fpplab/core/kinds.py",  # the files of a package of kinds
     "fpplab/devices/rig.py",  # what a rig file names
