@@ -11,7 +11,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.zhang import ImageSize, rms, zhang
 from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
-from fpplab.targets.detection import Detection, apply_homography, homography
+from fpplab.targets.views import Detection, apply_homography, homography
 
 BETTER = 4.0
 """How many times better another description must fit to be the right one."""

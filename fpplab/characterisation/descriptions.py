@@ -16,7 +16,7 @@ def why_not_found(image: NDArray[Any], target: Target) -> str | None:
     for words, other in described_otherwise(target):
         if other.detect(image) is not None:
             return f"but it is there {words}"
-    if target.kind == "charuco" and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
+    if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
         return "but its mirror image is; the print, or the camera's picture, is mirrored"
     return None
 
@@ -29,10 +29,8 @@ def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
         # A board large enough for any of them; how large matters to nothing here.
         return target.model_copy(update={"size_mm": (1e4, 1e4), **changes})
 
-    if target.kind == "circles":
-        toggled = not target.staggered
-        words = "lower by half a pitch in its odd columns" if toggled else "without a shift of odd columns"
-        yield f"{words}: 'staggered' should be {str(toggled).lower()}", other(staggered=toggled)
+    for words, changes in target.layout.confusable():
+        yield words, other(**changes)
     if columns != rows:
         yield (
             f"with rows and columns exchanged: 'counts' should be [{rows}, {columns}]",

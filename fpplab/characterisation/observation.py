@@ -18,8 +18,8 @@ from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
-from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
 from fpplab.targets.partial import detect_part
+from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, window
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
@@ -107,7 +107,7 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
     if cause := why_not_found(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
-        found = detect_part(target, image)
+        found = detect_part(target.layout, image)
     except UnclearPart as error:
         raise CalibrationError(f"{missing}: {error}") from error
     if found is None:

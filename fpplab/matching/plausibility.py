@@ -15,6 +15,7 @@ from fpplab.matching.reference import Reference
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
+from fpplab.targets.kinds import OWN_FIELDS
 
 APART = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
 """Relative difference between what was found and the twin's own file beyond which one is not the other."""
@@ -48,16 +49,7 @@ def check_devices(twin: Twin, session: Session) -> None:
 def check_board(twin: Twin, target: Target, source: str) -> None:
     """Refuse a target that is not the twin's board: `ConfigError` that names the first field that differs."""
     own = twin.target
-    for name in (
-        "kind",
-        "counts",
-        "spacing_mm",
-        "staggered",
-        "diameter_mm",
-        "marker_mm",
-        "dictionary",
-        "size_mm",
-    ):
+    for name in ("kind", "counts", "spacing_mm", *OWN_FIELDS, "size_mm"):
         if (given := getattr(target, name)) != (has := getattr(own, name)):
             raise ConfigError(
                 f"{source}: '{name}' is {given} but the twin's board has {has}; give both the same board"

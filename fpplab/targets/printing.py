@@ -21,6 +21,7 @@ from matplotlib.transforms import Affine2D
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import need_suffix, write_atomic
+from fpplab.targets.drawing import InkDisc, InkShape
 from fpplab.targets.target import Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
@@ -101,12 +102,14 @@ def ink(target: Target) -> Outline:
 
     It is one outline, so that no hairline shows where two squares of a marker meet.
     """
-    if target.diameter_mm is not None:
-        disc = Outline.circle(radius=target.diameter_mm / 2)
-        return Outline.make_compound_path(
-            *(disc.transformed(Affine2D().translate(x, y)) for x, y in target.points()[:, :2])
-        )
-    return Outline.make_compound_path(*(_box(*box) for box in target.boxes()))
+    return Outline.make_compound_path(*(_outline(shape) for shape in target.layout.shapes()))
+
+
+def _outline(shape: InkShape) -> Outline:
+    if isinstance(shape, InkDisc):
+        disc = Outline.circle(radius=shape.radius)
+        return disc.transformed(Affine2D().translate(shape.x, shape.y))
+    return _box(*shape)
 
 
 def _box(left: float, top: float, right: float, bottom: float) -> Outline:
@@ -139,17 +142,9 @@ def _needed(target: Target) -> tuple[float, float]:
 
 
 def _legend(target: Target, name: str) -> str:
-    pitch, (columns, rows) = target.spacing_mm, target.counts
-    what = {
-        "circles": f"{columns} x {rows} circles of {target.diameter_mm or 0:g} mm, "
-        f"{'staggered, ' if target.staggered else ''}pitch {pitch[0]:g} x {pitch[1]:g} mm",
-        "checkerboard": f"checkerboard of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm",
-        "charuco": f"ChArUco board of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm, "
-        f"markers of {target.marker_mm or 0:g} mm, dictionary {target.dictionary}",
-    }[target.kind]
     width, height = target.size_mm
     return (
-        f"{name[:LONGEST_NAME]}: {what}, board {width:g} x {height:g} mm. "
+        f"{name[:LONGEST_NAME]}: {target.layout.summary()}, board {width:g} x {height:g} mm. "
         f"Print at 100 %, then measure the ruler: it must be {RULER:g} mm long."
     )
 
