@@ -1,4 +1,4 @@
-"""Descriptions of a board that are easily confused, to name the mistake when it is not found."""
+"""Other descriptions of a board that are easily confused, to name the mistake when it is not detected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,20 @@ from fpplab.targets import Target
 
 
 def why_not_found(image: NDArray[Any], target: Target) -> str | None:
-    """What is wrong with a board's description, when it is found in a picture under another."""
+    """Find the mistake in a board's description by detecting it under another.
+
+    Parameters
+    ----------
+    image : NDArray[Any]
+        Grey image (height, width) in which the board was not detected.
+    target : Target
+        The board as described.
+
+    Returns
+    -------
+    str or None
+        A clause that says what is wrong; None when no other description is detected either.
+    """
     for words, other in described_otherwise(target):
         if other.detect(image) is not None:
             return f"but it is there {words}"
@@ -22,11 +35,24 @@ def why_not_found(image: NDArray[Any], target: Target) -> str | None:
 
 
 def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
-    """Descriptions that are easily confused with this one, and how each differs."""
+    """List descriptions that are easily confused with this one.
+
+    Parameters
+    ----------
+    target : Target
+        The board as described.
+
+    Yields
+    ------
+    words : str
+        How the other description differs and what the fields should be.
+    other : Target
+        The other description, on a board of arbitrary size.
+    """
     (columns, rows), (x, y) = target.counts, target.spacing_mm
 
     def other(**changes: Any) -> Target:
-        # A board large enough for any of them; how large matters to nothing here.
+        # A board large enough for any of them; its size is not used here.
         return target.model_copy(update={"size_mm": (1e4, 1e4), **changes})
 
     for words, changes in target.layout.confusable():

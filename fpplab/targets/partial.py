@@ -91,8 +91,8 @@ def detect_part(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
         )
     if len(valid) > 1:
         raise UnclearPart(
-            f"{len(patch.cells)} points of the board were found but could be any of {len(valid)} parts of it; "
-            f"show a corner of the board, or all of it"
+            f"{len(patch.cells)} points of the board were found but could be any of {len(valid)} parts of "
+            f"it; show a corner of the board, or all of it"
         )
     return refined(layout, _in_view(layout, valid[0], level), level)
 
@@ -164,7 +164,7 @@ def _is_valid(layout: BoardLayout, placement: Detection, level: Floats) -> bool:
 def _appearances(
     layout: BoardLayout, matrix: Floats, board: Floats, level: Floats
 ) -> Iterator[tuple[float, float, float]]:
-    """At places (n, 2) in mm: correlation with a point's model -1 to 1, brightness where it is high, and low."""
+    """Compare places (n, 2) in mm with a point's model: correlation, brightness where it is high, and low."""
     model = layout.point_model()
     pixels, frames = apply_homography(matrix, board), local_frames(matrix, board)
     for pixel, frame in zip(pixels, frames, strict=True):

@@ -44,7 +44,7 @@ def patch_of_blobs(found: Floats) -> GridPatch | None:
     Returns
     -------
     GridPatch or None
-        Verified; None when fewer than `LEAST_POINTS` blobs are given or they form no lattice in two directions.
+        Verified; None when there are fewer than `LEAST_POINTS` blobs or they form no two-dimensional lattice.
     """
     if len(found) < LEAST_POINTS:
         return None
@@ -55,7 +55,7 @@ def patch_of_blobs(found: Floats) -> GridPatch | None:
 
 
 def _grown(found: Floats, seed: int) -> GridPatch:
-    """The patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
+    """Grow a patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
     offsets = found - found[seed]
     order = np.argsort(np.linalg.norm(offsets, axis=1))[1:]
     first = offsets[order[0]]
