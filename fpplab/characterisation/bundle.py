@@ -461,7 +461,7 @@ class Problem:
     ) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Differentiate the residuals (R,) of one pose.
 
-        Returns the indices (C,) of the parameters that all of them depend on, the derivatives by these (R, C),
+        Returns the indices (C,) of the parameters that they all depend on, the derivatives by these (R, C),
         and by the board's points, each residual by its own point (R, 3).
         """
         n, (_, pair, poses, _) = self._free, self._heads

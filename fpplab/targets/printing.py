@@ -241,7 +241,7 @@ class _Page:
         self.fill(Outline(corners, closed=True), "black")
 
     def ruler(self) -> None:
-        """Draw a ruler at the page's foot, whose length is that between the centres of its first and last mark."""
+        """Draw a ruler at the page's foot, its length from centre to centre of the end marks."""
         left, foot = 0.5 * (self.size[0] - RULER), MARGIN + LEGEND - 6
         start = np.array([left, foot], np.float64)
         self.line(start, start + (RULER, 0), 0.2)
