@@ -50,8 +50,8 @@ def find_description_error(
         if off <= 1.5 * flattest
     }
     words = min(fits, key=lambda one: fits[one], default="")
-    mended = flattest < _off_plane(observations, target) / BETTER
-    if fits and fits[words] < LIKELY_PX and (mended or fits[words] < rms_px / BETTER < np.inf):
+    clearly_flatter = flattest < _off_plane(observations, target) / BETTER
+    if fits and fits[words] < LIKELY_PX and (clearly_flatter or fits[words] < rms_px / BETTER < np.inf):
         return f"the points found do not form the board described but fit one {words}"
     return None
 

@@ -469,15 +469,17 @@ class Problem:
         points, pose = solution.board[observation.ids], solution.poses[index]
         chained, (by_pose, by_pair) = _chain(pose, solution.T_projector_camera)
         _, seen = _view(points, pose, solution.camera)
-        _, lit = _view(points, chained, solution.projector)
+        _, projected = _view(points, chained, solution.projector)
         rows = len(seen)
         slopes = np.zeros((2 * rows, len(columns)))
         slopes[:rows, :n], slopes[:rows, -6:] = seen[:, 6 : 6 + n], seen[:, :6]
-        slopes[rows:, n:pair] = lit[:, 6 : 6 + n]
-        slopes[rows:, pair:poses] = lit[:, :6] @ by_pair
-        slopes[rows:, -6:] = lit[:, :6] @ by_pose
+        slopes[rows:, n:pair] = projected[:, 6 : 6 + n]
+        slopes[rows:, pair:poses] = projected[:, :6] @ by_pair
+        slopes[rows:, -6:] = projected[:, :6] @ by_pose
         # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-        by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (lit, chained))]
+        by_point = [
+            part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))
+        ]
         return columns, slopes, np.concatenate(by_point)
 
     def uncertainty(self, vector: Floats) -> Uncertainty:

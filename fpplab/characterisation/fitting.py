@@ -196,7 +196,7 @@ def _started(
 ) -> tuple[Solution, dict[str, float]]:
     """Calibrate both devices separately; refuse a poor fit that another description of the board explains."""
     try:
-        start, lit, separate_px = calibrate_separately(observations, target.points(), *sizes)
+        start, projector_poses, separate_px = calibrate_separately(observations, target.points(), *sizes)
     except CalibrationError as error:
         raise CalibrationError(
             find_description_error(observations, target, sizes[0]) or str(error)
@@ -205,7 +205,7 @@ def _started(
         mistake = find_description_error(observations, target, sizes[0], separate_px["camera"])
         if mistake:
             raise CalibrationError(mistake)
-    check_not_mirrored(start.poses, lit)
+    check_not_mirrored(start.poses, projector_poses)
     return start, separate_px
 
 

@@ -58,25 +58,25 @@ def calibrate_separately(
     """
     boards = [board[o.ids] for o in observations]
     camera_rms, camera, poses = zhang("camera", boards, [o.camera_px for o in observations], camera_size)
-    projector_rms, projector, lit = zhang(
+    projector_rms, projector, projector_poses = zhang(
         "projector", boards, [o.projector_px for o in observations], projector_size
     )
     solutions = [
         Solution(camera, projector, vectors_of(transform(p) @ transform(c).inverse()), poses, board)
-        for c, p in zip(poses, lit, strict=True)
+        for c, p in zip(poses, projector_poses, strict=True)
     ]
     agreed = min(solutions, key=lambda s: float(np.median(rms_of_poses(observations, s))))
-    return agreed, lit, {"camera": camera_rms, "projector": projector_rms}
+    return agreed, projector_poses, {"camera": camera_rms, "projector": projector_rms}
 
 
-def check_not_mirrored(poses: Floats, lit: Floats) -> None:
+def check_not_mirrored(poses: Floats, projector_poses: Floats) -> None:
     """Refuse boards that a device sees from behind: a mirrored flat board fits so, too.
 
     Parameters
     ----------
     poses : Floats
         (M, 6) poses of the board in the camera's frame.
-    lit : Floats
+    projector_poses : Floats
         (M, 6) in the projector's frame.
 
     Raises
@@ -84,7 +84,7 @@ def check_not_mirrored(poses: Floats, lit: Floats) -> None:
     CalibrationError
         The board is seen mirrored by both devices, or by one of them.
     """
-    behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, lit)]
+    behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, projector_poses)]
     if all(behind):
         raise CalibrationError(
             "the board is mirrored: camera and projector see its points in the order they have from behind; "

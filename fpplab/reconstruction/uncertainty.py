@@ -158,14 +158,14 @@ def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: Coo
     """
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
     seen, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
-    lit, by_projector = _slopes(points, calibration.projector, pose)
-    seen_by_point, lit_by_point = seen[..., 3:], lit[..., 3:] @ pose.rotation
-    weights = np.einsum("nij,nj->ni", lit_by_point, points) / np.square(noise)
-    depth_by_point = np.einsum("ni,nij->nj", weights, lit_by_point)
+    projected, by_projector = _slopes(points, calibration.projector, pose)
+    seen_by_point, projected_by_point = seen[..., 3:], projected[..., 3:] @ pose.rotation
+    weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
+    depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
     slopes = np.zeros((len(points), 3, len(PARAMETERS)))
     slopes[:, :2, :n] = by_camera
     slopes[:, 2, n : 2 * n] = np.einsum("ni,nij->nj", weights, by_projector)
-    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, lit)
+    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, projected)
     return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
 
 
