@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fpplab.cli.prepare import ModelName
 
 from fpplab.characterisation import DistortionModel, Observation, bundle, characterise, fitting
+from fpplab.cli.commands.characterise import ModelName
 from fpplab.core.geometry import DISTORTION, Pinhole
 from tests.support.rigs import BOARD, CAMERA, PAIR, SQUARE, poses
 
