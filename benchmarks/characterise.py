@@ -32,7 +32,7 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.characterisation.bundle import Model, adjust_bundle
-from fpplab.characterisation.zhang import apart, stereo
+from fpplab.characterisation.zhang import calibrate_separately, stereo
 from fpplab.cli import console
 from fpplab.core import config
 from fpplab.core.conventions import Floats
@@ -247,7 +247,9 @@ def _covered(pulls: Floats) -> Result:
 def _refinement(found: Characterisation, target: Target) -> Result:
     """Seconds for the joint refinement from Zhang's first values, median of three."""
     calibration, observations = found.calibration, found.observations
-    start, _, _ = apart(observations, target.points(), calibration.camera.size, calibration.projector.size)
+    start, _, _ = calibrate_separately(
+        observations, target.points(), calibration.camera.size, calibration.projector.size
+    )
     pair, _ = stereo(observations, start, calibration.camera.size)
     start = replace(start, T_projector_camera=pair)
     seconds = []

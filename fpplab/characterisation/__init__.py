@@ -1,4 +1,4 @@
-"""Poses of a board -> camera, projector, and the pose between them."""
+"""Characterisation: calibrate a camera, a projector and the pose between them from poses of a board."""
 
 from fpplab.characterisation.bundle import DistortionModel
 from fpplab.characterisation.fitting import characterise

@@ -1,4 +1,4 @@
-"""Mistakes that people make with boards, named: what would have fitted is the cause."""
+"""Diagnosis of target files that describe another board than the one in the images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.zhang import ImageSize, rms, zhang
 from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
-from fpplab.targets.detection import Detection, apply_homography, homography
+from fpplab.targets.views import Detection, apply_homography, homography
 
 BETTER = 4.0
 """How many times better another description must fit to be the right one."""
@@ -20,30 +20,44 @@ LIKELY_PX = 3.0
 """A description under which the camera fits worse than this is wrong as well."""
 
 
-def misdescribed(
+def find_description_error(
     observations: Sequence[Observation], target: Target, size: ImageSize, rms_px: float = np.inf
 ) -> str | None:
-    """What is wrong with a board's description, when another makes the camera fit far better.
+    """Find what is wrong with a board's description, if another makes the camera fit far better.
 
-    size: the camera's. rms_px: how well the camera fits the board as it is described, where it does at all.
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses, detected as the target describes.
+    target : Target
+        The description to check.
+    size : ImageSize
+        (width, height) of the camera's image in px.
+    rms_px : float
+        RMS of the camera with the board as described; infinite where it does not fit at all.
+
+    Returns
+    -------
+    str or None
+        A sentence that names the field to correct; None when no other description is clearly better.
     """
     flat = {words: (_off_plane(observations, other), other) for words, other in described_otherwise(target)}
     flattest = min(off for off, _ in flat.values()) if flat else np.inf
-    # A plane does not tell one pitch from another; a camera in several poses does.
+    # A single plane does not determine the ratio of the pitches; a camera in several poses does.
     fits = {
         words: _camera_rms(observations, other, size)
         for words, (off, other) in flat.items()
         if off <= 1.5 * flattest
     }
     words = min(fits, key=lambda one: fits[one], default="")
-    mended = flattest < _off_plane(observations, target) / BETTER
-    if fits and fits[words] < LIKELY_PX and (mended or fits[words] < rms_px / BETTER < np.inf):
+    clearly_flatter = flattest < _off_plane(observations, target) / BETTER
+    if fits and fits[words] < LIKELY_PX and (clearly_flatter or fits[words] < rms_px / BETTER < np.inf):
         return f"the points found do not form the board described but fit one {words}"
     return None
 
 
 def _off_plane(observations: Sequence[Observation], target: Target) -> float:
-    """RMS distance in px of the camera's points from the best perspective views of a flat board."""
+    """Return the RMS distance in px of the camera's points from the best views of a flat board."""
     errors = []
     for observation in observations:
         found = Detection(observation.ids, observation.camera_px)
@@ -53,7 +67,7 @@ def _off_plane(observations: Sequence[Observation], target: Target) -> float:
 
 
 def _camera_rms(observations: Sequence[Observation], target: Target, size: ImageSize) -> float:
-    """RMS in px of the camera by itself; infinite when the poses do not determine it."""
+    """Return the RMS in px of the camera calibrated alone; infinite when the poses do not determine it."""
     points = target.points()
     try:
         found, _, _ = zhang(

@@ -1,9 +1,9 @@
-"""Joint adjustment of camera, projector, the pose between them, and every pose of the board.
+"""Bundle adjustment of camera, projector, the pose between them, and every pose of the board.
 
-Both devices see the same points of the same board, so one least-squares problem holds all that is
-known; it uses the points' error in pixels, of both devices alike (bundle adjustment, Triggs et al.,
-"Bundle adjustment: a modern synthesis", 2000). The normal equations are built block by block: a pose
-bears on the devices, on itself, and on its own points, and on nothing else.
+Both devices see the same points of the same board, so one least-squares problem contains all that is
+known; it minimises the points' reprojection error in pixels, of both devices alike (Triggs et al.,
+"Bundle adjustment: a modern synthesis", 2000). The normal equations are built block by block: the residuals
+of a pose depend only on the devices, on the pose, and on the board's own points.
 """
 
 from __future__ import annotations
@@ -25,26 +25,28 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
 SOFT = 3.0
-"""Residuals beyond this many robust standard deviations count linearly, not squared (Huber)."""
+"""Residuals beyond this many robust standard deviations enter linearly, not squared (Huber)."""
 
 RATIONAL_SIGMA = 1.0
-"""How far k4, k5, k6 lie from zero before anything is seen, one standard deviation. Wide lenses need them
-of order one. On a mild lens k1, k2, k3 undo what they do, and without this all would grow together until a
-pole, which a zero of the numerator hides from the points, stands in the image."""
+"""Prior standard deviation of k4, k5, k6 about zero. Wide lenses need them of order one. On a lens of little
+distortion k1, k2, k3 compensate them, and without the prior all would grow together until a pole of the
+model, cancelled at the points by a zero of the numerator, lies in the image."""
 
 LEAST_EIGENVALUE = 1e-13
-"""Of normal equations scaled to a diagonal of ones, relative to the greatest; less is rounding."""
+"""Least significant eigenvalue of normal equations scaled to a diagonal of ones, relative to the greatest."""
 
 UNDETERMINED = "the poses do not determine all parameters; add some that are tilted by 20° or more"
+"""Message for poses that leave a parameter undetermined."""
 
 MOST_DAMPING = 1e8
+"""Damping at which the fit ends: no step reduces the residuals."""
 
 ROUNDS = 3
-"""How often the noise is judged anew; it settles at the second."""
+"""Most iterations of the estimate of the noise; it usually converges in the second."""
 
 
 class DistortionModel(StrEnum):
-    """How much of the distortion is free, in both devices alike; the rest is held at zero."""
+    """How many distortion coefficients are estimated, in both devices alike; the others are zero."""
 
     K1 = "k1"
     K2 = "k2"
@@ -60,11 +62,20 @@ class DistortionModel(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Everything that is adjusted.
+    """All parameters that are adjusted.
 
-    camera, projector: (12,) as named in `INTRINSICS`. T_projector_camera, poses: (6,), (M, 6)
-    rotation vectors in rad and translations in mm; poses are `T_camera_target`.
-    board: (P, 3) points of the board in mm.
+    Attributes
+    ----------
+    camera : Floats
+        (12,) as named in `INTRINSICS`.
+    projector : Floats
+        (12,) as named in `INTRINSICS`.
+    T_projector_camera : Floats
+        (6,) rotation vector in rad and translation in mm.
+    poses : Floats
+        (M, 6) `T_camera_target` of every pose: rotation vectors in rad and translations in mm.
+    board : Floats
+        (P, 3) points of the board in mm.
     """
 
     camera: Floats
@@ -74,7 +85,22 @@ class Solution:
     board: Floats
 
     def residuals(self, index: int, observation: Observation) -> tuple[Floats, Floats]:
-        """Model minus observation in px of one pose, for the camera and the projector, (K, 2) each."""
+        """Compute the reprojection errors of one pose.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        observation : Observation
+            What was measured in it.
+
+        Returns
+        -------
+        camera : Floats
+            (K, 2) model minus observation in px.
+        projector : Floats
+            (K, 2) model minus observation in px.
+        """
         points, pose = self.board[observation.ids], self.poses[index]
         seen = _view(points, pose, self.camera)[0] - observation.camera_px
         chained, _ = _chain(pose, self.T_projector_camera)
@@ -83,10 +109,16 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What is fitted to observations: the distortion's level, and the board as it was drawn.
+    """What is fitted to observations: the level of the distortion, and the board as it was drawn.
 
-    drawn: (P, 3) in mm. board_sigma_mm: how far the board's points may lie from there, one standard
-    deviation; None takes the board as exact.
+    Attributes
+    ----------
+    level : DistortionModel
+        Which distortion coefficients are estimated.
+    drawn : Floats
+        (P, 3) points of the board as drawn, in mm.
+    board_sigma_mm : float or None
+        Standard deviation in mm of the board's points from there; None takes the board as exact.
     """
 
     level: DistortionModel
@@ -95,7 +127,31 @@ class Model:
 
 
 def adjust_bundle(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
-    """The best solution near `start`. Raises `CalibrationError` when there is none."""
+    """Find the best solution near a start, by a robust fit.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    start : Solution
+        Initial values.
+    model : Model
+        Which parameters are estimated.
+
+    Returns
+    -------
+    Solution
+        At the minimum of Huber's loss of the reprojection errors.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine all parameters.
+
+    References
+    ----------
+    Triggs et al., "Bundle adjustment: a modern synthesis", 2000.
+    """
     problem = Problem(tuple(observations), model, 1.0)
     vector = problem.pack(start)
     for _ in range(ROUNDS):
@@ -109,10 +165,28 @@ def adjust_bundle(observations: Sequence[Observation], start: Solution, model: M
 
 
 def uncertainty(observations: Sequence[Observation], best: Solution, model: Model) -> Uncertainty:
-    """Of the devices and of the pose between them, at the solution that `adjust_bundle` found for that model.
+    """Estimate the uncertainty of the devices and of the pose between them.
 
-    The covariance is marginal: that the poses and the board are only known so well is in it.
-    Raises `CalibrationError` when the poses do not determine the parameters.
+    The covariance is marginal: it contains the uncertainty of the poses and of the board.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    best : Solution
+        What `adjust_bundle` found for this model.
+    model : Model
+        Which parameters are estimated.
+
+    Returns
+    -------
+    Uncertainty
+        Covariance of the estimated parameters, from the scatter of the residuals.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine the parameters.
     """
     problem = Problem(tuple(observations), model, 1.0)
     vector = problem.pack(best)
@@ -120,14 +194,14 @@ def uncertainty(observations: Sequence[Observation], best: Solution, model: Mode
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
-    """Levenberg-Marquardt's method on Huber's loss, by reweighting."""
+    """Minimise Huber's loss by Levenberg-Marquardt's method with reweighting."""
     limit, damping = SOFT * problem.noise_px, 1e-4
     cost = _huber(problem.misfit(vector), limit)
     for _ in range(200):
         normal, gradient = problem.normal_equations(vector, limit)
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         try:
-            # NumPy's factor, not SciPy's, which spends 100 ms on waking threads for such small matrices.
+            # NumPy's factorisation, not SciPy's, which spends 100 ms on waking threads for small matrices.
             trial = vector - cho_solve((np.linalg.cholesky(normal), True), gradient)
         except (np.linalg.LinAlgError, ValueError) as error:
             damping *= 10.0
@@ -150,7 +224,22 @@ def _huber(residuals: Floats, limit: float) -> float:
 
 
 def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:
-    """The pose (6,) of the board in one capture, all else held."""
+    """Fit the pose of the board in one capture, with everything else held.
+
+    Parameters
+    ----------
+    observation : Observation
+        The capture.
+    solution : Solution
+        The devices and the board.
+    start : Floats
+        (6,) initial pose.
+
+    Returns
+    -------
+    Floats
+        (6,) `T_camera_target`: rotation vector in rad and translation in mm.
+    """
 
     def misfit(pose: Floats) -> Floats:
         pair = replace(solution, poses=pose[None]).residuals(0, observation)
@@ -160,17 +249,36 @@ def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Flo
 
 
 def vectors_of(transform: RigidTransform) -> Floats:
-    """A rigid transform as (6,): rotation vector in rad and translation in mm."""
+    """Write a rigid transform as six numbers.
+
+    Parameters
+    ----------
+    transform : RigidTransform
+        The transform.
+
+    Returns
+    -------
+    Floats
+        (6,) rotation vector in rad and translation in mm.
+    """
     return np.concatenate([transform.rotation_vector, transform.translation])
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The least-squares problem: parameters packed in one vector, misfit and normal equations.
+    """The least-squares problem: parameters packed in one vector, residuals and normal equations.
 
-    The vector holds the camera's free intrinsics, the projector's, T_projector_camera, the poses and,
-    where the board is free, its points. noise_px: standard deviation of a pixel coordinate, which
-    weighs the points' errors against the board's.
+    The vector holds the camera's estimated intrinsics, the projector's, T_projector_camera, the poses and,
+    where the board is estimated too, its points.
+
+    Attributes
+    ----------
+    observations : tuple[Observation, ...]
+        The poses.
+    model : Model
+        Which parameters are estimated.
+    noise_px : float
+        Standard deviation of a pixel coordinate, which weights the points' errors against the board's.
     """
 
     observations: tuple[Observation, ...]
@@ -183,17 +291,29 @@ class Problem:
 
     @property
     def _heads(self) -> tuple[int, int, int, int]:
-        """Where the projector, T_projector_camera, the poses and the board begin."""
+        """Where the projector, T_projector_camera, the poses and the board begin in the vector."""
         n = self._free
         return n, 2 * n, 2 * n + 6, 2 * n + 6 + 6 * len(self.observations)
 
     @property
     def _rational(self) -> NDArray[np.intp]:
-        """Where k4, k5, k6 of both devices are, as far as they are free."""
+        """Where k4, k5, k6 of both devices are in the vector, as far as they are estimated."""
         rational = np.arange(INTRINSICS.index("k4"), self._free)
         return np.concatenate([rational, self._free + rational])
 
     def pack(self, solution: Solution) -> Floats:
+        """Pack the estimated parameters of a solution.
+
+        Parameters
+        ----------
+        solution : Solution
+            All parameters.
+
+        Returns
+        -------
+        Floats
+            (n,) the vector.
+        """
         n = self._free
         parts = [
             solution.camera[:n],
@@ -206,6 +326,18 @@ class Problem:
         return np.concatenate(parts)
 
     def unpack(self, vector: Floats) -> Solution:
+        """Unpack a vector of estimated parameters.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) as from `pack`.
+
+        Returns
+        -------
+        Solution
+            With zero for the distortion coefficients that are not estimated.
+        """
         projector, pair, poses, board = self._heads
         held = np.zeros(len(INTRINSICS) - self._free)
         return Solution(
@@ -217,17 +349,40 @@ class Problem:
         )
 
     def spread(self, vector: Floats) -> float:
-        """Robust standard deviation of the points' errors in px; a trace above nothing."""
+        """Estimate the noise of the points robustly, from the median of the residuals' size.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+
+        Returns
+        -------
+        float
+            Standard deviation of a pixel coordinate in px, at least 1e-6.
+        """
         errors = self._errors(self.unpack(vector))
         return max(1.4826 * float(np.median(np.abs(errors))), 1e-6)
 
     def misfit(self, vector: Floats) -> Floats:
-        """Residuals in px; what is known beforehand counts as errors of `noise_px` for one deviation."""
+        """Compute all residuals.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+
+        Returns
+        -------
+        Floats
+            (R,) in px: reprojection errors, then deviations from prior knowledge, of which one standard
+            deviation counts `noise_px`.
+        """
         _, pulls, _ = self._known(vector)
         return np.concatenate([self._errors(self.unpack(vector)), pulls])
 
     def _known(self, vector: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Of parameters known beforehand: which they are, their residuals in px, and the slopes of these."""
+        """Return the parameters with a prior: their indices, residuals in px, and derivatives of these."""
         rational = self._rational
         stiffness = np.full(len(rational), self.noise_px / RATIONAL_SIGMA)
         pulls = vector[rational] * stiffness
@@ -247,7 +402,22 @@ class Problem:
         return np.concatenate([np.concatenate(pair).ravel() for pair in pairs])
 
     def normal_equations(self, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
-        """`JᵀWJ` and `JᵀWr` of `misfit`'s residuals r and slopes J; W is Huber's weight beyond `limit` px."""
+        """Build the normal equations of the residuals r with derivatives J.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+        limit : float
+            Residuals beyond it, in px, get Huber's weight in W.
+
+        Returns
+        -------
+        matrix : Floats
+            `JᵀWJ`, (n, n).
+        gradient : Floats
+            `JᵀWr`, (n,).
+        """
         solution = self.unpack(vector)
         matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
         for index, observation in enumerate(self.observations):
@@ -289,36 +459,53 @@ class Problem:
     def _pose_slopes(
         self, index: int, observation: Observation, solution: Solution
     ) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Of one pose's residuals (R,): which parameters bear on all of them (C,), the slopes by these
-        (R, C), and by the board's points, each residual by its own (R, 3).
+        """Differentiate the residuals (R,) of one pose.
+
+        Returns the indices (C,) of the parameters that they all depend on, the derivatives by these (R, C),
+        and by the board's points, each residual by its own point (R, 3).
         """
         n, (_, pair, poses, _) = self._free, self._heads
         columns = np.append(np.arange(poses), poses + 6 * index + np.arange(6))
         points, pose = solution.board[observation.ids], solution.poses[index]
         chained, (by_pose, by_pair) = _chain(pose, solution.T_projector_camera)
         _, seen = _view(points, pose, solution.camera)
-        _, lit = _view(points, chained, solution.projector)
+        _, projected = _view(points, chained, solution.projector)
         rows = len(seen)
         slopes = np.zeros((2 * rows, len(columns)))
         slopes[:rows, :n], slopes[:rows, -6:] = seen[:, 6 : 6 + n], seen[:, :6]
-        slopes[rows:, n:pair] = lit[:, 6 : 6 + n]
-        slopes[rows:, pair:poses] = lit[:, :6] @ by_pair
-        slopes[rows:, -6:] = lit[:, :6] @ by_pose
+        slopes[rows:, n:pair] = projected[:, 6 : 6 + n]
+        slopes[rows:, pair:poses] = projected[:, :6] @ by_pair
+        slopes[rows:, -6:] = projected[:, :6] @ by_pose
         # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-        by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (lit, chained))]
+        by_point = [
+            part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))
+        ]
         return columns, slopes, np.concatenate(by_point)
 
     def uncertainty(self, vector: Floats) -> Uncertainty:
-        """Of the devices and the pose between them, from the spread of the residuals.
+        """Estimate the covariance of the devices and the pose between them from the scatter of the residuals.
 
-        Raises `CalibrationError` when a parameter could take any value.
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters at the minimum.
+
+        Returns
+        -------
+        Uncertainty
+            Of the estimated parameters.
+
+        Raises
+        ------
+        CalibrationError
+            A parameter is not determined.
         """
         residuals, (normal, _) = self.misfit(vector), self.normal_equations(vector)
         scale = np.sqrt(np.diag(normal))
         if np.any(scale == 0):
             raise CalibrationError(UNDETERMINED)
         scaled = normal / np.outer(scale, scale)
-        # A lens may leave k4, k5, k6 open whatever the poses are; without them all must be determined.
+        # k4, k5, k6 of a lens may be undetermined by any poses; all other parameters must be determined.
         others = np.delete(np.arange(len(vector)), self._rational)
         poses = np.linalg.eigvalsh(scaled[np.ix_(others, others)])
         if poses[0] < LEAST_EIGENVALUE * poses[-1]:
@@ -334,14 +521,14 @@ class Problem:
 
 
 def _weight(residuals: Floats, limit: float) -> Floats:
-    """Huber's weights: 1 up to `limit`, then falling as 1/r."""
+    """Return Huber's weights: 1 up to `limit`, then falling as 1/r."""
     if not np.isfinite(limit):
         return np.ones_like(residuals)
     return np.asarray(limit / np.maximum(np.abs(residuals), limit))
 
 
 def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
-    """Pixels (K, 2) and their slopes (2 K, 18): by rotation, translation, and `INTRINSICS`."""
+    """Project points: pixels (K, 2), and derivatives (2 K, 18) by rotation, translation, `INTRINSICS`."""
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     pixels, slopes = cv2.projectPoints(points, pose[:3], pose[3:], matrix, intrinsics[4:])
@@ -349,7 +536,7 @@ def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Flo
 
 
 def _chain(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """`pair @ pose` as (6,), with its slopes (6, 6) by `pose` and by `pair`."""
+    """Return `pair @ pose` as (6,), with its derivatives (6, 6) by `pose` and by `pair`."""
     out = cv2.composeRT(pose[:3], pose[3:], pair[:3], pair[3:])
     rotation, translation, r_r1, r_t1, r_r2, r_t2, t_r1, t_t1, t_r2, t_t2 = out
     by_pose = np.block([[r_r1, r_t1], [t_r1, t_t1]])

@@ -1,4 +1,4 @@
-"""Whether the poses of a board say enough about both devices: what to add before leaving the bench."""
+"""Advice to the operator on the poses of a board: what to add before leaving the bench."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fpplab.core.conventions import Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 
 SMALL_TILT_DEG = 15.0
-"""Where no board is tilted by more, focal length and distance are hard to tell apart."""
+"""With all tilts below this, focal length and distance are strongly correlated."""
 
 ALIKE_DEG = 20.0
-"""Where no two boards differ by more in tilt, they say nearly the same thing."""
+"""With all differences of tilt below this, the poses give nearly the same information."""
 
 PARALLEL_DEG = 4.0
-"""Where no two boards differ by more in tilt, they say the same thing."""
+"""With all differences of tilt below this, the poses are parallel and do not determine the focal lengths."""
 
 ALIKE_DISTANCE = 0.05
 """Range of distances, relative to their mean, below which they are alike."""
@@ -28,7 +28,7 @@ PARTS = (
     ("left", "middle", "right"),
     ("lower left", "bottom", "lower right"),
 )
-"""The ninths of an image."""
+"""Names of the ninths of an image, by row and column."""
 
 
 def warnings(
@@ -37,14 +37,42 @@ def warnings(
     calibration: Calibration,
     board: Floats,
 ) -> tuple[str, ...]:
-    """A sentence on each thing that the poses leave open. poses: T_camera_target; board: (P, 3) in mm."""
+    """Warn of what the poses leave undetermined.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses used.
+    poses : Sequence[RigidTransform]
+        `T_camera_target` of each.
+    calibration : Calibration
+        Fitted to them.
+    board : Floats
+        (P, 3) points of the board in mm.
+
+    Returns
+    -------
+    tuple[str, ...]
+        A sentence for each shortcoming: tilts, distances, and parts of the images without points.
+    """
     centres = [T.apply(board[o.ids].mean(axis=0)) for o, T in zip(observations, poses, strict=True)]
     return (*_about_tilts(poses), *_about_distances(np.array(centres)[:, 2]),
             *_about_parts(observations, np.array(centres), calibration))  # fmt: skip
 
 
 def spread_of_tilts(poses: Sequence[RigidTransform]) -> float:
-    """The greatest angle in degrees between the planes of any two boards."""
+    """Compute the greatest angle between the planes of any two boards.
+
+    Parameters
+    ----------
+    poses : Sequence[RigidTransform]
+        `T_camera_target` of each.
+
+    Returns
+    -------
+    float
+        In degrees.
+    """
     normals = np.array([T.rotation[:, 2] for T in poses])
     return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
 
@@ -94,7 +122,7 @@ def _about_parts(
 
 
 def _held(pixels: Floats, size: tuple[int, int]) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-    """Which ninths (3, 3) of an image hold any of the pixels (K, 2)."""
+    """Tell which ninths (3, 3) of an image contain any of the pixels (K, 2)."""
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
     held[row, column] = True
@@ -104,9 +132,9 @@ def _held(pixels: Floats, size: tuple[int, int]) -> np.ndarray[tuple[int, int], 
 def _seen_by_both(
     device: Pinhole, other: Pinhole, T_other_device: RigidTransform, distance: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-    """Which ninths (3, 3) have a middle that the other device sees as well, at the boards' distance.
+    """Tell which ninths (3, 3) have a centre that the other device sees as well, at the boards' distance.
 
-    The rest cannot be filled, and no point will ever be measured there.
+    The others cannot contain points of a board, and no point will ever be measured there.
     """
     shares = (np.arange(3) + 0.5) / 3
     u, v = np.meshgrid(shares * device.size[0] - 0.5, shares * device.size[1] - 0.5)

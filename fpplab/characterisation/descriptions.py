@@ -1,4 +1,4 @@
-"""Descriptions of a board that are easily confused, to name the mistake when it is not found."""
+"""Other descriptions of a board that are easily confused, to name the mistake when it is not detected."""
 
 from __future__ import annotations
 
@@ -12,27 +12,51 @@ from fpplab.targets import Target
 
 
 def why_not_found(image: NDArray[Any], target: Target) -> str | None:
-    """What is wrong with a board's description, when it is found in a picture under another."""
+    """Find the mistake in a board's description by detecting it under another.
+
+    Parameters
+    ----------
+    image : NDArray[Any]
+        Grey image (height, width) in which the board was not detected.
+    target : Target
+        The board as described.
+
+    Returns
+    -------
+    str or None
+        A clause that says what is wrong; None when no other description is detected either.
+    """
     for words, other in described_otherwise(target):
         if other.detect(image) is not None:
             return f"but it is there {words}"
-    if target.kind == "charuco" and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
+    if target.layout.shows_mirroring and target.detect(np.ascontiguousarray(image[:, ::-1])) is not None:
         return "but its mirror image is; the print, or the camera's picture, is mirrored"
     return None
 
 
 def described_otherwise(target: Target) -> Iterator[tuple[str, Target]]:
-    """Descriptions that are easily confused with this one, and how each differs."""
+    """List descriptions that are easily confused with this one.
+
+    Parameters
+    ----------
+    target : Target
+        The board as described.
+
+    Yields
+    ------
+    words : str
+        How the other description differs and what the fields should be.
+    other : Target
+        The other description, on a board of arbitrary size.
+    """
     (columns, rows), (x, y) = target.counts, target.spacing_mm
 
     def other(**changes: Any) -> Target:
-        # A board large enough for any of them; how large matters to nothing here.
+        # A board large enough for any of them; its size is not used here.
         return target.model_copy(update={"size_mm": (1e4, 1e4), **changes})
 
-    if target.kind == "circles":
-        toggled = not target.staggered
-        words = "lower by half a pitch in its odd columns" if toggled else "without a shift of odd columns"
-        yield f"{words}: 'staggered' should be {str(toggled).lower()}", other(staggered=toggled)
+    for words, changes in target.layout.confusable():
+        yield words, other(**changes)
     if columns != rows:
         yield (
             f"with rows and columns exchanged: 'counts' should be [{rows}, {columns}]",

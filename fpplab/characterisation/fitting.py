@@ -1,7 +1,7 @@
 """Characterisation of a camera and a projector from poses of a board.
 
 Zhang's method for each device, then the pose between them, then everything together
-(`fpplab.characterisation.bundle`), without what does not belong, and judged by poses that were not fitted.
+(`fpplab.characterisation.bundle`), without outliers, and validated with poses that were not fitted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
-from fpplab.characterisation.board_diagnosis import misdescribed
+from fpplab.characterisation.board_diagnosis import find_description_error
 from fpplab.characterisation.bundle import (
     DistortionModel,
     Model,
@@ -26,7 +26,15 @@ from fpplab.characterisation.bundle import (
 )
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
-from fpplab.characterisation.zhang import ImageSize, apart, matrix_of, refuse_mirrors, rms, stereo, transform
+from fpplab.characterisation.zhang import (
+    ImageSize,
+    calibrate_separately,
+    check_not_mirrored,
+    matrix_of,
+    rms,
+    stereo,
+    transform,
+)
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole
@@ -36,25 +44,25 @@ LEAST_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
 
 SIMPLEST = next(iter(DistortionModel))
-"""More distortion needs evidence: poses that it predicts better."""
+"""The level taken unless another predicts poses left out better."""
 
 LEAST_GAIN = 0.02
-"""Share of the mean square error in poses left out by which more distortion must lessen it."""
+"""Least relative reduction of the mean square error in poses left out by a level with more coefficients."""
 
 WORST_FOCAL = 0.03
-"""Greatest relative uncertainty of a focal length that deserves the name of a result."""
+"""Greatest relative uncertainty of a focal length that is accepted."""
 
 SUSPECT_PX = 1.0
-"""A camera that fits worse than this by itself may be looking at another board than described."""
+"""RMS in px of the camera alone above which other descriptions of the board are tried."""
 
 BOARD_SIGMA_MM = 0.1
-"""How far a printed board's points lie from where they are drawn, where its target file does not say."""
+"""Standard deviation in mm of a printed board's points, where its target file does not give a tolerance."""
 
 UNJUDGED = (
     f"{LEAST_POSES} poses leave none to judge the distortion by, so {SIMPLEST} was taken, the simplest "
     "model; take more poses, or name the model"
 )
-"""What is said when there is nothing to choose the level by."""
+"""Warning when there are too few poses to choose the level by."""
 
 Residuals = tuple[Floats, Floats]
 """Of one pose, model minus observation in px, for the camera and the projector, (K, 2) each."""
@@ -71,26 +79,53 @@ def characterise(
     level: DistortionModel | Literal["auto"] = "auto",
     refine_board: bool | None = None,
 ) -> Characterisation:
-    """Both devices and the pose between them, from what `observe` made of each pose.
+    """Calibrate both devices and the pose between them, from what `observe` measured in each pose.
 
-    camera_size, projector_size: (width, height) in px. left_out: the poses that could not be
-    observed, with a sentence each that names the pose and says why. level: of the distortion; `auto`
-    takes the one with the smallest error in poses left out, or the simplest that is as good as that
-    within the standard error of the difference over the poses, or within `LEAST_GAIN`. `LEAST_POSES` poses
-    leave none to judge by, and it takes the simplest of all, with a warning.
-    refine_board: whether the board's own shape is fitted too, held by `target.tolerance_mm`, or
-    `BOARD_SIGMA_MM` without it; None does so when the target has a tolerance.
+    With `level="auto"` that level is taken which has the smallest error in poses left out, or the simplest
+    that is as good within the standard error of the difference over the poses, or within `LEAST_GAIN`. With
+    only `LEAST_POSES` poses none can be left out, and the simplest level is taken, with a warning.
 
-    Raises `CalibrationError` when fewer than `LEAST_POSES` poses can be used, naming why each of
-    the others cannot, when the poses do not determine the devices, and when the board is not the one
-    described or one of the devices sees it mirrored.
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    target : Target
+        The board.
+    camera_size : ImageSize
+        (width, height) in px.
+    projector_size : ImageSize
+        (width, height) in px.
+    lattice : Lattice
+        Arrangement of the projector's mirrors.
+    left_out : Mapping[str, str] or None
+        The poses that could not be observed by name, with a sentence each that names the pose and says why.
+    level : DistortionModel or 'auto'
+        How many distortion coefficients are estimated.
+    refine_board : bool or None
+        Whether the board's own shape is estimated too, with a prior of `target.tolerance_mm`, or of
+        `BOARD_SIGMA_MM` without it; None does so when the target has a tolerance.
+
+    Returns
+    -------
+    Characterisation
+        The calibration and all that is known about its quality.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than `LEAST_POSES` poses can be used (naming why each of the others cannot), the poses do not
+        determine the devices, the board is not the one described, or a device sees it mirrored.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
     missing = dict(left_out or {})
     most = DistortionModel.K3 if level == "auto" else level
     model = Model(most, target.points(), _board_sigma(target, refine_board))
-    kept, start, apart_px = _settled(observations, target, model, (camera_size, projector_size), missing)
+    kept, start, separate_px = _settled(observations, target, model, (camera_size, projector_size), missing)
     kept, start, rejected = _without_outliers(kept, start, model)
-    # With few terms the distortion would stand in for tilts that are missing, so all are free here.
+    # A model with few coefficients would hide that tilts are missing, so all are estimated here.
     _determined(start, uncertainty(kept, start, model).sigma)
     few = level == "auto" and len(kept) <= LEAST_POSES
     tried = [_tried(kept, start, model, one) for one in _candidates(level, few)]
@@ -111,7 +146,7 @@ def characterise(
         poses,
         cameras,
         projectors,
-        apart_px,
+        separate_px,
         trial.held_out_px,
         solution.board,
         missing,
@@ -134,23 +169,23 @@ def _settled(
     observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
     missing: dict[str, str],
 ) -> tuple[list[Observation], Solution, dict[str, float]]:  # fmt: skip
-    """The poses that belong together, their joint fit, and the RMS of the steps before it.
+    """Select the poses that are consistent: these, their joint fit, and the RMS of the steps before it.
 
-    What does not belong is added to `missing`.
+    The others are added to `missing`.
     """
     kept = list(observations)
     while True:
         _enough(kept, missing)
-        start, apart_px = _started(kept, target, sizes)
-        odd = outliers.odd_pose(kept, start, 5.0)
+        start, separate_px = _started(kept, target, sizes)
+        odd = outliers.find_moved_pose(kept, start, 5.0)
         if odd is None:
-            pair, apart_px["stereo"] = stereo(kept, start, sizes[0])
+            pair, separate_px["stereo"] = stereo(kept, start, sizes[0])
             start = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
-            odd = outliers.odd_pose(kept, start, 1.0)
+            odd = outliers.find_moved_pose(kept, start, 1.0)
         if odd is None:
-            return kept, start, apart_px
+            return kept, start, separate_px
         missing[kept[odd].name] = (
-            f"{kept[odd].name}: fits {outliers.ODD_POSE:g} times worse than the other poses; "
+            f"{kept[odd].name}: fits {outliers.MOVED_POSE:g} times worse than the other poses; "
             "the board or the rig moved during the capture"
         )
         del kept[odd]
@@ -159,26 +194,28 @@ def _settled(
 def _started(
     observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize]
 ) -> tuple[Solution, dict[str, float]]:
-    """Both devices apart; a poor fit that another description of the board would mend is refused."""
+    """Calibrate both devices separately; refuse a poor fit that another description of the board explains."""
     try:
-        start, lit, apart_px = apart(observations, target.points(), *sizes)
+        start, projector_poses, separate_px = calibrate_separately(observations, target.points(), *sizes)
     except CalibrationError as error:
-        raise CalibrationError(misdescribed(observations, target, sizes[0]) or str(error)) from error
-    if apart_px["camera"] > SUSPECT_PX:
-        mistake = misdescribed(observations, target, sizes[0], apart_px["camera"])
+        raise CalibrationError(
+            find_description_error(observations, target, sizes[0]) or str(error)
+        ) from error
+    if separate_px["camera"] > SUSPECT_PX:
+        mistake = find_description_error(observations, target, sizes[0], separate_px["camera"])
         if mistake:
             raise CalibrationError(mistake)
-    refuse_mirrors(start.poses, lit)
-    return start, apart_px
+    check_not_mirrored(start.poses, projector_poses)
+    return start, separate_px
 
 
 def _without_outliers(
     observations: list[Observation], solution: Solution, model: Model
 ) -> tuple[list[Observation], Solution, list[Rejected]]:
-    """The same fitted anew without points that lie wrong, until there are none."""
-    left, rejected = outliers.budget(observations), list[Rejected]()
+    """Repeat the fit without outlying points until there are none."""
+    left, rejected = outliers.rejection_limits(observations), list[Rejected]()
     while True:
-        observations, found = outliers.reject(observations, solution, left)
+        observations, found = outliers.reject_points(observations, solution, left)
         if not found:
             return observations, solution, rejected
         rejected += found
@@ -186,7 +223,7 @@ def _without_outliers(
 
 
 def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[DistortionModel, ...]:
-    """The levels to try, the simplest first; `auto` has no choice when the poses are few."""
+    """List the levels to try, the simplest first; `auto` has no choice when the poses are few."""
     if level == "auto":
         return (SIMPLEST,) if few else tuple(DistortionModel)
     return (level,)
@@ -195,7 +232,7 @@ def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[Di
 def _tried(
     observations: Sequence[Observation], settled: Solution, model: Model, level: DistortionModel
 ) -> tuple[ModelTrial, Solution, list[Residuals] | None]:
-    """What a level reaches, its fit, and its residuals in each pose when that was left out.
+    """Fit one level: its errors, its fit, and its residuals in each pose when that was left out.
 
     settled: the fit of `model`, from which that of another level starts.
     """
@@ -209,7 +246,7 @@ def _tried(
 def _leave_one_out(
     observations: Sequence[Observation], solution: Solution, model: Model
 ) -> list[Residuals] | None:
-    """Residuals in each pose when all else is fitted to the others, and only its pose to it."""
+    """Compute the residuals in each pose when only its own pose is fitted to it, all else to the others."""
     if len(observations) <= LEAST_POSES:
         return None
     held_out = []
@@ -224,7 +261,7 @@ def _leave_one_out(
 
 
 def _chosen(tried: Sequence[tuple[ModelTrial, Solution, list[Residuals] | None]]) -> int:
-    """Which to take, simplest first in `tried`; poses are compared one by one, for some are always worse."""
+    """Choose from `tried`, simplest first, by errors pose by pose, because some poses are always worse."""
     if len(tried) == 1:
         return 0
     errors = np.array([[_mean_square(pair) for pair in held] for _, _, held in tried if held])
@@ -254,7 +291,7 @@ def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> No
 
 
 def _reasons(left_out: Mapping[str, str]) -> str:
-    """Why poses are left out, a reason that several share once."""
+    """Say why poses are left out, a reason that several share only once."""
     poses: dict[str, list[str]] = defaultdict(list)
     for name, words in left_out.items():
         poses[words.removeprefix(f"{name}: ")].append(name)
@@ -265,7 +302,7 @@ def _reasons(left_out: Mapping[str, str]) -> str:
 
 
 def _determined(solution: Solution, sigma: dict[str, float]) -> None:
-    """Refuse focal lengths that the poses leave open: `CalibrationError`."""
+    """Raise `CalibrationError` for focal lengths that the poses do not determine."""
     apart_deg = coverage.spread_of_tilts([transform(p) for p in solution.poses])
     parallel = f"all poses are parallel, to within {apart_deg:.1f}°, and do not determine "
     advice = "add some that are tilted by 20° or more, each time differently"

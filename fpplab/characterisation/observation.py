@@ -1,7 +1,7 @@
-"""What one capture of a board tells: where its points lie for the camera and for the projector.
+"""Observation of one pose of a board: where its points lie for the camera and for the projector.
 
-The projector's view of a point comes from a smooth fit to the decoded maps around it, not from
-the pixel it falls on: noise averages out and wrong fringe orders are found out.
+The projector coordinates of a point come from a smooth fit to the decoded maps around it, not from the
+pixel it falls on: noise averages out and wrong fringe orders are detected.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
-from fpplab.targets.detection import LEAST_POINTS, Detection, homography, local_frames, window
 from fpplab.targets.partial import detect_part
+from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, window
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
 
 WINDOW = 0.8
-"""Half side of the window of the local fit, in pitches of the board."""
+"""Half the side of the local fit's window, in pitches of the board."""
 
 MOST_SLOPE = 0.12
-"""Greatest relative gradient of the modulation in 1/px; steeper pixels mix two surfaces' phases."""
+"""Greatest relative gradient of the modulation in 1/px; steeper pixels mix the phases of two surfaces."""
 
 LEAST_PIXELS = 40
 """Pixels that a local fit of six coefficients needs to reject outliers."""
@@ -41,8 +41,18 @@ PLANE_SHARE = 0.5
 class Observation:
     """One pose of a board.
 
-    ids (K,) are rows of `Target.points`; camera_px, projector_px (K, 2) are (u, v) in px.
-    repaired: share of the pixels used whose fringe order was mended.
+    Attributes
+    ----------
+    name : str
+        Of the pose.
+    ids : NDArray[np.intp]
+        (K,) rows of `Target.points`.
+    camera_px : Floats
+        (K, 2) image coordinates (u, v) in px.
+    projector_px : Floats
+        (K, 2) projector coordinates (u, v) in px.
+    repaired : float
+        Share of the pixels used whose fringe order was corrected.
     """
 
     name: str
@@ -53,9 +63,24 @@ class Observation:
 
 
 def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, float]:
-    """Pitch in projector px of the finest fringes along u and v, for `observe`.
+    """Compute the period of the finest fringes of a plan, for `observe`.
 
-    Raises `CalibrationError` when the plan does not code both axes.
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    projector_size : tuple[int, int]
+        (width, height) in px.
+
+    Returns
+    -------
+    tuple[float, float]
+        Along u and v, in projector px.
+
+    Raises
+    ------
+    CalibrationError
+        The plan does not code both axes.
     """
     if plan.axes != ("x", "y"):
         raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
@@ -72,13 +97,31 @@ def observe(
 ) -> Observation:
     """Find a board in one capture, and its points in the camera and in the projector.
 
-    image: grey [v, u], the mean of a fringe set. decoded: the capture's maps; its u and v are
-    NaN where invalid. periods_px: pitch of the finest fringes along u and v in projector px
-    (`finest_periods`); coordinates on the board that are off by whole ones are mended. None
-    takes the fringe orders as they are, but for outliers around each point.
+    Parameters
+    ----------
+    name : str
+        Of the pose.
+    image : NDArray[Any]
+        Grey image (height, width), the mean of a fringe set.
+    decoded : Decoded
+        Maps of the capture; u and v are NaN where invalid.
+    target : Target
+        The board.
+    periods_px : tuple[float, float] or None
+        Periods of the finest fringes along u and v in projector px (`finest_periods`): coordinates on the
+        board that are wrong by whole periods are corrected. None takes the fringe orders as they are, but for
+        outliers around each point.
 
-    Raises `CalibrationError` that names the pose when the board is not found, when too few of its
-    points are lit, or when its coordinates do not fit a plane.
+    Returns
+    -------
+    Observation
+        The points that are found in both devices.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the pose: the maps have another size than the image, the board is not found, too few of its
+        points are illuminated, or its coordinates do not fit a plane.
     """
     if image.shape != decoded.u.shape:
         raise CalibrationError(
@@ -87,14 +130,14 @@ def observe(
     detection = target.detect(image) or _part(name, image, target)
     maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
     maps[_steep(decoded.modulation)] = np.nan
-    mended = maps
+    corrected = maps
     if periods_px is not None:
-        mended = _mend_orders(name, maps, target, detection, np.array(periods_px))
-    found = _local_fits(mended, decoded.modulation.astype(np.float64), target, detection)
+        corrected = _correct_orders(name, maps, target, detection, np.array(periods_px))
+    found = _local_fits(corrected, decoded.modulation.astype(np.float64), target, detection)
     kept = np.isfinite(found).all(axis=1)
     if kept.sum() < LEAST_POINTS:
-        raise CalibrationError(f"{name}: only {kept.sum()} points of the board are lit well enough")
-    changed = np.abs(mended - maps).max(axis=-1)
+        raise CalibrationError(f"{name}: only {kept.sum()} points of the board are illuminated well enough")
+    changed = np.abs(corrected - maps).max(axis=-1)
     changed = changed[np.isfinite(changed)]
     return Observation(
         name, detection.ids[kept], detection.pixels[kept], found[kept], float(np.mean(changed > 0))
@@ -102,12 +145,12 @@ def observe(
 
 
 def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
-    """What is in view of a board not found whole, or a `CalibrationError` that says why it is not known."""
-    missing = f"{name}: the board was not found in the picture"
+    """Find part of a board that was not found whole, or raise `CalibrationError` with the reason."""
+    missing = f"{name}: the board was not found in the image"
     if cause := why_not_found(image, target):
         raise CalibrationError(f"{missing}, {cause}")
     try:
-        found = detect_part(target, image)
+        found = detect_part(target.layout, image)
     except UnclearPart as error:
         raise CalibrationError(f"{missing}: {error}") from error
     if found is None:
@@ -116,23 +159,23 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
 
 
 def _steep(modulation: Map) -> NDArray[np.bool_]:
-    """Pixels on an edge: blur there shifts the phase by its square times the relative gradient."""
+    """Tell which pixels lie on an edge: blur shifts the phase by its square times the relative gradient."""
     smooth = cv2.GaussianBlur(np.nan_to_num(modulation.astype(np.float64)), (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
     return np.asarray(slope > MOST_SLOPE * smooth)
 
 
-def _mend_orders(name: str, maps: Floats, target: Target, detection: Detection, periods: Floats) -> Floats:
-    """The maps on the board with every pixel moved by the whole periods that bring it onto its plane.
+def _correct_orders(name: str, maps: Floats, target: Target, detection: Detection, periods: Floats) -> Floats:
+    """Correct the fringe orders on the board by the whole periods that bring every pixel onto its plane.
 
     A plane maps camera to projector pixels by a homography, up to distortion, which is far less
-    than half a period. Pixels in between are no use, and NaN; so is everything off the board.
+    than half a period. Ambiguous pixels become NaN; so does everything off the board.
     Raises `CalibrationError` when fewer than `PLANE_SHARE` of the pixels agree on a plane.
     """
-    mended = np.full_like(maps, np.nan)
+    corrected = np.full_like(maps, np.nan)
     v, u = np.nonzero(np.isfinite(maps).all(axis=-1) & _board_area(maps.shape[:2], target, detection))
     if len(u) < LEAST_PIXELS * LEAST_POINTS:
-        raise CalibrationError(f"{name}: too little of the board is lit by the projector")
+        raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
     pixels = np.stack([u, v], axis=-1).astype(np.float64)
     step = max(len(u) // 4000, 1)
     plane, inliers = cv2.findHomography(pixels[::step], maps[v, u][::step] / periods, cv2.RANSAC, 0.25)
@@ -141,13 +184,13 @@ def _mend_orders(name: str, maps: Floats, target: Target, detection: Detection, 
     expected = cv2.perspectiveTransform(pixels[None], plane)[0]
     excess = maps[v, u] / periods - expected
     orders = np.rint(excess)
-    certain = (np.abs(excess - orders) < 0.4).all(axis=1)
-    mended[v[certain], u[certain]] = (maps[v, u] - orders * periods)[certain]
-    return mended
+    unambiguous = (np.abs(excess - orders) < 0.4).all(axis=1)
+    corrected[v[unambiguous], u[unambiguous]] = (maps[v, u] - orders * periods)[unambiguous]
+    return corrected
 
 
 def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) -> NDArray[np.bool_]:
-    """Pixels within the windows of the points found."""
+    """Tell which pixels are within the windows of the points found."""
     area = np.zeros(shape, np.uint8)
     half = WINDOW * np.array(target.spacing_mm)
     low, high = (f(target.points()[detection.ids, :2], axis=0) for f in (np.min, np.max))
@@ -159,7 +202,7 @@ def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) ->
 
 
 def _local_fits(maps: Floats, modulation: Floats, target: Target, detection: Detection) -> Floats:
-    """Projector coordinates (K, 2) of the points found; NaN where too little of the map is valid."""
+    """Fit the projector coordinates (K, 2) of the points found; NaN where too little of the map is valid."""
     board = target.points()[detection.ids, :2]
     frames = local_frames(homography(target, detection), board)
     half_mm = WINDOW * min(target.spacing_mm)
@@ -173,7 +216,7 @@ def _local_fits(maps: Floats, modulation: Floats, target: Target, detection: Det
 
 
 def _value_at_centre(x: Floats, y: Floats, seen: Floats, weight: Floats) -> Floats:
-    """The value (2,) at the origin of a quadric through samples (n, 2), outliers left out.
+    """Fit a quadric to samples (n, 2) without outliers, and return its value (2,) at the origin.
 
     x, y: (n,) scaled to about ±1. weight: (n,) inversely proportional to the samples' noise.
     """

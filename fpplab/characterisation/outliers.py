@@ -1,4 +1,4 @@
-"""What does not belong: poses in which something moved, and points that were found in a wrong place."""
+"""Outliers: poses in which something moved, and points that were located wrongly."""
 
 from __future__ import annotations
 
@@ -14,38 +14,79 @@ from fpplab.characterisation.result import Rejected
 from fpplab.characterisation.zhang import rms_of_poses
 from fpplab.core.conventions import Floats
 
-ODD_POSE = 4.0
-"""A pose this many times worse than the median of all is not of the same board, rig and focus."""
+MOVED_POSE = 4.0
+"""A pose whose RMS is this many times the median is excluded: the board, the rig or the focus changed."""
 
 OUTLIER = 5.0
-"""A point this many standard deviations from where it should be: noise alone does it once in 270 000."""
+"""Standard deviations beyond which a point is rejected; noise alone exceeds them once in 270 000."""
 
 LEAST_ERROR_PX = 0.02
-"""Nearer points are never outliers, however small the spread of the others."""
+"""Least error in px of a point that is rejected, however small the others' scatter."""
 
 MOST_REJECTED = 0.1
-"""Greatest share of a pose's points that may be rejected; if more are wrong the pose is, not the points."""
+"""Greatest share of a pose's points that may be rejected; if more are wrong, the pose itself is."""
 
 
-def odd_pose(observations: Sequence[Observation], solution: Solution, least_px: float) -> int | None:
-    """The pose that fits so much worse than the rest that something moved while it was captured."""
+def find_moved_pose(observations: Sequence[Observation], solution: Solution, least_px: float) -> int | None:
+    """Find the pose that fits so much worse than the others that something moved while it was captured.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    solution : Solution
+        Fitted to them.
+    least_px : float
+        RMS in px below which no pose is suspected.
+
+    Returns
+    -------
+    int or None
+        Its index; None when there is none.
+    """
     rms = rms_of_poses(observations, solution)
     worst = int(np.argmax(rms))
-    return worst if rms[worst] > max(ODD_POSE * float(np.median(rms)), least_px) else None
+    return worst if rms[worst] > max(MOVED_POSE * float(np.median(rms)), least_px) else None
 
 
-def budget(observations: Sequence[Observation]) -> list[int]:
-    """How many points of each pose may be rejected."""
+def rejection_limits(observations: Sequence[Observation]) -> list[int]:
+    """Compute how many points of each pose may be rejected.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+
+    Returns
+    -------
+    list[int]
+        By pose, `MOST_REJECTED` of its points.
+    """
     return [int(MOST_REJECTED * len(o.ids)) for o in observations]
 
 
-def reject(
+def reject_points(
     observations: Sequence[Observation], solution: Solution, left: list[int]
 ) -> tuple[list[Observation], list[Rejected]]:
-    """The observations without the points that lie wrong in either device, and these with a reason each.
+    """Reject points that lie wrong in either device.
 
-    left: how many points of each pose may still be rejected; the worst go first. It is reduced.
-    The measure is each device's own spread: the median of its residuals' size, over all poses.
+    The threshold is relative to each device's own robust standard deviation over all poses.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    solution : Solution
+        Fitted to them.
+    left : list[int]
+        How many points of each pose may still be rejected, the worst first; it is reduced in place.
+
+    Returns
+    -------
+    kept : list[Observation]
+        The poses without those points.
+    rejected : list[Rejected]
+        The points, with a reason each.
     """
     residuals = [solution.residuals(i, o) for i, o in enumerate(observations)]
     spreads = [_spread([pair[device] for pair in residuals]) for device in (0, 1)]
@@ -65,7 +106,7 @@ def reject(
 
 
 def _spread(residuals: Sequence[Floats]) -> float:
-    """Robust standard deviation of a coordinate in px."""
+    """Return the robust standard deviation of a coordinate in px."""
     return 1.4826 * float(np.median(np.abs(np.concatenate(list(residuals)))))
 
 

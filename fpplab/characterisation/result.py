@@ -1,4 +1,4 @@
-"""What a characterisation found, and how good it is."""
+"""Result of a characterisation, and its quality."""
 
 from __future__ import annotations
 
@@ -16,7 +16,21 @@ from fpplab.core.geometry import RigidTransform
 
 @dataclass(frozen=True)
 class Rejected:
-    """A point of a pose that was not used. residual_px: how far it lies from where `device` should see it."""
+    """A point of a pose that was not used.
+
+    Attributes
+    ----------
+    pose : str
+        Name of the pose.
+    point : int
+        Id of the point.
+    device : str
+        `camera` or `projector`, in which it lies wrong.
+    residual_px : float
+        Distance in px from where `device` should see it.
+    why : str
+        The reason in words.
+    """
 
     pose: str
     point: int
@@ -27,10 +41,16 @@ class Rejected:
 
 @dataclass(frozen=True)
 class ModelTrial:
-    """What one level of the model reaches: RMS in px by device.
+    """Errors of one level of the distortion model.
 
-    fitted_px: of `camera`, `projector` and `joint`. held_out_px: the same, in poses that the devices were
-    not fitted to; None with too few poses.
+    Attributes
+    ----------
+    level : DistortionModel
+        The level.
+    fitted_px : dict[str, float]
+        RMS in px of `camera`, `projector` and `joint`.
+    held_out_px : dict[str, float] or None
+        The same in poses that the devices were not fitted to; None with too few poses.
     """
 
     level: DistortionModel
@@ -40,16 +60,42 @@ class ModelTrial:
 
 @dataclass(frozen=True, eq=False)
 class Characterisation:
-    """A calibration with all that is known about how good it is.
+    """A calibration with all that is known about its quality.
 
-    observations: the poses used; residuals are in their order, model minus observation, (K, 2) px.
-    poses: `T_camera_target` of each. apart_px: RMS of `camera` and `projector` fitted apart, and
-    of the `stereo` step on top, with k1 k2 p1 p2. leave_one_out_px: RMS of `camera` and `projector` in
-    poses that the devices were not fitted to; None with too few poses. board: points (P, 3) in mm as used.
-    left_out: why, by name of pose. sigma: standard uncertainty, as `camera.fx` or
-    `T_projector_camera.x`, in px, rad or mm; the covariance is the calibration's. level: of the model
-    used. trials: of every level tried. rejected: points not used. warnings: what the poses leave open.
-    drawn: where the board's points were drawn, (P, 3) in mm, if its shape was refined.
+    Attributes
+    ----------
+    calibration : Calibration
+        Both devices and the pose between them, with the covariance.
+    observations : tuple[Observation, ...]
+        The poses used; residuals are in their order.
+    poses : tuple[RigidTransform, ...]
+        `T_camera_target` of each.
+    camera_residuals : tuple[Floats, ...]
+        Model minus observation of each pose, (K, 2) in px.
+    projector_residuals : tuple[Floats, ...]
+        Model minus observation of each pose, (K, 2) in px.
+    separate_px : dict[str, float]
+        RMS in px of `camera` and `projector` fitted separately, and of the `stereo` step on top, with
+        k1 k2 p1 p2.
+    leave_one_out_px : dict[str, float] or None
+        RMS in px of `camera` and `projector` in poses that the devices were not fitted to; None with too few
+        poses.
+    board : Floats
+        (P, 3) points of the board in mm as used.
+    left_out : dict[str, str]
+        Why a pose was not used, by its name.
+    sigma : dict[str, float]
+        Standard uncertainty by parameter, as `camera.fx` or `T_projector_camera.x`, in px, rad or mm.
+    level : DistortionModel
+        Of the model used.
+    trials : tuple[ModelTrial, ...]
+        Of every level tried.
+    rejected : tuple[Rejected, ...]
+        Points that were not used.
+    warnings : tuple[str, ...]
+        What the poses leave undetermined.
+    drawn : Floats or None
+        (P, 3) where the board's points were drawn, in mm, if its shape was estimated.
     """
 
     calibration: Calibration
@@ -57,7 +103,7 @@ class Characterisation:
     poses: tuple[RigidTransform, ...]
     camera_residuals: tuple[Floats, ...]
     projector_residuals: tuple[Floats, ...]
-    apart_px: dict[str, float]
+    separate_px: dict[str, float]
     leave_one_out_px: dict[str, float] | None
     board: Floats
     left_out: dict[str, str]
@@ -70,17 +116,23 @@ class Characterisation:
 
     @property
     def points(self) -> int:
-        """How many points were used, all poses together."""
+        """Number of points used, of all poses together."""
         return sum(len(o.ids) for o in self.observations)
 
     def summary(self) -> dict[str, Any]:
-        """The figures for a machine to read, as the command line prints them."""
+        """Return the figures that the command line prints as JSON.
+
+        Returns
+        -------
+        dict[str, Any]
+            Plain data: RMS in px by device, numbers of poses and points, models tried, warnings.
+        """
         figures = self.calibration.rms_px
         return {
             "camera": {"rms_px": figures["camera"]},
             "projector": {"rms_px": figures["projector"]},
             "joint_rms_px": figures["joint"],
-            "stereo_rms_px": self.apart_px["stereo"],
+            "stereo_rms_px": self.separate_px["stereo"],
             "leave_one_out": _both(self.leave_one_out_px),
             "poses": len(self.observations),
             "points": self.points,
@@ -94,7 +146,13 @@ class Characterisation:
         }
 
     def facts(self) -> dict[str, str]:
-        """What the head of a report says: the model, what else was tried, warnings, and points rejected."""
+        """Return the facts for the head of a report.
+
+        Returns
+        -------
+        dict[str, str]
+            By title: the model, the errors of the others tried, warnings, and points rejected.
+        """
         facts = {"Model": _terms(self.level)}
         for trial in self.trials:
             facts[f"Error with {trial.level}"] = _errors(trial)

@@ -1,4 +1,4 @@
-"""First values: each device by itself by Zhang's method, then the pose between them.
+"""Initial values: each device calibrated separately by Zhang's method, then the pose between them.
 
 Z. Zhang, "A flexible new technique for camera calibration", 2000, with k1 k2 p1 p2. RMS figures are per
 point: the root of the mean squared distance in px.
@@ -20,36 +20,71 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
 
 ImageSize = tuple[int, int]
+"""(width, height) in px."""
+
 BoardPixels = list[Floats]
+"""Points of each pose, (K, 2) or (K, 3)."""
 
 
-def apart(
+def calibrate_separately(
     observations: Sequence[Observation], board: Floats, camera_size: ImageSize, projector_size: ImageSize
 ) -> tuple[Solution, Floats, dict[str, float]]:
-    """Each device by itself, and a first pose between them that the most poses agree on.
+    """Calibrate each device by itself, and take the pose between them that agrees best with all poses.
 
-    board: (P, 3) in mm. Also returns the poses (M, 6) as the projector has them, and the RMS of both
-    devices. Raises `CalibrationError` when the poses do not determine a device.
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    board : Floats
+        (P, 3) points of the board in mm.
+    camera_size : ImageSize
+        (width, height) in px.
+    projector_size : ImageSize
+        (width, height) in px.
+
+    Returns
+    -------
+    solution : Solution
+        Initial values, with the camera's poses.
+    projector_poses : Floats
+        (M, 6) poses of the board in the projector's frame.
+    rms_px : dict[str, float]
+        Of `camera` and `projector`.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine a device.
     """
     boards = [board[o.ids] for o in observations]
     camera_rms, camera, poses = zhang("camera", boards, [o.camera_px for o in observations], camera_size)
-    projector_rms, projector, lit = zhang(
+    projector_rms, projector, projector_poses = zhang(
         "projector", boards, [o.projector_px for o in observations], projector_size
     )
     solutions = [
         Solution(camera, projector, vectors_of(transform(p) @ transform(c).inverse()), poses, board)
-        for c, p in zip(poses, lit, strict=True)
+        for c, p in zip(poses, projector_poses, strict=True)
     ]
     agreed = min(solutions, key=lambda s: float(np.median(rms_of_poses(observations, s))))
-    return agreed, lit, {"camera": camera_rms, "projector": projector_rms}
+    return agreed, projector_poses, {"camera": camera_rms, "projector": projector_rms}
 
 
-def refuse_mirrors(poses: Floats, lit: Floats) -> None:
-    """Refuse boards seen from behind by the camera (poses) or the projector (lit): `CalibrationError`.
+def check_not_mirrored(poses: Floats, projector_poses: Floats) -> None:
+    """Refuse boards that a device sees from behind: a mirrored flat board fits so, too.
 
-    A flat board fits from behind as well when it is mirrored.
+    Parameters
+    ----------
+    poses : Floats
+        (M, 6) poses of the board in the camera's frame.
+    projector_poses : Floats
+        (M, 6) in the projector's frame.
+
+    Raises
+    ------
+    CalibrationError
+        The board is seen mirrored by both devices, or by one of them.
     """
-    behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, lit)]
+    behind = [np.mean([_from_behind(pose) for pose in seen]) > 0.5 for seen in (poses, projector_poses)]
     if all(behind):
         raise CalibrationError(
             "the board is mirrored: camera and projector see its points in the order they have from behind; "
@@ -70,10 +105,39 @@ def _from_behind(pose: Floats) -> bool:
 def zhang(
     device: str, boards: BoardPixels, pixels: BoardPixels, size: ImageSize
 ) -> tuple[float, Floats, Floats]:
-    """Zhang's method from several guesses of the principal point: RMS, intrinsics (12,), poses (M, 6).
+    """Calibrate a device by Zhang's method from several guesses of the principal point.
 
-    A projector's lens is often shifted so far that its principal point lies at the picture's edge,
-    where a start from the centre may end in a wrong minimum.
+    A projector's lens is often shifted so far that its principal point lies at the image border, where a
+    start from the centre may end in a wrong minimum.
+
+    Parameters
+    ----------
+    device : str
+        Name for messages.
+    boards : BoardPixels
+        (K, 3) points of the board in mm, of each pose.
+    pixels : BoardPixels
+        (K, 2) their images in px.
+    size : ImageSize
+        (width, height) in px.
+
+    Returns
+    -------
+    rms : float
+        In px.
+    intrinsics : Floats
+        (12,) as named in `INTRINSICS`.
+    poses : Floats
+        (M, 6) rotation vectors in rad and translations in mm.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine the device.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
     width, height = size
     places = ((0.5, 0.5), (0.5, 1.0), (0.5, 0.0), (1.0, 0.5), (0.0, 0.5))
@@ -115,7 +179,24 @@ def _zhang_from(
 
 
 def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize) -> tuple[Floats, float]:
-    """The best T_projector_camera (6,) with both devices held, and the RMS of both together."""
+    """Fit the pose between both devices with both held.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    start : Solution
+        The devices.
+    size : ImageSize
+        (width, height) of the camera's image in px.
+
+    Returns
+    -------
+    pair : Floats
+        (6,) T_projector_camera: rotation vector in rad and translation in mm.
+    rms : float
+        Of both devices together, in px.
+    """
     rms, *_, rotation, translation, _, _ = cv2.stereoCalibrate(
         [start.board[o.ids].astype(np.float32) for o in observations],
         [o.camera_px.astype(np.float32) for o in observations],
@@ -132,19 +213,67 @@ def stereo(observations: Sequence[Observation], start: Solution, size: ImageSize
 
 
 def matrix_of(intrinsics: Floats) -> Floats:
+    """Write the camera matrix of intrinsic parameters.
+
+    Parameters
+    ----------
+    intrinsics : Floats
+        fx, fy, cx, cy in px, then whatever follows.
+
+    Returns
+    -------
+    Floats
+        (3, 3) in px.
+    """
     fx, fy, cx, cy = intrinsics[:4]
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
 def transform(vectors: Floats) -> RigidTransform:
+    """Make a rigid transform of six numbers; inverse of `vectors_of`.
+
+    Parameters
+    ----------
+    vectors : Floats
+        (6,) rotation vector in rad and translation in mm.
+
+    Returns
+    -------
+    RigidTransform
+        The transform.
+    """
     return RigidTransform.from_vectors(vectors[:3], vectors[3:])
 
 
 def rms_of_poses(observations: Sequence[Observation], solution: Solution) -> Floats:
-    """RMS (M,) of each pose over both devices."""
+    """Compute the RMS of each pose over both devices.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    solution : Solution
+        Fitted to them.
+
+    Returns
+    -------
+    Floats
+        (M,) in px.
+    """
     return np.array([rms(solution.residuals(i, o)) for i, o in enumerate(observations)])
 
 
 def rms(residuals: Sequence[Floats]) -> float:
-    """Root of the mean squared length of residuals (K, 2) each."""
+    """Compute the root mean square length of residuals.
+
+    Parameters
+    ----------
+    residuals : Sequence[Floats]
+        (K, 2) each.
+
+    Returns
+    -------
+    float
+        In the residuals' unit.
+    """
     return float(np.sqrt(np.mean(np.sum(np.concatenate(list(residuals)) ** 2, axis=1))))

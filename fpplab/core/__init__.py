@@ -1,0 +1,1 @@
+"""Basis of all packages: conventions, geometry, configuration files, errors and files."""

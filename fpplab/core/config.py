@@ -1,4 +1,4 @@
-"""YAML documents with a schema: read strictly, refuse in one sentence, write back.
+"""YAML documents with a schema: read strictly, refused in one sentence, written back.
 
 A document is a frozen pydantic model. Nothing is coerced, nothing unknown is
 ignored: an operator's typing error must never become a default.
@@ -66,9 +66,24 @@ for _class in (_Loader, _Dumper):
 
 
 def parse_yaml(text: str, source: Path | str) -> Any:
-    """Plain data from YAML text.
+    """Parse YAML text as plain data.
 
-    Raises `ConfigError` naming `source` and the line when the text is not YAML.
+    Parameters
+    ----------
+    text : str
+        The YAML.
+    source : Path or str
+        What messages call it.
+
+    Returns
+    -------
+    object
+        Mappings, lists, strings, numbers, booleans and None.
+
+    Raises
+    ------
+    ConfigError
+        The text is not YAML or gives a key twice; names `source` and the line.
     """
     try:
         return yaml.load(text, _Loader)
@@ -82,7 +97,23 @@ def parse_yaml(text: str, source: Path | str) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """The text of a configuration file, or a `ConfigError` that says why not."""
+    """Read the text of a configuration file.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+
+    Returns
+    -------
+    str
+        Its text.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, it is not UTF-8, or it cannot be read.
+    """
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -94,16 +125,51 @@ def read_text(path: Path) -> str:
 
 
 def load_document(path: Path | str, model: type[D]) -> D:
-    """Read one YAML file as `model`.
+    """Read one YAML file as a document.
 
-    Raises `ConfigError` with file, field, value and allowed range.
+    Parameters
+    ----------
+    path : Path or str
+        Of the file.
+    model : type[D]
+        The document's class.
+
+    Returns
+    -------
+    D
+        The document.
+
+    Raises
+    ------
+    ConfigError
+        Naming file, field, value and allowed range.
     """
     path = Path(path)
     return validate(parse_yaml(read_text(path), path), model, path)
 
 
 def validate(data: Any, model: type[D], source: Path | str) -> D:
-    """Plain data as `model`, or a `ConfigError` that names the first wrong field."""
+    """Validate plain data as a document.
+
+    Parameters
+    ----------
+    data : Any
+        A mapping of fields.
+    model : type[D]
+        The document's class.
+    source : Path or str
+        What messages call the data.
+
+    Returns
+    -------
+    D
+        The document.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first wrong field.
+    """
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: expected a mapping of fields, found {_shown(data)}")
     try:
@@ -114,7 +180,20 @@ def validate(data: Any, model: type[D], source: Path | str) -> D:
 
 
 def describe(error: ValidationError, data: Any = None) -> str:
-    """The faults of a validation of `data` in one sentence: field, value, what is allowed."""
+    """Describe the faults of a validation in one sentence.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic found.
+    data : Any
+        The data that were validated; with it fields are named as they are written there.
+
+    Returns
+    -------
+    str
+        The first fault with field, value and what is allowed, and how many more there are.
+    """
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
@@ -139,7 +218,7 @@ def _fault(detail: Any) -> str:
 
 
 def _written(detail: Any, data: Any) -> dict[str, Any]:
-    """A fault whose place is the document's: without the names of which of several models was tried."""
+    """Locate a fault in the document, without the names of which of several models was tried."""
     place: list[int | str] = []
     for part in detail["loc"]:
         inside = data if isinstance(data, dict) else dict(enumerate(data)) if isinstance(data, list) else {}
@@ -164,32 +243,92 @@ def _shown(value: Any) -> str:
 
 
 def dump(document: Document) -> str:
-    """The document as YAML text that `load_document` reads back."""
+    """Write a document as YAML text that `load_document` reads back.
+
+    Parameters
+    ----------
+    document : Document
+        The document.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
     return to_yaml(plain(document))
 
 
 def plain(document: Document) -> dict[str, Any]:
-    """The document as plain data, such as JSON and YAML hold, without what is None."""
+    """Convert a document to plain data, such as JSON and YAML hold.
+
+    Parameters
+    ----------
+    document : Document
+        The document.
+
+    Returns
+    -------
+    dict[str, Any]
+        Without the fields that are None.
+    """
     data: dict[str, Any] = document.model_dump(mode="json", exclude_none=True)
     return data
 
 
 def to_yaml(data: Any) -> str:
-    """Plain data as YAML text, keys in their own order."""
+    """Write plain data as YAML text, keys in their own order.
+
+    Parameters
+    ----------
+    data : Any
+        Mappings, lists, strings, numbers, booleans and None.
+
+    Returns
+    -------
+    str
+        YAML.
+    """
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 def resolve_beside(name: str, folder: Path) -> str:
-    """What a file in `folder` calls `name`: absolute if something of that name is there, else as it is."""
+    """Resolve a name that a file refers to relative to that file's folder.
+
+    Parameters
+    ----------
+    name : str
+        As the file gives it.
+    folder : Path
+        Of the file.
+
+    Returns
+    -------
+    str
+        The absolute path if something of that name is in the folder, else the name as it is.
+    """
     near = folder / name
     return str(near.resolve()) if name and near.exists() else name
 
 
 def find_config(name: str | Path) -> Path:
-    """A configuration by path, or by name among the ones that come with fpplab.
+    """Find a configuration by path, or by name among those that come with fpplab.
 
-    Looks at the path itself, then in the installed package, then beside the
-    checkout. Raises `ConfigError` listing what there is.
+    Looks at the path itself, then in the installed package, then beside the checkout.
+
+    Parameters
+    ----------
+    name : str or Path
+        Path, or name with or without `.yaml`.
+
+    Returns
+    -------
+    Path
+        Of an existing file.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file; lists those that come with fpplab.
     """
     path = Path(name)
     if path.exists():

@@ -49,14 +49,29 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class Lattice(StrEnum):
-    """How a projector's mirrors lie."""
+    """Arrangement of a projector's mirrors."""
 
     SQUARE = "square"
     DIAMOND = "diamond"
 
 
 def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Floats]:
-    """Coordinates (u, v) of every mirror's centre, each (height, width), in projector pixels."""
+    """Compute the coordinates of every mirror's centre.
+
+    Parameters
+    ----------
+    size : tuple[int, int]
+        (width, height) of the projector in px.
+    lattice : Lattice
+        Arrangement of the mirrors.
+
+    Returns
+    -------
+    u : Floats
+        (height, width) in projector px.
+    v : Floats
+        (height, width) in projector px.
+    """
     width, height = size
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     if lattice is Lattice.DIAMOND:
@@ -65,35 +80,124 @@ def mirror_centres(size: tuple[int, int], lattice: Lattice) -> tuple[Floats, Flo
 
 
 def axis_length(size: tuple[int, int], axis: Axis) -> int:
-    """W for axis x, H for axis y, in projector pixels."""
+    """Return the number of projector pixels along an axis.
+
+    Parameters
+    ----------
+    size : tuple[int, int]
+        (width, height) in px.
+    axis : Axis
+        Axis of the coordinate.
+
+    Returns
+    -------
+    int
+        Width for x, height for y.
+    """
     return size[0] if axis == "x" else size[1]
 
 
 def phase_of_coordinate(coordinate: Floats, stripes: float, length: int) -> Floats:
-    """Absolute phase Φ in rad of projector coordinates in px: `2π stripes (u + 0.5)/W`."""
+    """Convert projector coordinates to absolute phase, `Φ = 2π stripes (u + 0.5)/W`.
+
+    Parameters
+    ----------
+    coordinate : Floats
+        In projector px.
+    stripes : float
+        Number of periods across the projector.
+    length : int
+        Number of projector pixels along the axis, W.
+
+    Returns
+    -------
+    Floats
+        In rad, of the same shape.
+    """
     return TWO_PI * stripes * (coordinate + 0.5) / length
 
 
 def coordinate_of_phase(phase: Floats, stripes: float, length: int) -> Floats:
-    """Projector coordinates in px of absolute phase in rad: `u = Φ W/(2π stripes) - 0.5`."""
+    """Convert absolute phase to projector coordinates, `u = Φ W/(2π stripes) - 0.5`.
+
+    Parameters
+    ----------
+    phase : Floats
+        Absolute phase in rad.
+    stripes : float
+        Number of periods across the projector.
+    length : int
+        Number of projector pixels along the axis, W.
+
+    Returns
+    -------
+    Floats
+        In projector px, of the same shape.
+    """
     return phase * length / (TWO_PI * stripes) - 0.5
 
 
 def phase_steps(steps: int) -> Floats:
-    """The shifts `δ_n = 2π n/N` in rad, (steps,); the same number for the same n/N, so for 1/6 and 2/12."""
+    """Compute the phase shifts `δ_n = 2π n/N`.
+
+    Equal fractions n/N give identical numbers, such as 1/6 and 2/12.
+
+    Parameters
+    ----------
+    steps : int
+        Number of steps, N.
+
+    Returns
+    -------
+    Floats
+        (steps,) in rad.
+    """
     return TWO_PI * (np.arange(steps) / steps)
 
 
 def full_scale(bits: int) -> int:
-    """The greatest integer of a frame or pattern of `bits` depth."""
+    """Return the greatest integer of a frame or pattern.
+
+    Parameters
+    ----------
+    bits : int
+        Bit depth.
+
+    Returns
+    -------
+    int
+        2^bits - 1.
+    """
     return (1 << bits) - 1
 
 
 def raw_dtype(bits: int) -> np.dtype[Any]:
-    """The type of a frame's integers: uint8 up to 8 bits, else uint16."""
+    """Return the type of a frame's integers.
+
+    Parameters
+    ----------
+    bits : int
+        Bit depth.
+
+    Returns
+    -------
+    np.dtype
+        uint8 up to 8 bits, else uint16.
+    """
     return np.dtype(np.uint8 if bits <= 8 else np.uint16)
 
 
 def raw_per_grey(bits: int) -> int:
-    """Integers of a frame of `bits` depth, at least 8, to one grey level of 8 bits."""
+    """Return how many of a frame's integers make one grey level of 8 bits.
+
+    Parameters
+    ----------
+    bits : int
+        Bit depth of the frame, at least 8.
+
+    Returns
+    -------
+    int
+        2^(bits - 8).
+    """
     return 1 << (bits - 8)

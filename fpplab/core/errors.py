@@ -1,7 +1,7 @@
-"""What can go wrong, by whose hand it is mended, and the exit code that says so.
+"""Errors that are expected to happen, grouped by what has to be corrected, each group with an exit code.
 
-Every foreseeable fault is one of these; the command line prints its single
-sentence and leaves with `exit_code`. The message names what was found and what
+Every foreseeable error is one of these; the command line prints its single
+sentence and exits with `exit_code`. The message names what was found and what
 to do, so that an operator can act on it without reading code.
 """
 
@@ -9,26 +9,30 @@ from __future__ import annotations
 
 
 class FppError(Exception):
-    """Base of every foreseeable fault."""
+    """Base of every foreseeable error."""
 
     exit_code = 1
 
 
 class ConfigError(FppError):
-    """A rig, plan, target or command-line value is wrong: mend the input."""
+    """A rig, plan, target or command-line value is wrong: correct the input."""
 
     exit_code = 2
 
 
 class DeviceError(FppError):
-    """An instrument failed or refused: see to the bench.
+    """An instrument failed or refused: check the rig.
 
     Parameters
     ----------
-    device: the device's name in the rig file.
-    operation: what was being done.
-    found: what was found instead.
-    remedy: what the operator can do.
+    device : str
+        The device's name in the rig file.
+    operation : str
+        What was being done.
+    found : str
+        What was found instead.
+    remedy : str
+        What the operator can do.
     """
 
     exit_code = 3
@@ -39,7 +43,7 @@ class DeviceError(FppError):
         super().__init__(f"{device}: {operation}: {found}{advice}")
 
     def __reduce__(self) -> tuple[type[DeviceError], tuple[str, str, str, str]]:
-        """Made anew on the other side: it comes from another process, too."""
+        """Pickle by the arguments, since errors also come from other processes."""
         return type(self), (self.device, self.operation, self.found, self.remedy)
 
 
@@ -48,7 +52,7 @@ class NotOpenError(DeviceError):
 
 
 class StateError(DeviceError):
-    """The operation is not legal in the device's present state."""
+    """The operation is not allowed in the device's present state."""
 
 
 class CapabilityError(DeviceError):
@@ -84,7 +88,7 @@ class DisconnectedError(DeviceError):
 
 
 class DataError(FppError):
-    """Recorded data are missing, damaged or of another kind than promised."""
+    """Recorded data are missing, damaged or of another kind than expected."""
 
     exit_code = 4
 

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and outputs that are never overwritten by accident."""
+"""Files that are written completely or not at all, and outputs that are never overwritten by accident."""
 
 from __future__ import annotations
 
@@ -16,9 +16,19 @@ from fpplab.core.errors import ConfigError, DataError
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Let `write` fill a file that appears under `path` only once it is complete and on disk.
+    """Write a file that appears only once it is complete and on disk.
 
-    Raises `DataError` as `write_parts`.
+    Parameters
+    ----------
+    path : Path
+        Of the file; missing folders are made.
+    write : Callable[[BinaryIO], object]
+        Writes the content to a stream in memory.
+
+    Raises
+    ------
+    DataError
+        As `write_parts`.
     """
     content = io.BytesIO()  # first in memory: writers of arrays lose the system's reason for a refusal
     write(content)
@@ -26,10 +36,21 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
 
 
 def write_parts(path: Path, *parts: bytes | memoryview) -> None:
-    """Write parts, one behind the other, into a file that appears once it is complete and on disk.
+    """Write parts one after the other into a file that appears only once it is complete and on disk.
 
-    They are not copied. Raises `DataError` when there is no space left or the place cannot be written;
-    nothing is left behind then.
+    The parts are not copied. On an error nothing is left behind.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; missing folders are made.
+    *parts : bytes or memoryview
+        The content.
+
+    Raises
+    ------
+    DataError
+        There is no space left or the place cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,7 +73,13 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Have a new name itself on disk, not only what it names: power may fail between the two."""
+    """Flush a folder to disk, so that a new file's name survives a power failure as its content does.
+
+    Parameters
+    ----------
+    folder : Path
+        In which a file was made or renamed.
+    """
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -61,14 +88,34 @@ def flush_folder(folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text whole or not at all."""
+    """Write UTF-8 text completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    text : str
+        The content.
+    """
     write_atomic(path, lambda stream: stream.write(text.encode("utf-8")))
 
 
 def append_line(path: Path, line: str) -> None:
-    """Add one line to a journal and have it on disk before returning.
+    """Append one line to a journal, on disk before this returns.
 
-    Raises `DataError` when there is no space left; the journal ends then where it ended before.
+    On an error the journal is as it was before.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal, which exists.
+    line : str
+        Without a newline.
+
+    Raises
+    ------
+    DataError
+        There is no space left or the file cannot be written.
     """
     try:
         end = path.stat().st_size
@@ -85,14 +132,37 @@ def append_line(path: Path, line: str) -> None:
 
 
 def whole_lines(path: Path) -> list[bytes]:
-    """The lines of a journal. What follows the last newline is torn, and no line."""
+    """Read the complete lines of a journal.
+
+    What follows the last newline was cut off while it was written, and is left out.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal.
+
+    Returns
+    -------
+    list[bytes]
+        The lines without their newlines.
+    """
     return path.read_bytes().split(b"\n")[:-1]
 
 
 def cut_torn_line(path: Path) -> None:
-    """Cut off what follows a journal's last newline, so that the next line is one of its own.
+    """Remove an incomplete last line of a journal, so that the next line is not appended to it.
 
-    Looks at the end of the file alone. Raises `DataError` when the place cannot be written.
+    Searches backwards from the end of the file, which is not read as a whole.
+
+    Parameters
+    ----------
+    path : Path
+        Of the journal.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
     """
     with writing(path):
         if path.stat().st_size == 0:  # which cannot be mapped
@@ -104,9 +174,21 @@ def cut_torn_line(path: Path) -> None:
 
 
 def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
-    """Let `fill` furnish a directory that appears under `path` only once it is complete.
+    """Make a directory that appears only once it is complete.
 
-    Raises `DataError` when the place cannot be written; nothing is left behind then.
+    On an error nothing is left behind.
+
+    Parameters
+    ----------
+    path : Path
+        Of the directory; missing parents are made.
+    fill : Callable[[Path], object]
+        Writes the content into the empty directory that it is given.
+
+    Raises
+    ------
+    DataError
+        The place cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,7 +203,23 @@ def make_directory(path: Path, fill: Callable[[Path], object]) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Tell of a refusal of the system to write `path` as `DataError`."""
+    """Turn the system's refusal to write a path into `DataError`.
+
+    Parameters
+    ----------
+    path : Path
+        What is written, for the message.
+
+    Yields
+    ------
+    None
+        Nothing.
+
+    Raises
+    ------
+    DataError
+        An `OSError` was raised inside.
+    """
     try:
         yield
     except OSError as error:
@@ -135,12 +233,38 @@ def _cannot_write(path: Path, error: OSError) -> str:
 
 
 def need_suffix(path: Path, *allowed: str) -> None:
-    """Refuse an output whose name does not say what it will hold: `ConfigError`."""
+    """Refuse an output whose suffix does not say what it will hold.
+
+    Parameters
+    ----------
+    path : Path
+        Of the output.
+    *allowed : str
+        Suffixes in lower case, with their dots.
+
+    Raises
+    ------
+    ConfigError
+        The suffix is none of these.
+    """
     if path.suffix.lower() not in allowed:
         raise ConfigError(f"{path}: its name must end in {' or '.join(allowed)}")
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse an output that exists, unless the user said `--force`: `ConfigError`."""
+    """Refuse an output that exists, unless it may be replaced.
+
+    Parameters
+    ----------
+    path : Path
+        Of the output.
+    force : bool
+        Whether the user gave `--force`.
+
+    Raises
+    ------
+    ConfigError
+        The output exists.
+    """
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")

@@ -21,17 +21,23 @@ from fpplab.core.conventions import Floats, Lattice, Mask
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """The coefficients of a lens, in OpenCV's order."""
 POLYNOMIAL = 5
-"""Where the last three, of the rational model, are zero, the first so many say all."""
+"""Number of coefficients of the polynomial model; those after them are the rational model's."""
 PIXEL_TOLERANCE = 1e-10
-"""The distortion is inverted until the pixel is met this well, in px."""
+"""Error in px at which the iterative inversion of the distortion ends."""
 INVERSION_STEPS = 50
+"""Most iterations of that inversion."""
 
 
 @dataclass(frozen=True, eq=False)
 class RigidTransform:
     """`T_b_a`: takes coordinates in frame a to frame b, `X_b = rotation X_a + translation`.
 
-    rotation: (3, 3), translation: (3,) in mm.
+    Attributes
+    ----------
+    rotation : Floats
+        (3, 3).
+    translation : Floats
+        (3,) in mm.
     """
 
     rotation: Floats
@@ -39,51 +45,116 @@ class RigidTransform:
 
     @classmethod
     def identity(cls) -> RigidTransform:
+        """Return the transform that changes nothing.
+
+        Returns
+        -------
+        RigidTransform
+            Without rotation and translation.
+        """
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_vectors(cls, rotation_rad: Floats, translation: Floats) -> RigidTransform:
-        """From OpenCV's rotation vector in rad and a translation in mm."""
+        """Make a transform of OpenCV's vectors.
+
+        Parameters
+        ----------
+        rotation_rad : Floats
+            Rotation vector (3,) in rad.
+        translation : Floats
+            (3,) in mm.
+
+        Returns
+        -------
+        RigidTransform
+            The transform.
+        """
         matrix, _ = cv2.Rodrigues(np.asarray(rotation_rad, np.float64).reshape(3))
         return cls(np.asarray(matrix, np.float64), np.asarray(translation, np.float64).reshape(3))
 
     @property
     def rotation_vector(self) -> Floats:
         """OpenCV's rotation vector in rad, (3,)."""
-        # Not OpenCV's own inverse: that takes every angle under 1e-5 rad for none.
+        # Not OpenCV's own inverse, which returns zero for every angle below 1e-5 rad.
         return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), np.float64)
 
     @property
     def matrix(self) -> Floats:
-        """Homogeneous (4, 4)."""
+        """Homogeneous matrix (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
         return matrix
 
     def inverse(self) -> RigidTransform:
-        """`T_a_b`."""
+        """Invert the transform.
+
+        Returns
+        -------
+        RigidTransform
+            `T_a_b`.
+        """
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
     def moved(self, by: Floats) -> RigidTransform:
-        """The same turn, once a has moved by so much, (3,) in mm in frame b."""
+        """Translate frame a, with the rotation held.
+
+        Parameters
+        ----------
+        by : Floats
+            (3,) in mm in frame b.
+
+        Returns
+        -------
+        RigidTransform
+            With the translation added.
+        """
         return RigidTransform(self.rotation, self.translation + by)
 
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
-        """`T_c_b @ T_b_a = T_c_a`."""
+        """Compose transforms: `T_c_b @ T_b_a = T_c_a`."""
         return RigidTransform(
             self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
         )
 
     def apply(self, points: Floats) -> Floats:
-        """Points (..., 3) in frame a, as coordinates in frame b."""
+        """Transform points.
+
+        Parameters
+        ----------
+        points : Floats
+            (..., 3) in mm in frame a.
+
+        Returns
+        -------
+        Floats
+            (..., 3) in mm in frame b.
+        """
         return np.asarray(points @ self.rotation.T + self.translation)
 
 
 def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
-    """`T_b_a` once b has turned about its own origin, its z axis by so much nearer to a's origin.
+    """Rotate frame b about its own origin, its z axis towards a's origin.
 
-    The axis of the turn is normal to z and to the line between the two origins: for a projector and a camera
-    this is their convergence. Raises `ValueError` when a's origin lies on b's z axis.
+    The axis of rotation is normal to z and to the line between the two origins: for a projector and a camera
+    this is their convergence.
+
+    Parameters
+    ----------
+    T_b_a : RigidTransform
+        Before the rotation.
+    angle_rad : float
+        Angle of rotation in rad.
+
+    Returns
+    -------
+    RigidTransform
+        `T_b_a` after it.
+
+    Raises
+    ------
+    ValueError
+        a's origin lies on b's z axis.
     """
     axis = np.cross((0.0, 0.0, 1.0), T_b_a.translation)
     length = float(np.linalg.norm(axis))
@@ -93,11 +164,35 @@ def turned_towards(T_b_a: RigidTransform, angle_rad: float) -> RigidTransform:
     return turn.inverse() @ T_b_a
 
 
-# Other modules compile it into their kernels, whose caches numba renews by those modules' dates alone.
+# Other modules compile it into their kernels, whose caches numba renews only when those modules change.
 def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, Any, Any, Any]:
-    """Distorted slopes, and their derivatives ∂xd/∂x, ∂xd/∂y = ∂yd/∂x, ∂yd/∂y.
+    """Distort ray slopes.
 
-    x, y: slopes of rays, numbers or arrays alike. lens: coefficients as in `DISTORTION`.
+    Parameters
+    ----------
+    x : Any
+        Slopes x/z of rays; a number or an array.
+    y : Any
+        Slopes y/z of rays, of the same shape.
+    lens : Floats or Sequence[float]
+        Coefficients as in `DISTORTION`.
+
+    Returns
+    -------
+    xd : Any
+        Distorted slopes x/z.
+    yd : Any
+        Distorted slopes y/z.
+    xx : Any
+        Derivative ∂xd/∂x.
+    xy : Any
+        Derivative ∂xd/∂y = ∂yd/∂x.
+    yy : Any
+        Derivative ∂yd/∂y.
+
+    References
+    ----------
+    OpenCV, calib3d, "Detailed Description".
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = lens
     square = x * x + y * y
@@ -119,9 +214,16 @@ def distort(x: Any, y: Any, lens: Floats | Sequence[float]) -> tuple[Any, Any, A
 class Pinhole:
     """A camera or projector: pinhole with OpenCV's distortion.
 
-    size: (width, height) in px. matrix: (3, 3) in px. distortion: (8,) as in `DISTORTION`; the first five
-    may be given alone, the rest is zero then. lattice: how the pixels lie; it matters to patterns, not to
-    projection.
+    Attributes
+    ----------
+    size : tuple[int, int]
+        (width, height) in px.
+    matrix : Floats
+        (3, 3) in px.
+    distortion : Floats
+        (8,) as in `DISTORTION`; the first five may be given alone, the others are zero then.
+    lattice : Lattice
+        Arrangement of the pixels; it matters to patterns, not to projection.
     """
 
     size: tuple[int, int]
@@ -142,19 +244,39 @@ class Pinhole:
         distortion: tuple[float, ...] = (),
         lattice: Lattice = Lattice.SQUARE,
     ) -> Pinhole:
-        """From focal lengths (fx, fy) and principal point (cx, cy) in px."""
+        """Make a device of focal lengths and principal point.
+
+        Parameters
+        ----------
+        size : tuple[int, int]
+            (width, height) in px.
+        focal_px : tuple[float, float]
+            (fx, fy) in px.
+        centre_px : tuple[float, float]
+            Principal point (cx, cy) in px.
+        distortion : tuple[float, ...]
+            As in `DISTORTION`; coefficients that are not given are zero.
+        lattice : Lattice
+            Arrangement of the pixels.
+
+        Returns
+        -------
+        Pinhole
+            The device.
+        """
         matrix = np.array([[focal_px[0], 0, centre_px[0]], [0, focal_px[1], centre_px[1]], [0, 0, 1.0]])
         return cls(size, matrix, np.asarray(distortion, np.float64), lattice)
 
     @property
     def coefficients(self) -> Floats:
-        """The distortion as files have it: (5,) where the rational terms are zero, otherwise (8,)."""
+        """The distortion as written to files: (5,) where the rational terms are zero, otherwise (8,)."""
         return self.distortion if self.distortion[POLYNOMIAL:].any() else self.distortion[:POLYNOMIAL]
 
     @cached_property
     def reach(self) -> float:
-        """Slope √(x² + y²) up to which the radial distortion can be undone: where it folds back, or has a
-        pole; infinite where neither happens.
+        """Slope √(x² + y²) up to which the radial distortion is invertible.
+
+        There it folds back, or has a pole; infinite where neither happens.
         """
         k1, k2, _, _, k3, k4, k5, k6 = self.distortion
         above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
@@ -166,10 +288,22 @@ class Pinhole:
         return float(1.0 / np.sqrt(ends.max())) if ends.size else np.inf
 
     def project(self, points: Floats, T_device_world: RigidTransform | None = None) -> Floats:
-        """Pixels (..., 2) of points (..., 3) in mm; world coordinates when a pose is given.
+        """Project points to pixels.
 
         Without the derivatives by pose and intrinsics that `cv2.projectPoints` always computes from Python:
         several times as fast. Beyond `reach` the model has pixels too, but a lens has not.
+
+        Parameters
+        ----------
+        points : Floats
+            (..., 3) in mm, in the device's frame or, with a pose, in the world's.
+        T_device_world : RigidTransform or None
+            Pose of the device.
+
+        Returns
+        -------
+        Floats
+            (..., 2) in px.
         """
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
@@ -181,9 +315,21 @@ class Pinhole:
     def sees(
         self, points: Floats, T_device_world: RigidTransform | None = None, margin_px: float = 0.0
     ) -> Mask:
-        """Which points (..., 3) in mm fall into the image, `margin_px` or more from its edges; shadows aside.
+        """Tell which points fall into the image; occlusion is not considered.
 
-        World coordinates when a pose is given.
+        Parameters
+        ----------
+        points : Floats
+            (..., 3) in mm, in the device's frame or, with a pose, in the world's.
+        T_device_world : RigidTransform or None
+            Pose of the device.
+        margin_px : float
+            Least distance from the image border in px.
+
+        Returns
+        -------
+        Mask
+            (...).
         """
         local = np.asarray(points, np.float64)
         if T_device_world is not None:
@@ -196,9 +342,19 @@ class Pinhole:
         return seen
 
     def normalise(self, pixels: Floats) -> Floats:
-        """Undistorted ray slopes (x/z, y/z), (..., 2), of pixels (..., 2); inverse of `project`.
+        """Undistort pixels to ray slopes; inverse of `project`.
 
-        By Newton's method to `PIXEL_TOLERANCE`; NaN where no ray within `reach` leads to the pixel.
+        By Newton's method to `PIXEL_TOLERANCE`.
+
+        Parameters
+        ----------
+        pixels : Floats
+            (..., 2) in px.
+
+        Returns
+        -------
+        Floats
+            (x/z, y/z), (..., 2); NaN where no ray within `reach` leads to the pixel.
         """
         (fx, _, cx), (_, fy, cy) = self.matrix[:2]
         given = np.asarray(pixels, np.float64)
@@ -207,7 +363,7 @@ class Pinhole:
         last = np.zeros_like(x)
         with np.errstate(all="ignore"):
             for _ in range(INVERSION_STEPS):
-                # A step that leads beyond the reach, or a start there, goes half way to it only.
+                # A step beyond the reach, or a start there, is shortened to half way.
                 length = np.hypot(x, y)
                 last = np.where(length < self.reach, length, 0.5 * (last + self.reach))
                 scale = np.where(length > 0, last / length, 1.0)

@@ -1,6 +1,6 @@
-"""What packages beside fpplab bring it, found by entry points and never by a module's name.
+"""Plugins: what other installed packages add to fpplab, found by entry points and never by a module's name.
 
-A package announces what it brings in its `pyproject.toml`::
+A package announces what it adds in its `pyproject.toml`::
 
     [project.entry-points."fpplab.commands"]
     toaster = "toaster.commands:app"

@@ -1,4 +1,4 @@
-"""The system libraries that the Python packages need and pip cannot bring.
+"""System libraries that the Python packages need and pip cannot install.
 
 `python -m fpplab.core.system` names each one that is missing, with the Debian package to install.
 """
@@ -20,20 +20,37 @@ BLENDER = {
     "libxkbcommon.so.0": "libxkbcommon0",
     "libGL.so.1": "libgl1",
 }
-"""What Blender's module links to, by Debian package."""
+"""Debian packages of the libraries that Blender's module links to."""
 
 USB = {"libusb-1.0.so.0": "libusb-1.0-0"}
-"""What pyusb and hidapi talk through."""
+"""Debian packages of the libraries that pyusb and hidapi use."""
 
 
 def cache_directory() -> Path:
-    """Where results that can be made again are kept for this user; not made yet."""
+    """Locate this user's folder for results that can be computed again.
+
+    Returns
+    -------
+    Path
+        It may not exist yet.
+    """
     chosen = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     return Path(chosen or Path.home() / ".cache") / "fpplab"
 
 
 def missing(libraries: dict[str, str]) -> list[str]:
-    """The packages of those libraries that do not load."""
+    """Find the libraries that cannot be loaded.
+
+    Parameters
+    ----------
+    libraries : dict[str, str]
+        Debian packages by name of the library.
+
+    Returns
+    -------
+    list[str]
+        The packages of those that cannot be loaded.
+    """
     return [package for name, package in libraries.items() if not _loads(name)]
 
 
@@ -46,7 +63,13 @@ def _loads(name: str) -> bool:
 
 
 def main() -> int:
-    """Tell of everything missing; without the USB libraries the virtual bench still runs."""
+    """Report everything that is missing; without the USB libraries the simulation still runs.
+
+    Returns
+    -------
+    int
+        Exit code: 1 when Blender's libraries are missing.
+    """
     blender, usb = missing(BLENDER), missing(USB)
     if usb:
         sys.stderr.write(

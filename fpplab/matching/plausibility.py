@@ -15,6 +15,7 @@ from fpplab.matching.reference import Reference
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
+from fpplab.targets.kinds import OWN_FIELDS
 
 MAX_RELATIVE_DIFFERENCE = {"camera's focal length": 0.1, "projector's focal length": 0.1, "baseline": 0.1}
 """Greatest relative difference between what was found and the twin's own file."""
@@ -77,16 +78,7 @@ def check_board(twin: Twin, target: Target, source: str) -> None:
         Names the first field that differs, with both values.
     """
     own = twin.target
-    for name in (
-        "kind",
-        "counts",
-        "spacing_mm",
-        "staggered",
-        "diameter_mm",
-        "marker_mm",
-        "dictionary",
-        "size_mm",
-    ):
+    for name in ("kind", "counts", "spacing_mm", *OWN_FIELDS, "size_mm"):
         if (given := getattr(target, name)) != (has := getattr(own, name)):
             raise ConfigError(
                 f"{source}: '{name}' is {given} but the twin's board has {has}; give both the same board"

@@ -1,0 +1,1 @@
+"""Reconstruction: triangulation, filtering of flying points, and uncertainty of points."""

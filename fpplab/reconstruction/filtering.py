@@ -1,22 +1,23 @@
-"""Points that lie on no surface, though their pixels pass every mask: mixed pixels, edges of shadow, strays.
+"""Removal of points that lie on no surface: mixed pixels, shadow edges and isolated points.
 
-A pixel at an edge sees light from more than one place. Three rules find what that does:
+Their pixels pass every mask. A pixel at an edge receives light from more than one place; three rules detect
+what follows from that:
 
 contradiction
-    Light of two surfaces mixes with other phases in every fringe set, so that the sets no longer tell of one
-    place. A pixel whose sets contradict one another by more than `disagreement_max` times what noise explains
-    (`Decoded.disagreement`) has seen no single point.
+    Light of two surfaces mixes with other phases in every fringe set, so that the sets no longer agree on one
+    projector coordinate. A pixel whose sets disagree by more than `disagreement_max` times what noise
+    explains (`Decoded.disagreement`) has not seen a single point.
 half lit
-    A pixel that is lit in part agrees with itself, but tells of the middle of its lit part. With a share q
-    of the light lost that is q/2 pixels beside its ray, which becomes q/2 · footprint / tan(angle between the
-    rays) in depth; the penumbra of a wide aperture does the same. Its modulation is less than that of the
-    surface it continues, and it lies at an edge: a neighbour has no point, or is across a jump.
-    Ink has less modulation too, but no edge beside it.
+    A pixel that is illuminated in part is consistent, but measures the middle of its illuminated part. With a
+    share q of the light lost that is q/2 pixels beside its ray, which becomes
+    q/2 · footprint / tan(angle between the rays) in depth; the penumbra of a wide aperture does the same. Its
+    modulation is less than that of the surface it continues, and it lies at an edge: a neighbour has no
+    point, or is across a depth discontinuity. Ink has less modulation too, but no edge beside it.
 isolated
-    What hangs together over fewer than `patch_min` pixels is no surface: orders that noise made wrong.
+    A connected region of fewer than `patch_min` pixels is no surface: its fringe orders are wrong from noise.
 
-They work in this order, and what one has removed is an edge to the next. Jumps are those of
-`fpplab.clouds.pixelgrid`, so a steep surface is none. No rule knows the true shape.
+They are applied in this order, and what one has removed is an edge to the next. Depth discontinuities are
+those of `fpplab.clouds.pixelgrid`, so a steep surface is none. No rule uses the true shape.
 """
 
 from __future__ import annotations
@@ -36,18 +37,19 @@ from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
 
 REACH_PX = 3
-"""How far from an edge a surface shows its full light: the width over which a bench's optics blur."""
+"""Distance in px from an edge within which a surface reaches its full modulation: the width of the blur."""
 SIGNIFICANT = 5.0
-"""Loss of modulation, in its own standard deviations, that is believed; the greatest of some forty
-neighbours is itself two or three too great."""
-SAMPLED = 4
-"""Every so manieth row and column tells what disagreement is typical."""
+"""Least significant loss of modulation, in standard deviations. The greatest of some forty neighbours
+is itself two or three standard deviations too great."""
+SAMPLING_STRIDE = 4
+"""Stride in rows and columns at which the typical disagreement is sampled."""
 
 Removed = NDArray[np.uint8]
+"""The `Rule` by which each pixel was removed, indexed [v, u]; 0 where it was kept."""
 
 
 class Rule(IntEnum):
-    """By which rule a pixel gives no point; the values of `Decoded.removed`."""
+    """Rule by which a pixel gives no point; the values of `Decoded.removed`."""
 
     CONTRADICTION = 1
     HALF_LIT = 2
@@ -57,11 +59,32 @@ class Rule(IntEnum):
 def filtered(
     decoded: Decoded, cloud: Cloud, plan: Plan, projector_size: tuple[int, int]
 ) -> tuple[Decoded, Cloud]:
-    """The maps that say what the plan's filter removes, and the cloud without it, with normals.
+    """Apply the plan's filter to decoded maps and their cloud.
 
-    decoded, cloud: the same pixels, as decoded by the plan and triangulated; they come back as they are where
-    the plan has no filter. A plan that puts orders to the vote says that its coarse sets are biased: then
-    none is held against the others. Raises `DataError` when no point remains.
+    A plan with an order vote has biased coarse fringe sets: the contradiction rule is not applied then.
+
+    Parameters
+    ----------
+    decoded : Decoded
+        Maps as decoded by the plan.
+    cloud : Cloud
+        The same pixels, triangulated.
+    plan : Plan
+        Its `filter` has the thresholds.
+    projector_size : tuple[int, int]
+        (width, height) in px.
+
+    Returns
+    -------
+    decoded : Decoded
+        With `removed`, the rule by which each pixel was removed; as given where the plan has no filter.
+    cloud : Cloud
+        Without the points removed, with normals; as given where the plan has no filter.
+
+    Raises
+    ------
+    DataError
+        No point remains.
     """
     rules = plan.filter
     if rules is None:
@@ -91,7 +114,19 @@ def filtered(
 
 
 def removal(decoded: Decoded) -> dict[str, int | float] | None:
-    """How many points the filter removed, by rule, and their share of what was measured; None without one."""
+    """Count the points that the filter removed.
+
+    Parameters
+    ----------
+    decoded : Decoded
+        Maps, filtered or not.
+
+    Returns
+    -------
+    dict[str, int | float] or None
+        Number of points by rule (`contradiction`, `half_lit`, `isolated`) and `share`, their sum relative
+        to the number of valid pixels; None when no filter was applied.
+    """
     if decoded.removed is None:
         return None
     counts = {rule.name.lower(): int(np.count_nonzero(decoded.removed == rule)) for rule in Rule}
@@ -99,17 +134,17 @@ def removal(decoded: Decoded) -> dict[str, int | float] | None:
 
 
 def _greatest_disagreement(disagreement: Map, rules: FilterRules) -> float:
-    """Beyond which sets contradict one another.
+    """Return the disagreement beyond which sets contradict one another.
 
-    Where the typical pixel's do, it is not noise that limits (a response that is not undone, light that goes
-    round by other surfaces), and pixels are judged by what is typical.
+    Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
+    interreflections), and pixels are judged relative to the typical one.
     """
-    typical = np.nanmedian(disagreement[::SAMPLED, ::SAMPLED])
+    typical = np.nanmedian(disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE])
     return rules.disagreement_max * max(1.0, float(typical))
 
 
 def _phase_per_px(plan: Plan, size: tuple[int, int]) -> float:
-    """Phase in rad per projector px of the set whose modulation and sigma are reported.
+    """Return the phase in rad per projector px of the set whose modulation and sigma are given.
 
     Times sigma this is the noise of the phase, and that of the modulation as a share of it.
     """
@@ -118,7 +153,7 @@ def _phase_per_px(plan: Plan, size: tuple[int, int]) -> float:
 
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
-    """Whether each pixel sees one surface with the next in its row, and in its column."""
+    """Tell whether each pixel sees one surface with the next in its row, and in its column."""
     across, down = np.zeros(grid.index.shape, np.bool_), np.zeros(grid.index.shape, np.bool_)
     _link(grid.a, grid.b, grid.w, grid.noise, across, down)
     return across, down
@@ -126,7 +161,7 @@ def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
 
 @njit(inline="always")
 def _joined(a: Map, b: Map, w: Map, noise: Map, v: int, u: int, y: int, x: int) -> bool:
-    """Whether two pixels see one surface; false where one of them has no point."""
+    """Tell whether two pixels see one surface; false where one of them has no point."""
     return is_continuous(
         a[y, x] - a[v, u],
         b[y, x] - b[v, u],
@@ -162,7 +197,7 @@ def _half_lit(
     light_min: float,
     removed: Removed,
 ) -> None:
-    """Marks what has less modulation at an edge than its surface within reach; the picture's end is none."""
+    """Mark edge pixels of less modulation than their surface has; the image border is no edge."""
     height, width = index.shape
     for v in prange(height):
         for u in range(width):
@@ -197,7 +232,7 @@ def _root(parent: NDArray[np.int32], i: int) -> int:
 def _isolated(
     index: PixelColumnsRows, across: Mask, down: Mask, parent: NDArray[np.int32], least: int, removed: Removed
 ) -> None:
-    """Marks patches of fewer than `least` pixels; `parent` is room for each point's patch."""
+    """Mark connected regions of fewer than `least` pixels; `parent` is working memory (points,)."""
     height, width = index.shape
     for v in range(height):
         for u in range(width):
@@ -208,7 +243,7 @@ def _isolated(
             if u > 0 and across[v, u - 1] and index[v, u - 1] >= 0:
                 parent[i] = _root(parent, index[v, u - 1])
             joined = v > 0 and down[v - 1, u] and index[v - 1, u] >= 0
-            # Mostly they have the same patch already, and no root needs to be looked for.
+            # Usually both are in the same region already, and no root has to be searched.
             if joined and parent[index[v - 1, u]] != parent[i]:
                 above, here = _root(parent, index[v - 1, u]), _root(parent, i)
                 parent[max(above, here)] = min(above, here)
@@ -225,7 +260,7 @@ def _isolated(
 
 @njit(parallel=True, cache=True)
 def _erase(index: PixelColumnsRows, w: Map, removed: Removed) -> None:
-    """Take what was removed from the grid."""
+    """Remove the marked pixels from the grid."""
     for v in prange(len(index)):
         for u in range(index.shape[1]):
             if removed[v, u] > 0:

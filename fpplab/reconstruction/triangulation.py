@@ -1,10 +1,10 @@
-"""Projector coordinates -> points: triangulation on the camera's rays, with both distortions.
+"""Triangulation of projector coordinates on the camera's rays, with the distortion of both devices.
 
 A camera pixel's ray X = z (a, b, 1) is known exactly from the camera's model. Its depth z is
 where the point's image in the projector, distortion included, has the decoded coordinates:
 the projector's surface u = const is curved, so the distorted projection itself is solved by
 Gauss-Newton. One coded axis gives one equation; two give least squares along the ray, and
-what remains is the distance from the epipolar curve. The camera's frame is the cloud's.
+what remains is the distance from the epipolar curve. The cloud is in the camera's frame.
 """
 
 from __future__ import annotations
@@ -28,32 +28,36 @@ DEPTH_TOLERANCE = 1e-5
 """Relative size of the last step in depth; each step squares the error, so the depth is good to 1e-10."""
 ITERATIONS = 20
 BLOCK = 16
-"""Rows that one thread solves one after the other."""
+"""Rows that one thread solves in sequence, each starting from the row above."""
 LEAST_SENSITIVITY = 1e-3
-"""Projector px per mm along the ray's z below which the coordinates say nothing about the depth."""
+"""Least change of the projector coordinates, in px per mm of depth, that determines the depth."""
 FARTHEST_PX = 1e6
-"""A coordinate beyond this is none; an infinite one neither."""
+"""A coordinate beyond this, or an infinite one, is taken as not known."""
 CACHED_CAMERAS = 2
+"""Number of cameras whose ray slopes are kept in memory."""
 
 _slopes: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
 _lock = threading.Lock()
 
 
 class DecodedMaps(Protocol):
-    """Projector coordinates of a camera's pixels, float32 [v, u], NaN where they are not known.
-
-    u, v: in projector px, all NaN where that axis was not coded. sigma: standard deviation in px of u,
-    or of v where only that is coded. v_per_u: how many times greater v's is.
-    """
+    """Projector coordinates of a camera's pixels: what triangulation reads of decoded maps."""
 
     @property
-    def u(self) -> Map: ...
+    def u(self) -> Map:
+        """Projector coordinate u in px, float32 (height, width), NaN where unknown; all NaN if not coded."""
+
     @property
-    def v(self) -> Map: ...
+    def v(self) -> Map:
+        """Projector coordinate v in px, float32 (height, width), NaN as for u."""
+
     @property
-    def sigma(self) -> Map: ...
+    def sigma(self) -> Map:
+        """Standard deviation in px of u, or of v where only that is coded, float32 (height, width)."""
+
     @property
-    def v_per_u(self) -> float: ...
+    def v_per_u(self) -> float:
+        """Ratio of the standard deviation of v to that of u."""
 
 
 def triangulate(
@@ -62,16 +66,35 @@ def triangulate(
     texture: NDArray[np.uint8] | None = None,
     normals: bool = True,
 ) -> Cloud:
-    """Points in mm in the camera's frame, in the order of the camera's pixels.
+    """Intersect camera rays with the projector's coordinate surfaces.
 
-    texture: uint8 [v, u], for the points' grey. normals: whether to compute them.
+    Where two axes are coded a pixel needs both, and each is weighted by its inverse variance. Left out are
+    points behind a device, outside the projector's image or where its distortion folds back, and pixels
+    without a solution.
 
-    Where two axes are coded a pixel needs both, and each counts by its inverse variance. Points
-    behind a device, outside the projector's image, where its distortion folds, or without a solution
-    are dropped. `sigma_noise_mm` is the decoded sigma propagated along the ray; `epipolar_px` is given for
-    two axes.
+    Parameters
+    ----------
+    decoded : DecodedMaps
+        Projector coordinates of every camera pixel, maps (height, width) in px.
+    calibration : Calibration
+        Of the rig that took the frames.
+    texture : NDArray[np.uint8] or None
+        Grey levels (height, width) for the points' colour.
+    normals : bool
+        Whether normals are computed too.
 
-    Raises `CalibrationError` when the maps are of another camera, `DataError` when nothing remains.
+    Returns
+    -------
+    Cloud
+        Points (N, 3) in mm in the camera's frame, in the order of the camera's pixels. `sigma_noise_mm` is
+        the decoded sigma propagated along the ray; `epipolar_px` is given where two axes are coded.
+
+    Raises
+    ------
+    CalibrationError
+        The maps are of another camera.
+    DataError
+        The texture has another size, no pixel has a coordinate, or no pixel triangulates.
     """
     height, width = decoded.u.shape
     calibration.check_camera((width, height), "decoded maps")
@@ -127,9 +150,19 @@ def triangulate(
 
 
 def camera_slopes(camera: Pinhole) -> Floats:
-    """Ray slopes x/z and y/z of every pixel's centre, float64 (2, height, width), NaN where none exists.
+    """Compute the ray slopes of every pixel's centre.
 
-    The inverse of the distortion to `PIXEL_TOLERANCE`; kept for the last cameras used.
+    The inverse of the distortion to `PIXEL_TOLERANCE`; the last `CACHED_CAMERAS` results are cached.
+
+    Parameters
+    ----------
+    camera : Pinhole
+        The camera.
+
+    Returns
+    -------
+    Floats
+        x/z and y/z, float64 (2, height, width), read-only; NaN where no ray leads to the pixel.
     """
     key = (camera.size, camera.matrix.tobytes(), camera.distortion.tobytes())
     with _lock:
@@ -145,23 +178,34 @@ def camera_slopes(camera: Pinhole) -> Floats:
 
 
 def camera_rays(camera: Pinhole) -> Floats:
-    """Rays (x/z, y/z, 1) of every pixel's centre, float64 (height, width, 3), by `camera_slopes`."""
+    """Compute the rays of every pixel's centre, by `camera_slopes`.
+
+    Parameters
+    ----------
+    camera : Pinhole
+        The camera.
+
+    Returns
+    -------
+    Floats
+        (x/z, y/z, 1), float64 (height, width, 3).
+    """
     slopes = camera_slopes(camera)
     return np.stack([*slopes, np.ones(slopes.shape[1:])], axis=-1)
 
 
 def forget_cameras() -> None:
-    """Drop the rays kept by `camera_slopes`."""
+    """Clear the cache of `camera_slopes`."""
     with _lock:
         _slopes.clear()
 
 
-# The kernels take numbers in tuples, which stay in registers; an array might alias their output.
 Numbers = tuple[float, ...]
+"""Parameters of a compiled kernel; as a tuple they stay in registers, an array might alias its output."""
 
 
 def _intrinsics(device: Pinhole) -> Numbers:
-    """(fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6)."""
+    """Return (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6)."""
     k = device.matrix
     return tuple(map(float, (k[0, 0], k[1, 1], k[0, 2], k[1, 2], *device.distortion)))
 
@@ -171,7 +215,7 @@ _distort = njit(inline="always")(distort)
 
 @njit(cache=True, error_model="numpy")
 def _straighten(u: float, v: float, device: Numbers, reach: float) -> tuple[float, float]:
-    """`Pinhole.normalise` of one pixel."""
+    """Undistort one pixel as `Pinhole.normalise` does."""
     fx, fy, lens = device[0], device[1], device[4:]
     target_x, target_y = (u - device[2]) / fx, (v - device[3]) / fy
     x, y, last = target_x, target_y, 0.0
@@ -210,13 +254,13 @@ def _any_finite(values: Map) -> bool:
 
 @njit(inline="always")
 def _coded(u: float, v: float) -> bool:
-    """Whether a pixel has both coordinates; as comparisons, which no optimisation takes for granted."""
+    """Tell whether a pixel has both coordinates; by comparisons, which fast-math keeps."""
     return bool(abs(u) < FARTHEST_PX and abs(v) < FARTHEST_PX)
 
 
 @njit(parallel=True, cache=True)
 def _count(u: Map, v: Map) -> NDArray[np.int64]:
-    """Pixels of each row with both coordinates."""
+    """Count the pixels of each row with both coordinates."""
     counts = np.zeros(len(u), np.int64)
     for row in prange(len(u)):
         found = 0
@@ -257,7 +301,7 @@ def _solve(
     xa, xb, xc, tx, ya, yb, yc, ty, za, zb, zc, tz = pose
     wu, wv = (1.0 if use_u else 0.0), ((1.0 / v_per_u if use_u else 1.0) if use_v else 0.0)
     for block in prange((height + BLOCK - 1) // BLOCK):
-        # What distortion does to the pixel above is a start that needs one step only.
+        # The distortion of the pixel above is an initial value that needs only one step.
         shift_x, shift_y = np.full(width, np.nan), np.full(width, np.nan)
         for row in range(block * BLOCK, min((block + 1) * BLOCK, height)):
             at = starts[row] - 1

@@ -1,4 +1,4 @@
-"""How well each point of a cloud is known: the fringes' noise and the calibration's covariance, propagated.
+"""Uncertainty of each point of a cloud: the fringes' noise and the calibration's covariance, propagated.
 
 A point X lies on the ray of its camera pixel m, where its image in the projector meets the coordinates c
 (`fpplab.reconstruction.triangulation`). With the devices' projections m(X, θ) and p(X, θ), the parameters
@@ -6,14 +6,14 @@ A point X lies on the ray of its camera pixel m, where its image in the projecto
 
     m(X, θ) = m,    jᵀ W (p(X, θ) - c) = 0,
 
-and by the implicit function theorem `∂X/∂θ = -A⁻¹ B`, with A and B the slopes of the three equations by X
-and by θ. How j itself changes counts only with the distance from the epipolar curve, and is left out.
+and by the implicit function theorem `∂X/∂θ = -A⁻¹ B`, with A and B the derivatives of the three equations by
+X and by θ. The change of j itself is proportional to the distance from the epipolar curve, and is neglected.
 
-Noise is independent from point to point and lies along the ray. A wrong calibration is wrong for all points
-alike: it moves and turns the cloud far more than it bends it. What remains after the best rigid motion is
-given besides, because it is what a comparison with a true shape sees. A point's uncertainty is stated as the
+Noise is independent from point to point and lies along the ray. A calibration error is common to all points:
+it moves and rotates the cloud far more than it deforms it. What remains after the best rigid motion is given
+separately, because it is what a comparison with a true shape shows. A point's uncertainty is stated as the
 root mean square distance from where it should be, √trace of its covariance (Helmert's point error): so the
-parts, which are independent, add in squares whatever their directions.
+contributions, which are independent, add in quadrature whatever their directions.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.reconstruction.triangulation import DecodedMaps
 
 BLOCK = 1 << 14
-"""Points whose slopes are in memory at a time: 12 MB of them."""
+"""Points whose derivatives are in memory at a time: 12 MB."""
 RIGID_SAMPLE = 50_000
-"""About as many points, evenly chosen, decide which rigid motion of the cloud is the best."""
+"""About as many evenly sampled points are used to fit the rigid motion of the cloud."""
 
 AnyPoints = NDArray[np.floating[Any]]
 CoordinateNoise = tuple[float, float]
@@ -45,7 +45,18 @@ CoordinateNoise = tuple[float, float]
 
 
 def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
-    """How the coded axes weigh in the triangulation of these maps."""
+    """Find the relative noise of the projector coordinates, by which triangulation weights them.
+
+    Parameters
+    ----------
+    decoded : DecodedMaps
+        Maps that are triangulated.
+
+    Returns
+    -------
+    CoordinateNoise
+        Of u and v; infinite for an axis that is not coded.
+    """
     if not np.isfinite(decoded.u).any():
         return np.inf, 1.0
     return 1.0, decoded.v_per_u if np.isfinite(decoded.v).any() else np.inf
@@ -57,9 +68,24 @@ def with_uncertainty(
     noise: CoordinateNoise,
     progress: Progress = no_progress,
 ) -> Cloud:
-    """The cloud with `sigma_calibration_mm` and `sigma_form_mm`, if the calibration has a covariance.
+    """Add the calibration's contribution to each point's uncertainty.
 
-    cloud: as triangulated with this calibration. noise: from `coordinate_noise` of the maps.
+    Parameters
+    ----------
+    cloud : Cloud
+        As triangulated with this calibration.
+    calibration : Calibration
+        Its covariance is propagated.
+    noise : CoordinateNoise
+        From `coordinate_noise` of the maps.
+    progress : Progress
+        Called with the share of the points that are done.
+
+    Returns
+    -------
+    Cloud
+        With `sigma_calibration_mm` and `sigma_form_mm`, the part that no rigid motion of the cloud removes;
+        as given when the calibration has no covariance.
     """
     if calibration.uncertainty is None:
         return cloud
@@ -76,11 +102,28 @@ def with_uncertainty(
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Covariance of each point's coordinates, (N, 3, 3) in mm² of the camera's frame: noise and calibration.
+    """Compute the covariance of each point's coordinates from noise and calibration.
 
-    cloud: as triangulated with this calibration; without `sigma_noise_mm` the calibration's part alone.
-    noise: from `coordinate_noise` of the maps. How points vary together follows from `calibration_jacobian`.
-    Raises `CalibrationError` when the calibration has no covariance.
+    How points vary together follows from `calibration_jacobian`.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        As triangulated with this calibration; without `sigma_noise_mm` only the calibration contributes.
+    calibration : Calibration
+        Its covariance is propagated.
+    noise : CoordinateNoise
+        From `coordinate_noise` of the maps.
+
+    Returns
+    -------
+    Floats
+        (N, 3, 3) in mm², in the camera's frame.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration has no covariance.
     """
     modes, covariance = _Modes.of(calibration, noise), np.empty((len(cloud), 3, 3))
     for part in _blocks(len(cloud)):
@@ -94,25 +137,40 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
 
 
 def calibration_jacobian(points: AnyPoints, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """∂X/∂θ at points (N, 3) in mm, camera pixels and projector coordinates held: (N, 3, n), by `PARAMETERS`.
+    """Compute the derivatives of points by the calibration's parameters.
 
-    Units and meaning of these are those of `Uncertainty`: rx, ry, rz add to the rotation vector.
+    Camera pixels and projector coordinates are held.
+
+    Parameters
+    ----------
+    points : AnyPoints
+        (N, 3) in mm in the camera's frame.
+    calibration : Calibration
+        At which the derivatives are taken.
+    noise : CoordinateNoise
+        From `coordinate_noise` of the maps.
+
+    Returns
+    -------
+    Floats
+        ∂X/∂θ, (N, 3, n), by `PARAMETERS`, whose units and meaning are those of `Uncertainty`: rx, ry, rz
+        add to the rotation vector.
     """
     pose, n = calibration.T_projector_camera, len(INTRINSICS)
     seen, by_camera = _slopes(points, calibration.camera, RigidTransform.identity())
-    lit, by_projector = _slopes(points, calibration.projector, pose)
-    seen_by_point, lit_by_point = seen[..., 3:], lit[..., 3:] @ pose.rotation
-    weights = np.einsum("nij,nj->ni", lit_by_point, points) / np.square(noise)
-    depth_by_point = np.einsum("ni,nij->nj", weights, lit_by_point)
+    projected, by_projector = _slopes(points, calibration.projector, pose)
+    seen_by_point, projected_by_point = seen[..., 3:], projected[..., 3:] @ pose.rotation
+    weights = np.einsum("nij,nj->ni", projected_by_point, points) / np.square(noise)
+    depth_by_point = np.einsum("ni,nij->nj", weights, projected_by_point)
     slopes = np.zeros((len(points), 3, len(PARAMETERS)))
     slopes[:, :2, :n] = by_camera
     slopes[:, 2, n : 2 * n] = np.einsum("ni,nij->nj", weights, by_projector)
-    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, lit)
+    slopes[:, 2, 2 * n :] = np.einsum("ni,nij->nj", weights, projected)
     return -_inverse(seen_by_point[:, 0], seen_by_point[:, 1], depth_by_point) @ slopes
 
 
 def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[Floats, Floats]:
-    """Slopes of the projected pixels: by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
+    """Differentiate the projected pixels by `POSE`, (N, 2, 6), and by `INTRINSICS`, (N, 2, n)."""
     local = np.ascontiguousarray(points, np.float64)
     turn, shift = pose.rotation_vector, pose.translation
     _, slopes = cv2.projectPoints(local, turn, shift, device.matrix, device.distortion)
@@ -121,14 +179,14 @@ def _slopes(points: AnyPoints, device: Pinhole, pose: RigidTransform) -> tuple[F
 
 
 def _inverse(first: Floats, second: Floats, third: Floats) -> Floats:
-    """Inverses (N, 3, 3) of the matrices with these rows, (N, 3) each; a fraction of LAPACK's time."""
+    """Invert matrices with these rows, (N, 3) each, to (N, 3, 3); in a fraction of LAPACK's time."""
     columns = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=-1)
     return np.asarray(columns / np.einsum("ni,ni->n", third, columns[..., 2])[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """The independent ways in which a calibration may be wrong, by one standard deviation each.
+    """Independent modes of calibration error, each with the size of one standard deviation.
 
     changes: of `PARAMETERS` by each of n modes, (all, n); the covariance is `changes changesᵀ`.
     """
@@ -154,7 +212,7 @@ class _Modes:
         return cls(calibration, noise, changes)
 
     def moved(self, points: AnyPoints) -> Floats:
-        """Where each mode moves the points (N, 3): (N, 3, n) in mm."""
+        """Return the displacement of points (N, 3) by each mode: (N, 3, n) in mm."""
         jacobian = calibration_jacobian(points, self.calibration, self.noise)
         # As one matrix: NumPy multiplies a stack of small ones several times as slowly.
         flat = jacobian.reshape(-1, len(self.changes)) @ self.changes
@@ -162,19 +220,19 @@ class _Modes:
 
 
 def _rigid_part(modes: _Modes, points: AnyPoints, centre: Floats) -> Floats:
-    """The rigid motion of the whole cloud, (6, n) for `_rigid_motions`, that comes nearest to each mode."""
+    """Fit a rigid motion of the whole cloud, (6, n) for `_rigid_motions`, to each mode."""
     sample = points[:: max(1, len(points) // RIGID_SAMPLE)]
     normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
     for part in _blocks(len(sample)):
         motions = _rigid_motions(sample[part] - centre).reshape(-1, 6)
         normal += motions.T @ motions
         right += motions.T @ modes.moved(sample[part]).reshape(len(motions), -1)
-    # Points on one line leave a rotation open; then the least is taken.
+    # Points on one line leave a rotation undetermined; then the smallest is taken.
     return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
 
 
 def _rigid_motions(points: AnyPoints) -> Floats:
-    """What small translations along and rotations about the axes do to points (N, 3): (N, 3, 6)."""
+    """Return the displacement of points (N, 3) by small translations and rotations: (N, 3, 6)."""
     x, y, z = points.T
     motions = np.zeros((len(points), 3, 6))
     motions[:, range(3), range(3)] = 1.0
@@ -185,7 +243,7 @@ def _rigid_motions(points: AnyPoints) -> Floats:
 
 
 def _length(moved: Floats) -> Floats:
-    """√trace of `moved movedᵀ` at each point, (N,)."""
+    """Return √trace of `moved movedᵀ` at each point, (N,)."""
     return np.asarray(np.sqrt(np.einsum("nij,nij->n", moved, moved)))
 
 

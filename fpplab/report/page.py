@@ -332,7 +332,7 @@ def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
         name.capitalize(),
         f"{calibration.rms_px[name]:.3f}",
         f"{held[name]:.3f}" if held else NOT_KNOWN,
-        f"{found.apart_px[name]:.3f}",
+        f"{found.separate_px[name]:.3f}",
         " / ".join(focal),
         " / ".join(centre),
     )

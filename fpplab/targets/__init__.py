@@ -1,7 +1,7 @@
-"""Boards: what is printed on them, and where their points are in a picture."""
+"""Characterisation boards: what is printed on them, and the detection of their points in images."""
 
-from fpplab.targets.detection import Detection
 from fpplab.targets.partial import UnclearPart
 from fpplab.targets.target import Target
+from fpplab.targets.views import Detection
 
 __all__ = ["Detection", "Target", "UnclearPart"]

@@ -1,8 +1,8 @@
-"""Boards on paper: one page of vectors at true scale, with a ruler that proves it.
+"""Boards on paper: one page of vector graphics at true scale, with a ruler to verify it.
 
 The page is drawn in mm, its origin at the lower left corner and y up; the board's centre is the
-page's. What reflects less is printed black and the rest is left as the paper is. Beside the board
-stand marks to cut it out by, a ruler, and what it is.
+page's. What reflects less is printed black and the rest is left as the paper is. Around the board
+are marks to cut it out by, below it a ruler and a legend.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from matplotlib.transforms import Affine2D
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import need_suffix, write_atomic
+from fpplab.targets.drawing import InkDisc, InkShape
 from fpplab.targets.target import Target
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4)}
@@ -31,26 +32,37 @@ MM_PER_INCH = 25.4
 POINTS_PER_MM = 72.0 / MM_PER_INCH
 
 MARGIN = 6.0
-"""Rim of the paper in mm that printers leave white."""
+"""Margin of the paper in mm that printers cannot print on."""
 
 LEGEND = 17.0
 """Height in mm of ruler and text together, above the margin."""
 
 RULER = 100.0
+"""Length of the ruler in mm."""
 MARK = 3.0
-"""Length in mm of a cutting mark; as far as that it stays away from the board."""
+"""Length in mm of a cutting mark, and its distance from the board."""
 
 LETTER = 2.0
-"""Height in mm of a capital."""
+"""Height in mm of a capital letter."""
 ADVANCE = 0.9
-"""Width of a letter on the average, and a little over, in heights."""
+"""Mean width of a letter with some reserve, in heights of a capital."""
 LONGEST_NAME = 40
-"""Letters of a board's name that have room."""
+"""Letters of a board's name that are printed."""
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A page as written. paper_mm: (width, height). scale: mm on paper for each mm of the board."""
+    """A page as written.
+
+    Attributes
+    ----------
+    file : Path
+        The file.
+    paper_mm : tuple[float, float]
+        (width, height) in mm.
+    scale : float
+        mm on paper for each mm of the board.
+    """
 
     file: Path
     paper_mm: tuple[float, float]
@@ -58,9 +70,22 @@ class Sheet:
 
 
 def paper_size(name: str) -> tuple[float, float]:
-    """(width, height) in mm of `A4`, `A3`, `letter`, or of a size like `300x200`.
+    """Look up a paper size.
 
-    Raises `ConfigError` for anything else.
+    Parameters
+    ----------
+    name : str
+        `A4`, `A3`, `letter`, or a size in mm like `300x200`.
+
+    Returns
+    -------
+    tuple[float, float]
+        (width, height) in mm.
+
+    Raises
+    ------
+    ConfigError
+        For anything else.
     """
     if name.lower() in _KNOWN:
         return _KNOWN[name.lower()]
@@ -76,12 +101,30 @@ def paper_size(name: str) -> tuple[float, float]:
 
 
 def print_target(target: Target, path: Path, paper: str = "A4", name: str = "board") -> Sheet:
-    """Write a board as a page of vectors, PDF or SVG by the path's suffix, at true scale.
+    """Write a board as a page of vector graphics at true scale.
 
-    paper: see `paper_size`; paper with a name is turned when the board fits only so.
-    name: what the page calls the board.
-    Raises `ConfigError` when the paper is unknown or too small, or the suffix another one,
-    `DataError` when the file cannot be written.
+    Parameters
+    ----------
+    target : Target
+        The board.
+    path : Path
+        Of the file; its suffix chooses PDF or SVG.
+    paper : str
+        See `paper_size`; paper given by name is turned when the board fits only so.
+    name : str
+        What the page calls the board.
+
+    Returns
+    -------
+    Sheet
+        The page.
+
+    Raises
+    ------
+    ConfigError
+        The paper is unknown or too small, or the suffix another one.
+    DataError
+        The file cannot be written.
     """
     need_suffix(path, ".pdf", ".svg")
     size = _fitting(target, paper)
@@ -97,16 +140,28 @@ def print_target(target: Target, path: Path, paper: str = "A4", name: str = "boa
 
 
 def ink(target: Target) -> Outline:
-    """Outline of all that is of the foreground, in mm in the board's frame (x right, y down).
+    """Outline all that has the foreground's colour.
 
     It is one outline, so that no hairline shows where two squares of a marker meet.
+
+    Parameters
+    ----------
+    target : Target
+        The board.
+
+    Returns
+    -------
+    Outline
+        In mm in the board's frame (x right, y down).
     """
-    if target.diameter_mm is not None:
-        disc = Outline.circle(radius=target.diameter_mm / 2)
-        return Outline.make_compound_path(
-            *(disc.transformed(Affine2D().translate(x, y)) for x, y in target.points()[:, :2])
-        )
-    return Outline.make_compound_path(*(_box(*box) for box in target.boxes()))
+    return Outline.make_compound_path(*(_outline(shape) for shape in target.layout.shapes()))
+
+
+def _outline(shape: InkShape) -> Outline:
+    if isinstance(shape, InkDisc):
+        disc = Outline.circle(radius=shape.radius)
+        return disc.transformed(Affine2D().translate(shape.x, shape.y))
+    return _box(*shape)
 
 
 def _box(left: float, top: float, right: float, bottom: float) -> Outline:
@@ -115,7 +170,7 @@ def _box(left: float, top: float, right: float, bottom: float) -> Outline:
 
 
 def _fitting(target: Target, paper: str) -> tuple[float, float]:
-    """The paper, turned if it must be, on which the board has room with its legend."""
+    """Choose the paper, turned if it must be, on which the board has room with its legend."""
     width, height = paper_size(paper)
     needed = _needed(target)
     ways = [(width, height)]
@@ -132,24 +187,16 @@ def _fitting(target: Target, paper: str) -> tuple[float, float]:
 
 
 def _needed(target: Target) -> tuple[float, float]:
-    """Least paper: the legend stands below a board that is at the page's centre."""
+    """Return the least paper size: the legend is below a board that is at the page's centre."""
     width, height = target.size_mm
     across = max(width + 2 * (MARGIN + 2 * MARK), RULER + 2 * MARGIN + 8)
     return across, height + 2 * (MARGIN + LEGEND + 2 * MARK)
 
 
 def _legend(target: Target, name: str) -> str:
-    pitch, (columns, rows) = target.spacing_mm, target.counts
-    what = {
-        "circles": f"{columns} x {rows} circles of {target.diameter_mm or 0:g} mm, "
-        f"{'staggered, ' if target.staggered else ''}pitch {pitch[0]:g} x {pitch[1]:g} mm",
-        "checkerboard": f"checkerboard of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm",
-        "charuco": f"ChArUco board of {columns} x {rows} inner corners, squares of {pitch[0]:g} mm, "
-        f"markers of {target.marker_mm or 0:g} mm, dictionary {target.dictionary}",
-    }[target.kind]
     width, height = target.size_mm
     return (
-        f"{name[:LONGEST_NAME]}: {what}, board {width:g} x {height:g} mm. "
+        f"{name[:LONGEST_NAME]}: {target.layout.summary()}, board {width:g} x {height:g} mm. "
         f"Print at 100 %, then measure the ruler: it must be {RULER:g} mm long."
     )
 
@@ -167,7 +214,7 @@ class _Page:
         self.figure.add_artist(patch)
 
     def board(self, target: Target) -> None:
-        """The board at the page's centre, its y down."""
+        """Draw the board at the page's centre, its y down."""
         middle = Affine2D().scale(1, -1).translate(self.size[0] / 2, self.size[1] / 2)
         width, height = target.size_mm
         sheet = _box(-width / 2, -height / 2, width / 2, height / 2)
@@ -181,20 +228,20 @@ class _Page:
                 self.cutting_mark(corner, np.sign([x, -y]))
 
     def cutting_mark(self, corner: Floats, outwards: Floats) -> None:
-        """Two hairlines that point at a corner of the board, from outside."""
+        """Draw two hairlines that point at a corner of the board, from outside."""
         for axis in np.eye(2):
             step = axis * outwards
             self.line(corner + MARK * step, corner + 2 * MARK * step, 0.15)
 
     def line(self, start: Floats, end: Floats, width_mm: float) -> None:
-        """A straight line, drawn as the rectangle it is: its ends are where they are said to be."""
+        """Draw a straight line as a rectangle, so that its ends are exactly where they are given."""
         along = (end - start) / np.linalg.norm(end - start)
         side = 0.5 * width_mm * np.array([-along[1], along[0]])
         corners = [start + side, end + side, end - side, start - side, start + side]
         self.fill(Outline(corners, closed=True), "black")
 
     def ruler(self) -> None:
-        """A ruler at the page's foot, as long from the middle of its first mark to that of its last."""
+        """Draw a ruler at the page's foot, its length from centre to centre of the end marks."""
         left, foot = 0.5 * (self.size[0] - RULER), MARGIN + LEGEND - 6
         start = np.array([left, foot], np.float64)
         self.line(start, start + (RULER, 0), 0.2)
@@ -206,13 +253,13 @@ class _Page:
                 self.text(left + mm, foot + 3.4, f"{mm}{unit}")
 
     def words(self, legend: str) -> None:
-        """The legend below the ruler, in as many lines as it takes."""
+        """Write the legend below the ruler, in as many lines as it takes."""
         most = int((self.size[0] - 2 * MARGIN) / (ADVANCE * LETTER))
         for row, line in enumerate(textwrap.wrap(legend, most)):
             self.text(self.size[0] / 2, MARGIN + LEGEND - 10 - 1.3 * LETTER * row, line)
 
     def text(self, x: float, y: float, words: str) -> None:
-        """Words centred on x, standing on y."""
+        """Write words centred on x, with their baseline at y."""
         size = LETTER * POINTS_PER_MM / 0.75  # of the font, whose capitals are 3/4 as high
         self.figure.text(
             x, y, words, ha="center", va="baseline", fontsize=size, transform=self._mm, parse_math=False

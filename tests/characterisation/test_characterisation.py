@@ -192,9 +192,9 @@ def test_real_captures_are_characterised() -> None:
     assert [len(o.ids) for o in observations] == [117] * 5
     found = characterise(observations, target, (1688, 1352), (1824, 1140))
     assert found.left_out == {}
-    assert found.apart_px["camera"] < 0.243
-    assert found.apart_px["projector"] < 0.257
-    assert found.apart_px["stereo"] < 0.302
+    assert found.separate_px["camera"] < 0.243
+    assert found.separate_px["projector"] < 0.257
+    assert found.separate_px["stereo"] < 0.302
     assert found.calibration.rms_px["camera"] < 0.075
     assert found.calibration.rms_px["projector"] < 0.075
     assert len(found.rejected) < 20

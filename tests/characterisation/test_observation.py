@@ -96,9 +96,9 @@ def test_a_pose_in_the_dark_is_refused_by_name() -> None:
     image, decoded, _, _ = capture()
     dark = copied(decoded)
     dark.u[:] = dark.v[:] = np.nan
-    with pytest.raises(CalibrationError, match=r"pose_3: .*lit"):
+    with pytest.raises(CalibrationError, match=r"pose_3: .*illuminated"):
         observe("pose_3", image, dark, BOARD, PERIODS)  # type: ignore[arg-type]
-    with pytest.raises(CalibrationError, match=r"pose_3: .*lit"):
+    with pytest.raises(CalibrationError, match=r"pose_3: .*illuminated"):
         observe("pose_3", image, dark, BOARD)  # type: ignore[arg-type]
 
 

@@ -124,7 +124,7 @@ def test_no_board_in_any_session_is_a_calibration_error(fpplab: Command, demo: D
         "characterise", *sessions, "--target", "target_paper", "--out", tmp_path / "c.yaml", "--json"
     )
     assert done.code == 5
-    assert "(none_0 and 2 more: the board was not found in the picture)" in done.json["error"]
+    assert "(none_0 and 2 more: the board was not found in the image)" in done.json["error"]
     assert not (tmp_path / "c.yaml").exists()
 
 

@@ -125,10 +125,10 @@ def characterisation() -> Characterisation:
         poses=(RigidTransform.identity(),) * 3,
         camera_residuals=residuals,
         projector_residuals=residuals,
-        apart_px={"camera": 0.05, "projector": 0.07, "stereo": 0.08},
+        separate_px={"camera": 0.05, "projector": 0.07, "stereo": 0.08},
         leave_one_out_px={"camera": 0.0733, "projector": 0.0844},
         board=np.zeros((9, 3)),
-        left_out={"pose_03": "pose_03: the board was not found in the picture"},
+        left_out={"pose_03": "pose_03: the board was not found in the image"},
         sigma={"camera.fx": 0.3},
     )
 
@@ -207,7 +207,7 @@ def test_text_is_escaped_and_dated(full: Path) -> None:
 
 def test_sections_in_their_order(full: Path) -> None:
     assert Page(full).headings[1:] == ["Response", "Characterisation", "Pyramid", "Steps"]
-    assert "pose_03: the board was not found in the picture" in Page(full).cells
+    assert "pose_03: the board was not found in the image" in Page(full).cells
 
 
 def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:

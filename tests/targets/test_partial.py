@@ -110,13 +110,13 @@ def test_a_point_that_is_hidden_is_not_passed_over(kind: str, level: int) -> Non
     expected = truth(target, plane_homography(CAMERA, VIEWS["left half"]))
     u, v = expected[np.flatnonzero(well_inside(expected, 60))[-1]].astype(int)
     picture[v - 22 : v + 23, u - 22 : u + 23] = level
-    assert re.search("uncovered|any of|nothing", outcome(target, picture))
+    assert re.search("unobstructed|any of|nothing", outcome(target, picture))
 
 
 def test_without_a_contrast_to_what_is_behind_it_a_boards_end_is_not_known() -> None:
     target = dim("staggered")
     assert target.detect_part(taken(target, UP, ground=0.3)) is not None
-    with pytest.raises(UnclearPart, match="before something darker"):
+    with pytest.raises(UnclearPart, match="in front of something darker"):
         target.detect_part(taken(target, UP, ground=0.8))
 
 
@@ -136,7 +136,7 @@ def test_a_board_described_wrongly_is_no_part_of_itself(
     real: str, said: dict[str, object], view: str
 ) -> None:
     picture = taken(dim(real), VIEWS[view])
-    with pytest.raises(UnclearPart, match="mend its description"):
+    with pytest.raises(UnclearPart, match="correct its description"):
         dim(real, **said).detect_part(picture)
 
 

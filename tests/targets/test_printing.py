@@ -21,6 +21,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.targets import Target
 from fpplab.targets.printing import Sheet, paper_size, print_target
+from tests.targets.test_targets import charuco_model
 
 MM = 25.4 / 72
 """A point of PDF and SVG in mm."""
@@ -192,7 +193,7 @@ def test_markers_are_opencvs_own(suffix: str, tmp_path: Path) -> None:
     page = printed(target, tmp_path / f"board{suffix}")
     seen = picture(page, 10.0)
     top, left = (seen.shape[0] - 1000) // 2, (seen.shape[1] - 1400) // 2
-    expected = target.charuco().generateImage((1400, 1000), marginSize=0)
+    expected = charuco_model(target).generateImage((1400, 1000), marginSize=0)
     cut = seen[top : top + 1000, left : left + 1400]
     # Rims of a pixel apart, which are rounded.
     assert np.mean(np.abs(cut.astype(int) - expected) > 128) < 0.004

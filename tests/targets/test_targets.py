@@ -12,7 +12,9 @@ from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.targets import Target
-from fpplab.targets.detection import Detection, apply_homography, eccentricity, homography, local_frames
+from fpplab.targets.kinds.charuco import CharucoLayout
+from fpplab.targets.kinds.circles import CircleGrid
+from fpplab.targets.views import Detection, apply_homography, homography, local_frames
 from tests.support.boards import plane_homography, pose, render
 
 CIRCLES = {"kind": "circles", "size_mm": [60, 42], "counts": [13, 4], "spacing_mm": [4.5, 9],
@@ -33,6 +35,11 @@ VIEWS = {
 
 def board(fields: dict[str, object], **changes: object) -> Target:
     return config.validate({**fields, **changes}, Target, "board.yaml")
+
+
+def charuco_model(target: Target) -> cv2.aruco.CharucoBoard:
+    assert isinstance(target.layout, CharucoLayout)
+    return target.layout.model()
 
 
 def truth(target: Target, matrix: np.ndarray) -> np.ndarray:
@@ -74,7 +81,7 @@ def test_the_board_of_the_paper_has_52_circles_on_60_by_42_mm() -> None:
 
 def test_points_of_a_charuco_board_are_those_of_its_model() -> None:
     target = board(MARKED)
-    corners = target.charuco().getChessboardCorners()
+    corners = charuco_model(target).getChessboardCorners()
     np.testing.assert_allclose(target.points()[:, :2], corners[:, :2] - (35, 25), atol=1e-5)
 
 
@@ -130,7 +137,7 @@ def test_the_share_of_ink_is_that_of_the_squares(px_per_mm: float) -> None:
 
 def test_a_charuco_picture_is_opencvs_own() -> None:
     target = board(MARKED, size_mm=[70, 50], marker_mm=6)
-    expected = target.charuco().generateImage((700, 500), marginSize=0)
+    expected = charuco_model(target).generateImage((700, 500), marginSize=0)
     np.testing.assert_array_equal(target.image(10.0), expected)
 
 
@@ -241,7 +248,7 @@ def test_a_board_cut_by_the_pictures_edge_is_not_found_in_part() -> None:
 
 
 def test_a_colour_picture_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="grey picture"):
+    with pytest.raises(CalibrationError, match="grey image"):
         board(CORNERS).detect(np.zeros((480, 640, 3), np.uint8))
 
 
@@ -278,7 +285,9 @@ def test_ellipses_are_not_taken_for_the_pictures_of_their_circles_centres(view: 
     if np.linalg.norm(found.pixels[0] - expected[0]) > 100:  # the board is as good turned by half a turn
         expected = expected[::-1]
     after = np.linalg.norm(found.pixels - expected, axis=1)
-    before = np.linalg.norm(found.pixels + eccentricity(target, found) - expected, axis=1)
+    layout = target.layout
+    assert isinstance(layout, CircleGrid)
+    before = np.linalg.norm(found.pixels + layout.eccentricity(found) - expected, axis=1)
     assert before.max() > 0.5
     assert np.sqrt(np.mean(after**2)) < 0.005
     assert after.max() < 0.01
@@ -311,6 +320,6 @@ def test_homography_is_recovered_from_part_of_the_points() -> None:
 def test_opencv_sees_the_same_markers_in_our_picture() -> None:
     target = board(MARKED)
     picture = cv2.copyMakeBorder(target.image(10.0), 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
-    dictionary = target.charuco().getDictionary()
+    dictionary = charuco_model(target).getDictionary()
     _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(picture)
-    assert sorted(ids.ravel()) == list(range(len(target.charuco().getIds())))
+    assert sorted(ids.ravel()) == list(range(len(charuco_model(target).getIds())))

@@ -1,0 +1,37 @@
+"""Kinds of boards: a module each, named as the `kind` of a target file.
+
+A module defines one subclass of `BoardLayout`, with the kind's own fields as fields of the class. Adding a
+module adds a kind: nothing else has to name it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from inspect import isabstract
+from pkgutil import iter_modules
+
+from fpplab.targets.layout import BoardLayout
+
+
+def _listed() -> dict[str, type[BoardLayout]]:
+    found = {}
+    # In reverse alphabetical order messages list the kinds as they always have.
+    for name in sorted((module.name for module in iter_modules(__path__)), reverse=True):
+        module = import_module(f"{__name__}.{name}")
+        own = [one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__]
+        (layout,) = [one for one in own if isinstance(one, type) and issubclass(one, BoardLayout)]
+        assert not isabstract(layout), f"{layout} leaves out {sorted(layout.__abstractmethods__)}"
+        found[name] = layout
+    return found
+
+
+KINDS: dict[str, type[BoardLayout]] = _listed()
+"""The layout of each kind of board, by name."""
+
+OWN_FIELDS: dict[str, dict[str, type[BoardLayout]]] = {}
+"""The fields that only some kinds have, each with the layouts that have it by the name of the kind."""
+
+for _kind, _layout in KINDS.items():
+    for _field in _layout.model_fields:
+        if _field not in BoardLayout.model_fields:
+            OWN_FIELDS.setdefault(_field, {})[_kind] = _layout

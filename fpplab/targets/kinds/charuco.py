@@ -1,0 +1,137 @@
+"""ChArUco boards: a checkerboard with a marker in each bright square, which identify the corners."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.targets.drawing import InkBox, InkShape
+from fpplab.targets.fields import Positive
+from fpplab.targets.profiles import PointModel, crossing_edges
+from fpplab.targets.squares import SquareLayout
+from fpplab.targets.views import LEAST_POINTS, Detection
+
+Dictionary = Literal[
+    "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000",
+    "6x6_50", "6x6_100", "6x6_250", "6x6_1000",
+]  # fmt: skip
+
+
+class CharucoLayout(SquareLayout):
+    """A ChArUco board; its markers identify every corner, so that any part of it is detected."""
+
+    marker_mm: Positive
+    """Side of a marker in mm, less than that of a square."""
+
+    dictionary: Dictionary
+    """OpenCV's dictionary of markers: bits of a marker, and number of markers."""
+
+    shows_mirroring: ClassVar[bool] = True
+
+    def check(self) -> None:
+        """Check the board; see `BoardLayout.check`.
+
+        Raises
+        ------
+        ValueError
+            A marker does not fit into a square, the dictionary has too few markers, squares that are not
+            square, or as for every board.
+        """
+        self.check_pitch()
+        if self.marker_mm >= self.spacing_mm[0]:
+            raise ValueError(f"'marker_mm' must be less than the square of {self.spacing_mm[0]:g} mm")
+        markers = (self.counts[0] + 1) * (self.counts[1] + 1) // 2
+        known = int(self.dictionary.split("_")[1])
+        if markers > known:
+            raise ValueError(f"'dictionary' has {known} markers and the board {markers} markers to fill")
+        super().check()
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the board looks the same after half a turn; its markers never do."""
+        return False
+
+    def model(self) -> cv2.aruco.CharucoBoard:
+        """Make OpenCV's model of the board.
+
+        Returns
+        -------
+        cv2.aruco.CharucoBoard
+            In mm; its origin is the first square's corner.
+        """
+        squares = (self.counts[0] + 1, self.counts[1] + 1)
+        name = f"DICT_{self.dictionary.upper()}"
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        return cv2.aruco.CharucoBoard(squares, self.spacing_mm[0], self.marker_mm, dictionary)
+
+    def shapes(self) -> Iterator[InkShape]:
+        """Draw the squares and the dark modules of the markers.
+
+        Yields
+        ------
+        InkShape
+            One rectangle per square or module of the foreground.
+        """
+        yield from super().shapes()
+        board = self.model()
+        dictionary = board.getDictionary()
+        modules = dictionary.markerSize + 2
+        for corners, marker in zip(np.array(board.getObjPoints()), np.array(board.getIds()), strict=True):
+            (x, y), module = corners[0, :2] + self.corner, self.marker_mm / modules
+            bits = dictionary.generateImageMarker(int(marker), modules, borderBits=1)
+            for row, column in np.argwhere(bits == 0):
+                a, b = x + column * module, y + row * module
+                yield InkBox(a, b, a + module, b + module)
+
+    def summary(self) -> str:
+        """Describe the board for the legend of a printed page.
+
+        Returns
+        -------
+        str
+            Corners, sizes of squares and markers, and the dictionary.
+        """
+        columns, rows = self.counts
+        return (
+            f"ChArUco board of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm, "
+            f"markers of {self.marker_mm:g} mm, dictionary {self.dictionary}"
+        )
+
+    def point_model(self) -> PointModel:
+        """Return the model of a corner.
+
+        Returns
+        -------
+        PointModel
+            In a window that the markers do not enter.
+        """
+        return crossing_edges(0.8 * (0.5 * (self.spacing_mm[0] - self.marker_mm)))
+
+    def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
+        """Find as much of the board as is in the image.
+
+        Parameters
+        ----------
+        grey : NDArray[np.uint8]
+            Image (height, width), stretched to the full 8-bit range.
+        level : Floats
+            The same image as it was taken.
+
+        Returns
+        -------
+        Detection or None
+            At least six corners that are not on one line.
+        """
+        pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.model()).detectBoard(grey)
+        if ids is None or len(ids) < LEAST_POINTS:
+            return None
+        found = ids.ravel().astype(np.intp)
+        xy = self.points()[found, :2]
+        if np.linalg.matrix_rank(xy - xy[0], tol=1e-6) < 2:
+            return None
+        return Detection(found, np.asarray(pixels, np.float64).reshape(-1, 2))

@@ -1,0 +1,131 @@
+"""Checkerboards: alternating squares, whose inner corners are the points."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.targets.layout import GridPatch
+from fpplab.targets.ordering import in_order
+from fpplab.targets.patches import facing_front
+from fpplab.targets.profiles import PointModel, crossing_edges
+from fpplab.targets.squares import SquareLayout
+from fpplab.targets.views import Detection
+
+FINDER_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+"""Without equalisation, which would amplify the noise of a black background."""
+
+
+class Checkerboard(SquareLayout):
+    """A checkerboard; it is detected as a whole, or in part where its edge shows which part."""
+
+    def check(self) -> None:
+        """Check the board; see `BoardLayout.check`.
+
+        Raises
+        ------
+        ValueError
+            As many columns as rows, fewer than three of them, squares that are not square, or as for every
+            board.
+        """
+        self.check_counts()
+        self.check_pitch()
+        super().check()
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the board looks the same after half a turn."""
+        return sum(self.counts) % 2 == 0
+
+    def summary(self) -> str:
+        """Describe the board for the legend of a printed page.
+
+        Returns
+        -------
+        str
+            Corners and size of the squares.
+        """
+        columns, rows = self.counts
+        return f"checkerboard of {columns} x {rows} inner corners, squares of {self.spacing_mm[0]:g} mm"
+
+    def point_model(self) -> PointModel:
+        """Return the model of a corner.
+
+        Returns
+        -------
+        PointModel
+            In a window that the next corner's edges do not enter.
+        """
+        return crossing_edges(0.8 * 0.5 * self.spacing_mm[0])
+
+    def polarity(self, row: int, column: int) -> int:
+        """Tell a corner from its negative, which has dark and bright squares exchanged.
+
+        Parameters
+        ----------
+        row : int
+            Of the corner.
+        column : int
+            Of the corner.
+
+        Returns
+        -------
+        int
+            The opposite of its neighbours'.
+        """
+        sign = super().polarity(row, column)
+        return sign if (row + column) % 2 == 0 else -sign
+
+    def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
+        """Find the whole board.
+
+        Parameters
+        ----------
+        grey : NDArray[np.uint8]
+            Image (height, width), stretched to the full 8-bit range.
+        level : Floats
+            The same image as it was taken.
+
+        Returns
+        -------
+        Detection or None
+            All corners; None when they are not there.
+        """
+        found, pixels = cv2.findChessboardCornersSB(grey, self.counts, flags=FINDER_FLAGS)
+        if not found:
+            return None
+        grid = np.asarray(pixels, np.float64).reshape(self.counts[1], self.counts[0], 2)
+        return in_order(self, grid, None if self.symmetric else lambda turn: self._colours_agree(turn, level))
+
+    def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
+        """Find the largest grid of corners that OpenCV detects.
+
+        Parameters
+        ----------
+        grey : NDArray[np.uint8]
+            Image (height, width), stretched to the full 8-bit range.
+
+        Returns
+        -------
+        GridPatch or None
+            Of at least 3 x 3 corners.
+        """
+        flags = FINDER_FLAGS | cv2.CALIB_CB_LARGER
+        found, pixels, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
+        if not found:
+            return None
+        rows, columns = meta.shape[:2]
+        grid = np.asarray(pixels, np.float64).reshape(rows, columns, 2)
+        j, i = np.mgrid[0:rows, 0:columns]
+        return facing_front(np.stack([i, j], axis=-1).reshape(-1, 2), grid.reshape(-1, 2))
+
+    def _colours_agree(self, grid: Floats, level: Floats) -> bool:
+        """Whether dark and bright squares lie where the board has them."""
+        middles = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
+        u, v = np.rint(middles).astype(int).transpose(2, 0, 1)
+        seen = level[v.clip(0, level.shape[0] - 1), u.clip(0, level.shape[1] - 1)]
+        rows, columns = np.indices(seen.shape)
+        contrast = seen[(rows + columns) % 2 == 1].mean() - seen[(rows + columns) % 2 == 0].mean()
+        return bool(contrast * (self.background - self.foreground) > 0)

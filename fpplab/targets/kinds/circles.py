@@ -1,0 +1,260 @@
+"""Grids of circles, whose centres are the points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.targets.drawing import InkDisc, InkShape
+from fpplab.targets.fields import Positive
+from fpplab.targets.layout import BoardLayout, GridPatch, PointLattice
+from fpplab.targets.ordering import in_order
+from fpplab.targets.patches import patch_of_blobs
+from fpplab.targets.profiles import PointModel, disc
+from fpplab.targets.views import Detection, apply_homography, homography
+
+RIM = 0.1
+"""Background that a circle needs around it to be found, as a share of its diameter."""
+
+
+class CircleGrid(BoardLayout):
+    """A grid of circles; it is detected as a whole, or in part where its edge shows which part."""
+
+    staggered: bool = False
+    """Whether odd columns lie half a pitch lower."""
+
+    diameter_mm: Positive
+    """Diameter of the circles in mm."""
+
+    def check(self) -> None:
+        """Check the board; see `BoardLayout.check`.
+
+        Raises
+        ------
+        ValueError
+            As many columns as rows, fewer than three of them, circles that touch, or as for every board.
+        """
+        self.check_counts()
+        super().check()
+        gaps = np.linalg.norm(self.points()[:, None] - self.points()[None], axis=-1)
+        most = float(np.min(gaps[gaps > 0])) / (1 + 2 * RIM)
+        if self.diameter_mm > most:
+            raise ValueError(
+                f"'diameter_mm' is {self.diameter_mm:g}: the circles would touch; at most {most:.3g}"
+            )
+
+    def offsets(self, column: Floats, row: Floats) -> Floats:
+        """Place columns and rows of the grid; see `BoardLayout.offsets`.
+
+        Parameters
+        ----------
+        column : Floats
+            Whole numbers.
+        row : Floats
+            Whole numbers of the same shape.
+
+        Returns
+        -------
+        Floats
+            (..., 2) in mm; odd columns of a staggered grid half a pitch lower.
+        """
+        placed = super().offsets(column, row)
+        if self.staggered:
+            placed[..., 1] += 0.5 * self.spacing_mm[1] * (column % 2)
+        return placed
+
+    def lattice(self) -> PointLattice:
+        """Describe the points as places of a lattice.
+
+        Returns
+        -------
+        PointLattice
+            Of a staggered grid the steps are half a pitch along y, and the basis is diagonal.
+        """
+        if not self.staggered:
+            return super().lattice()
+        columns, rows = self.counts
+        j, i = np.mgrid[0:rows, 0:columns]
+        places = np.stack([i, 2 * j + i % 2], axis=-1).reshape(-1, 2)
+        return PointLattice(places, np.array(self.spacing_mm) * (1.0, 0.5), np.array([[1, 1], [-1, 1]]))
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the board looks the same after half a turn."""
+        return not self.staggered or self.counts[0] % 2 == 0
+
+    def reach(self) -> Floats:
+        """Compute how far the circles extend beyond their centres, with the rim that they need.
+
+        Returns
+        -------
+        Floats
+            (2,) along x and y in mm.
+        """
+        return np.full(2, (0.5 + RIM) * self.diameter_mm)
+
+    def shapes(self) -> Iterator[InkShape]:
+        """Draw the circles.
+
+        Yields
+        ------
+        InkShape
+            A disc per point.
+        """
+        for x, y in self.points()[:, :2]:
+            yield InkDisc(x, y, self.diameter_mm / 2)
+
+    def summary(self) -> str:
+        """Describe the board for the legend of a printed page.
+
+        Returns
+        -------
+        str
+            Number, diameter and pitch of the circles.
+        """
+        (columns, rows), (x, y) = self.counts, self.spacing_mm
+        return (
+            f"{columns} x {rows} circles of {self.diameter_mm:g} mm, "
+            f"{'staggered, ' if self.staggered else ''}pitch {x:g} x {y:g} mm"
+        )
+
+    def point_model(self) -> PointModel:
+        """Return the model of a circle.
+
+        Returns
+        -------
+        PointModel
+            In a window that holds most of the background that is the circle's alone.
+        """
+        radius = self.diameter_mm / 2
+        return disc(radius, radius + 0.8 * self._clear_rim())
+
+    def find(self, grey: NDArray[np.uint8], level: Floats) -> Detection | None:
+        """Find the whole board.
+
+        Parameters
+        ----------
+        grey : NDArray[np.uint8]
+            Image (height, width), stretched to the full 8-bit range.
+        level : Floats
+            The same image as it was taken.
+
+        Returns
+        -------
+        Detection or None
+            All circles; None when they are not there.
+        """
+        detector = self._blob_detector(grey)
+        columns, rows = self.counts
+        kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.staggered else cv2.CALIB_CB_SYMMETRIC_GRID
+        for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
+            # OpenCV staggers every other row, these boards every other column.
+            found, pixels = cv2.findCirclesGrid(grey, (rows, columns), flags=flags, blobDetector=detector)
+            if found:
+                grid = np.asarray(pixels, np.float64).reshape(columns, rows, 2)
+                return in_order(self, grid.transpose(1, 0, 2))
+        return None
+
+    def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
+        """Find the largest lattice that dark or bright blobs form.
+
+        Parameters
+        ----------
+        grey : NDArray[np.uint8]
+            Image (height, width), stretched to the full 8-bit range.
+
+        Returns
+        -------
+        GridPatch or None
+            Of blobs in both directions.
+        """
+        blobs = self._blob_detector(grey).detect(grey)
+        return patch_of_blobs(np.array([blob.pt for blob in blobs], np.float64).reshape(-1, 2))
+
+    def corrected(self, found: Detection) -> Detection:
+        """Compute the images of the circles' centres from the centres of their ellipses.
+
+        Parameters
+        ----------
+        found : Detection
+            Centres of the ellipses.
+
+        Returns
+        -------
+        Detection
+            Images of the centres.
+        """
+        centres = found
+        for _ in range(2):  # the homography is first that of the ellipses' centres, then the corrected one
+            centres = Detection(found.ids, found.pixels - self.eccentricity(centres))
+        return centres
+
+    def eccentricity(self, found: Detection) -> Floats:
+        """Compute the offset of the centres of the ellipses from the images of the circles' centres.
+
+        The centre of a conic is the pole of the line at infinity, so it is read off the dual conic of
+        each circle, C* -> H C* H^T. The lens distorts the ellipse as well, which is neglected: a
+        displacement d shifts the centre of a disc of radius r px by r^2/8 times the Laplacian of d, for
+        d = k1 f x (x^2 + y^2) that is k1 x r^2/f: 0.001 px for k1 = 0.1, r = 15 px at x = 0.15, f = 3600 px.
+
+        Only the camera sees ellipses. The projector's coordinates of a point are those of the decoded
+        maps at the corrected centre.
+
+        Parameters
+        ----------
+        found : Detection
+            Images of the circles' centres, as well as they are known.
+
+        Returns
+        -------
+        Floats
+            (K, 2) in px.
+
+        References
+        ----------
+        Heikkilä, "Geometric camera calibration using circular control points", 2000.
+        """
+        matrix = homography(self, found)
+        circles = self.points()[found.ids, :2]
+        duals = np.stack([_dual_circle(circle, self.diameter_mm / 2) for circle in circles])
+        seen = matrix @ duals @ matrix.T
+        return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2] - apply_homography(matrix, circles))
+
+    def confusable(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """List the one field that is easily described wrongly, `staggered`.
+
+        Yields
+        ------
+        words : str
+            How the real board differs and what the field should be.
+        changes : dict[str, Any]
+            The field with its other value.
+        """
+        other = not self.staggered
+        words = "lower by half a pitch in its odd columns" if other else "without a shift of odd columns"
+        yield f"{words}: 'staggered' should be {str(other).lower()}", {"staggered": other}
+
+    def _blob_detector(self, grey: NDArray[np.uint8]) -> cv2.SimpleBlobDetector:
+        parameters = cv2.SimpleBlobDetector.Params()
+        parameters.blobColor = 0 if self.foreground < self.background else 255
+        parameters.minArea, parameters.maxArea = 20.0, 0.02 * grey.size
+        parameters.minDistBetweenBlobs = 3.0
+        return cv2.SimpleBlobDetector.create(parameters)
+
+    def _clear_rim(self) -> float:
+        """Width in mm of the background that belongs to each circle alone, on the board."""
+        points = self.points()[:, :2]
+        distances = np.linalg.norm(points - points[len(points) // 2], axis=1)
+        gap = np.min(distances[distances > 0]) - self.diameter_mm
+        margin = np.min(0.5 * np.array(self.size_mm) - np.abs(points).max(axis=0)) - 0.5 * self.diameter_mm
+        return float(min(0.5 * gap, margin))
+
+
+def _dual_circle(centre: Floats, radius: float) -> Floats:
+    pole = np.append(centre, 1.0)
+    return np.asarray(np.outer(pole, pole) - radius**2 * np.diag([1.0, 1.0, 0.0]))

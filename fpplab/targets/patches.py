@@ -1,0 +1,88 @@
+"""Patches of a lattice grown from points in an image, for boards that are only partly in view."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fpplab.core.conventions import Floats
+from fpplab.targets.layout import Cells, GridPatch
+from fpplab.targets.views import LEAST_POINTS, apply_homography
+
+OFF_LATTICE = 0.2
+"""How far a point of the lattice may be from where it is expected, in steps."""
+
+
+def facing_front(cells: Cells, pixels: Floats) -> GridPatch:
+    """Make a patch whose lattice basis is right-handed as seen from the front.
+
+    Parameters
+    ----------
+    cells : Cells
+        (n, 2) lattice coordinates in either handedness.
+    pixels : Floats
+        (n, 2) image coordinates (u, v) in px.
+
+    Returns
+    -------
+    GridPatch
+        With x and y of the cells exchanged where that is needed; not verified.
+    """
+    slope = np.linalg.lstsq(cells - cells.mean(axis=0), pixels - pixels.mean(axis=0), rcond=None)[0]
+    return GridPatch(cells if np.linalg.det(slope) > 0 else cells[:, ::-1], pixels)
+
+
+def patch_of_blobs(found: Floats) -> GridPatch | None:
+    """Find the largest lattice that blobs form.
+
+    Parameters
+    ----------
+    found : Floats
+        (n, 2) centres (u, v) in px of blobs that look like the board's points.
+
+    Returns
+    -------
+    GridPatch or None
+        Verified; None when there are fewer than `LEAST_POINTS` blobs or they form no two-dimensional lattice.
+    """
+    if len(found) < LEAST_POINTS:
+        return None
+    middle = np.argsort(np.linalg.norm(found - np.median(found, axis=0), axis=1))
+    patches = [_grown(found, seed) for seed in middle[:8]]
+    best = max(patches, key=lambda patch: len(patch.cells))
+    return best if np.all(np.ptp(best.cells, axis=0) > 0) else None
+
+
+def _grown(found: Floats, seed: int) -> GridPatch:
+    """Grow a patch around one blob, whose nearest neighbours are taken for steps of the lattice."""
+    offsets = found - found[seed]
+    order = np.argsort(np.linalg.norm(offsets, axis=1))[1:]
+    first = offsets[order[0]]
+    across = [o for o in offsets[order] if abs(_sine(first, o)) > 0.4]
+    if not across:
+        return GridPatch(np.zeros((1, 2), np.intp), found[[seed]], verified=True)
+    second = across[0] if _sine(first, across[0]) > 0 else -across[0]
+    view = np.array(
+        [[*np.stack([first, second], axis=1)[k], found[seed][k]] for k in range(2)] + [[0, 0, 1.0]]
+    )
+    kept, cells = np.array([seed]), np.zeros((1, 2), np.intp)
+    for _ in range(60):
+        places = apply_homography(np.linalg.inv(view), found)
+        whole = np.rint(places)
+        near = cKDTree(cells).query(whole)[0] < 1.5  # next to what is known already
+        fits = np.flatnonzero(near & (np.abs(places - whole).max(axis=1) < OFF_LATTICE))
+        cells_now, first_of = np.unique(whole[fits].astype(np.intp), axis=0, return_index=True)
+        kept_now = fits[first_of]
+        if np.array_equal(kept_now, kept) or len(kept_now) < 4:
+            break
+        kept, cells = kept_now, cells_now
+        matrix, _ = cv2.findHomography(cells.astype(np.float64), found[kept], 0)
+        if matrix is None or abs(np.linalg.det(matrix)) < 1e-9:
+            break
+        view = matrix
+    return GridPatch(cells, found[kept], verified=True)
+
+
+def _sine(a: Floats, b: Floats) -> float:
+    return float((a[0] * b[1] - a[1] * b[0]) / (np.linalg.norm(a) * np.linalg.norm(b)))
