@@ -46,9 +46,9 @@ class UsbDevice:
     vendor: int
     product: int
     serial: str
-    place: str
+    location: str
     speed: int | None
-    may_be_used: bool
+    is_accessible: bool
 
     @property
     def ids(self) -> tuple[int, int]:
@@ -56,9 +56,9 @@ class UsbDevice:
         return self.vendor, self.product
 
     @property
-    def named(self) -> str:
+    def label(self) -> str:
         """Its serial number, or where it is plugged in."""
-        return self.serial or f"at {self.place}"
+        return self.serial or f"at {self.location}"
 
 
 def find_devices() -> FoundDevices:
@@ -130,13 +130,13 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
         found.devices.append(DeviceInfo("camera", camera.GetModelName(), camera.GetSerialNumber(), link))
     serials = {device.serial for device in found.devices}
     for device in plugged:
-        if not device.may_be_used:
-            found.missing.append(f"camera {device.named}: this user may not open it; {RULES}")
+        if not device.is_accessible:
+            found.missing.append(f"camera {device.label}: this user may not open it; {RULES}")
         elif device.serial not in serials:
-            found.missing.append(f"camera {device.named}: pylon does not show it; install pylon's USB driver")
+            found.missing.append(f"camera {device.label}: pylon does not show it; install pylon's USB driver")
         if device.speed is not None and device.speed < USB_3:
             found.missing.append(
-                f"camera {device.named}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
+                f"camera {device.label}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
                 "use a USB 3 port and cable, or frames will be lost"
             )
     return found
@@ -155,8 +155,8 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
             link = _link(f"USB {one['path'].decode()}", speed)
             found.devices.append(DeviceInfo("projector", one["product_string"] or "DLPC350", serial, link))
     for device in plugged:
-        if not device.may_be_used:
-            found.missing.append(f"projector {device.named}: this user may not open it; {RULES}")
+        if not device.is_accessible:
+            found.missing.append(f"projector {device.label}: this user may not open it; {RULES}")
     if len(plugged) > len(found.devices):
         found.missing.append(
             "a projector is on USB, but not as the HID device it should be: unplug it and plug it in"
@@ -186,7 +186,7 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
         if device.ids in SERIAL_ADAPTERS and device.ids not in served:
             name = SERIAL_ADAPTERS[device.ids]
             found.missing.append(
-                f"stage {device.named}: {name} is on USB without a serial port; install its driver"
+                f"stage {device.label}: {name} is on USB without a serial port; install its driver"
             )
     return found
 

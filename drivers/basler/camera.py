@@ -124,10 +124,10 @@ class BaslerCamera(Camera):
         self._forget()  # a refusal half way leaves neither the old settings nor the new
         exposure_us = round(settings.exposure_s * US_PER_S, 6)
         self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
-        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", within=exposure_us)
+        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
         gain_db = 0.0
         if self._features.has(named.GAIN_DB):
-            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", within=1.0)
+            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", tolerance=1.0)
         self._known = self._read_caps()
         return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
 
@@ -199,16 +199,16 @@ class BaslerCamera(Camera):
 
     def _make_raw(self) -> None:
         for feature, value in named.RAW:
-            self._features.offer(feature, value)
+            self._features.write_if_possible(feature, value)
         for selector in self._features.choices(named.TRIGGER_SELECTOR):
-            self._features.offer(named.TRIGGER_SELECTOR, selector)
-            self._features.offer(named.TRIGGER_MODE, "Off")
+            self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
+            self._features.write_if_possible(named.TRIGGER_MODE, "Off")
 
     def _apply_options(self) -> None:
         options, write = self._options, self._features.write
         self._set_roi(options.roi)
         if options.black_level is not None:
-            write(named.BLACK_LEVEL, options.black_level, "open", within=0.5)
+            write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
         if options.shutter is not None and self._features.has(named.SHUTTER):
             names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
             write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
@@ -281,19 +281,22 @@ class BaslerCamera(Camera):
         features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
         if hardware:
             features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
-            features.offer(named.LINE_SELECTOR, line.line)
-            features.offer(named.LINE_MODE, "Input")
+            features.write_if_possible(named.LINE_SELECTOR, line.line)
+            features.write_if_possible(named.LINE_MODE, "Input")
         delay_us = line.delay_us if hardware else 0.0
         if delay_us or features.has(named.TRIGGER_DELAY_US):
-            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", within=1.0)
+            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
 
-    def _await_ready(self, deadline: float, doing: str) -> None:
+    def _await_ready(self, deadline: float, operation: str) -> None:
         """A trigger that comes before the camera is ready is dropped without a word."""
         while not self._camera.WaitForFrameTriggerReady(_slice_ms(deadline), pylon.TimeoutHandling_Return):
-            self._check_connected(doing)
+            self._check_connected(operation)
             if time.monotonic() >= deadline:
                 raise DeviceTimeoutError(
-                    self.name, doing, "it does not become ready for a trigger", "close it and open it again"
+                    self.name,
+                    operation,
+                    "it does not become ready for a trigger",
+                    "close it and open it again",
                 )
 
     def _retrieve(self, deadline: float, timeout_s: float) -> Any:
@@ -315,17 +318,17 @@ class BaslerCamera(Camera):
         """The frame's number since `arm`, by the camera's own count where it counts."""
         return self._taken if block_id == NO_BLOCK_ID else block_id - self._first_block
 
-    def _check_connected(self, doing: str) -> None:
+    def _check_connected(self, operation: str) -> None:
         if self._is_gone():
-            raise self._disconnected(doing)
+            raise self._disconnected(operation)
 
     def _is_gone(self) -> bool:
         # pylon's notice of a removal is sometimes missed, so the bus is asked too.
         return self._camera.IsCameraDeviceRemoved() or self._options.serial not in self._transport.cameras()
 
-    def _disconnected(self, doing: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
-            self.name, doing, "the camera was unplugged or switched off", "plug it in and open it again"
+            self.name, operation, "the camera was unplugged or switched off", "plug it in and open it again"
         )
 
 

@@ -78,7 +78,7 @@ class Features:
         node = self._node(feature)
         return tuple(node.GetSettableValues()) if node.IsWritable() else ()
 
-    def write(self, feature: FeatureNames, value: Any, doing: str, within: float = 0.0) -> Any:
+    def write(self, feature: FeatureNames, value: Any, operation: str, tolerance: float = 0.0) -> Any:
         """Set it and return what is read back.
 
         Raises `CapabilityError` where the camera has it not, `SettingError` for a value that it does not
@@ -90,23 +90,26 @@ class Features:
                 return value
             raise CapabilityError(
                 self._device,
-                doing,
+                operation,
                 f"{feature[0]} cannot be set to {value}",
                 "this camera has no such setting",
             )
         if refusal := _refusal(node, value):
             raise SettingError(
-                self._device, doing, f"{feature[0]} is {_shown(value)}", f"the camera takes {refusal}"
+                self._device, operation, f"{feature[0]} is {_shown(value)}", f"the camera takes {refusal}"
             )
         node.SetValue(value)
         back = node.GetValue()
-        if back != value and not (within and abs(back - value) <= within):
+        if back != value and not (tolerance and abs(back - value) <= tolerance):
             raise SettingError(
-                self._device, doing, f"{feature[0]} is {_shown(value)}", f"the camera reads {_shown(back)}"
+                self._device,
+                operation,
+                f"{feature[0]} is {_shown(value)}",
+                f"the camera reads {_shown(back)}",
             )
         return back
 
-    def offer(self, feature: FeatureNames, value: Any) -> None:
+    def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
         """Set it where the camera can, and leave alone what it has not."""
         node = self._node(feature)
         if node.IsWritable() and not _refusal(node, value):

@@ -31,7 +31,7 @@ SHUTTERS = {
 NotNegativeCount = Annotated[int, Field(ge=0)]
 
 
-class Line(Document):
+class TriggerLine(Document):
     """The line that the trigger pulse comes in on."""
 
     line: str = "Line1"
@@ -52,5 +52,5 @@ class BaslerOptions(Document):
     black_level: float | None = None
     packed: bool = False
     shutter: Literal["rolling", "global_reset", "global"] | None = None
-    trigger: Line = Line()
+    trigger: TriggerLine = TriggerLine()
     features: str | None = None

@@ -51,7 +51,7 @@ def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
         found = board.status()
         result = {
             "firmware": board.version(),
-            "tag": board.tag(),
+            "tag": board.firmware_tag(),
             "standby": board.is_standby(),
             "images": board.images_in_flash() if not board.is_standby() else None,
             "state": found.words,
@@ -75,7 +75,7 @@ def power(
             board.wake()
             board.go_dark()
         elif state is Power.OFF:
-            board.sleep()
+            board.enter_standby()
         else:
             board.reset()
     console.answer({"power": state.value}, json)
@@ -99,7 +99,7 @@ def led(
     """
     levels = {"red": red, "green": green, "blue": blue}
     with _board(serial) as board:
-        board.light_leds(levels, inverted)
+        board.switch_on_leds(levels, inverted)
     console.answer(levels, json)
 
 

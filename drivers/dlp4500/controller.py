@@ -15,7 +15,7 @@ from drivers.clock import Clock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
-from drivers.dlp4500.status import Status, objections
+from drivers.dlp4500.status import Status, validation_messages
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
@@ -73,7 +73,7 @@ class Controller:
         read = self.link.read(protocol.VERSION)
         return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
 
-    def tag(self) -> str:
+    def firmware_tag(self) -> str:
         """The name that the firmware was given."""
         return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
 
@@ -95,10 +95,10 @@ class Controller:
 
         self._until(awake, "wake", "still sleeps", WAKE_STEP_S, WAKE_S)
 
-    def sleep(self) -> None:
+    def enter_standby(self) -> None:
         """Go to standby, from video mode as it must be."""
         self.go_dark()
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
         self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
 
@@ -126,7 +126,7 @@ class Controller:
             **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
         )
 
-    def light_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
+    def switch_on_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
         """LEDs on by hand at these currents, those at 0 off; arguments and errors as `set_led_levels`."""
         self.set_led_levels(levels, inverted)
         self.link.write(
@@ -140,8 +140,8 @@ class Controller:
     def go_dark(self) -> None:
         """LEDs off, then the sequence stopped: each tried twice, the second whatever becomes of the first."""
         with ExitStack() as both:
-            both.callback(self._insist, self.stop)
-            both.callback(self._insist, self.leds_off)  # which comes first
+            both.callback(self._try_twice, self.stop)
+            both.callback(self._try_twice, self.leds_off)  # which comes first
 
     @contextmanager
     def dark_on_failure(self) -> Iterator[None]:
@@ -156,7 +156,7 @@ class Controller:
             raise
 
     @staticmethod
-    def _insist(order: Callable[[], None]) -> None:
+    def _try_twice(order: Callable[[], None]) -> None:
         try:
             order()
         except (ProtocolError, DeviceTimeoutError):
@@ -164,7 +164,7 @@ class Controller:
 
     # --- input and triggers
 
-    def plain(self) -> None:
+    def reset_image_options(self) -> None:
         """Show images as they are, not flipped, inverted or frozen, whoever used the projector before."""
         for command in (protocol.LONG_AXIS_FLIP, protocol.SHORT_AXIS_FLIP, protocol.FREEZE, protocol.INVERT):
             self.link.write(command, on=0)
@@ -182,7 +182,7 @@ class Controller:
         """The output that pulses once in a run; delay of its edge, -20.05 to 2.79 µs."""
         self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
 
-    def show_mode(self, mode: DisplayMode) -> None:
+    def set_display_mode(self, mode: DisplayMode) -> None:
         """Video or pattern mode; waits for the change."""
         if self._mode() == mode:
             return
@@ -198,7 +198,7 @@ class Controller:
 
         To be called before patterns from the video port are prepared. Raises `DeviceTimeoutError` without a signal.
         """
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
@@ -208,7 +208,7 @@ class Controller:
     def show_test_pattern(self, name: str) -> None:
         """One of `protocol.TEST_PATTERNS`, white on black, lit by the LEDs at their present currents."""
         self.go_dark()
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
         self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
         white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
@@ -224,7 +224,7 @@ class Controller:
         """How many images can be swapped in."""
         return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
 
-    def load_us(self, image: int) -> int:
+    def image_load_us(self, image: int) -> int:
         """How long a flash image takes to load, in µs."""
         self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
         ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
@@ -257,7 +257,7 @@ class Controller:
 
         Raises `ProtocolError` with the validation's words.
         """
-        self.show_mode(DisplayMode.PATTERN)
+        self.set_display_mode(DisplayMode.PATTERN)
         self.stop()
         self.link.write(protocol.PATTERN_SOURCE, source=program.source)
         self._configure(program)
@@ -280,7 +280,7 @@ class Controller:
         if found["busy"]:
             self._clock.sleep(VALIDATION_STEP_S)
             self._until(done, "validation", "does not end", VALIDATION_STEP_S, VALIDATION_S)
-        if words := objections(found):
+        if words := validation_messages(found):
             raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
 
     def start(self, program: Program) -> None:

@@ -27,7 +27,7 @@ from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo
 from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, SIZE
-from drivers.dlp4500.transport import Hid, Link, connect, hidapi
+from drivers.dlp4500.transport import HidModule, Link, connect, load_hidapi
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice
@@ -132,14 +132,14 @@ class Dlp4500(Projector):
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._options = config.validate(options, Options, self.name)
-        self._hid: Hid | None = getattr(bench, "hid", None)
+        self._hid: HidModule | None = getattr(bench, "hid", None)
         self._clock: Clock = getattr(bench, "clock", None) or RealClock()
         self._storage = self._make_storage(getattr(bench, "display", None))
         self._controller: Controller | None = None
 
     def _open(self) -> None:
         options = self._options
-        wire, self._serial = connect(self._hid or hidapi(self.name), self.name, options.serial)
+        wire, self._serial = connect(self._hid or load_hidapi(self.name), self.name, options.serial)
         link = Link(wire, self._clock, self.name, options.checks_echo)
         self._controller = controller = Controller(link, self._clock, self.name)
         link.drain()
@@ -148,7 +148,7 @@ class Dlp4500(Projector):
         controller.check_health()
         controller.go_dark()
         self._storage.open(controller)
-        controller.plain()
+        controller.reset_image_options()
         controller.set_led_levels(options.led_levels.model_dump(), options.led_inverted)
         first, second = options.trigger_out_1, options.trigger_out_2
         controller.set_trigger_out_1(first.inverted, first.rising_us, first.falling_us)
@@ -165,7 +165,7 @@ class Dlp4500(Projector):
     def _info(self) -> DeviceInfo:
         board = self._board
         with board.dark_on_failure():
-            model = f"DLP LightCrafter 4500, firmware {board.version()} {board.tag()}"
+            model = f"DLP LightCrafter 4500, firmware {board.version()} {board.firmware_tag()}"
         return DeviceInfo("projector", model.strip(), self._serial, "USB HID")
 
     def _caps(self) -> ProjectorCaps:

@@ -121,29 +121,32 @@ class SdlDisplay:
             self._memory.unlink()
         self._process = self._connection = self._memory = None
 
-    def _answer(self, doing: str, timeout_s: float) -> float:
+    def _answer(self, operation: str, timeout_s: float) -> float:
         """Wait for the process; anything but its answer, an interruption too, ends it."""
         assert self._connection is not None
         try:
             if not self._connection.poll(timeout_s):
                 raise DeviceTimeoutError(
-                    self._name, doing, f"its display did not answer within {timeout_s:g} s", "try it again"
+                    self._name,
+                    operation,
+                    f"its display did not answer within {timeout_s:g} s",
+                    "try it again",
                 )
             answer = self._connection.recv()
-            if isinstance(answer, screen.Failure):
-                raise DeviceError(self._name, doing, answer.found, answer.remedy)
+            if isinstance(answer, screen.ScreenFailure):
+                raise DeviceError(self._name, operation, answer.found, answer.remedy)
             return float(answer)
         except (OSError, EOFError) as error:
-            raise self._dead(doing) from error
+            raise self._dead(operation) from error
         except BaseException:
             self.close()
             raise
 
-    def _dead(self, doing: str) -> DisconnectedError:
+    def _dead(self, operation: str) -> DisconnectedError:
         assert self._process is not None
         self._process.join(STOP_S)
         code = self._process.exitcode
         self.close()
         return DisconnectedError(
-            self._name, doing, f"the process of its display has died (exit code {code})", "open it again"
+            self._name, operation, f"the process of its display has died (exit code {code})", "open it again"
         )

@@ -38,7 +38,7 @@ def build(
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
     """
-    from drivers.dlp4500.flash.firmware import Firmware, arranged
+    from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
     from fpplab.acquisition.sync_check import marker
@@ -59,7 +59,7 @@ def build(
         greys = sorted({*chosen.greys.shown, *marker().tolist()})
         patterns = [*make_patterns(chosen, SIZE, Lattice.DIAMOND), *uniform_patterns(greys, SIZE)]
         built = firmware.with_patterns(patterns, out)
-        listed = FlashIndex.of(patterns, arranged(patterns))
+        listed = FlashIndex.of(patterns, arrange_patterns(patterns))
     write_atomic(out, lambda stream: stream.write(built.content))
     write_text(index, config.dump(listed))
     result = {
@@ -92,20 +92,20 @@ def upload(
     """
     from drivers.clock import RealClock
     from drivers.dlp4500.flash.firmware import Firmware
-    from drivers.dlp4500.flash.loader import programming
-    from drivers.dlp4500.flash.upload import check_firmware, perform, prepare, verify_image_count
+    from drivers.dlp4500.flash.loader import boot_loader_session
+    from drivers.dlp4500.flash.upload import check_firmware, perform_upload, plan_upload, verify_image_count
 
     built = Firmware.load(firmware)
     check_firmware(built)
     with console.stopwatch() as seconds:
-        with programming(lambda: connect_projector(serial), RealClock(), NAME) as loader:
-            work = prepare(built, loader)
-            for sentence in work.words:
+        with boot_loader_session(lambda: connect_projector(serial), RealClock(), NAME) as loader:
+            work = plan_upload(built, loader)
+            for sentence in work.summary:
                 console.say(sentence)
             if not (yes or _agreed()):
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
-                perform(built, loader, work, report)
+                perform_upload(built, loader, work, report)
         with closing(connect_projector(serial)) as link:
             verify_image_count(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)

@@ -62,12 +62,12 @@ class UsbMessage:
         ]
 
 
-def request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
+def make_request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
     """A request: `command` and its data."""
     return UsbMessage(flags, sequence, struct.pack("<H", command) + data)
 
 
-def header(report: bytes) -> Header:
+def parse_header(report: bytes) -> Header:
     """The header in a message's first report.
 
     Raises `ValueError` for a report that is not 64 bytes, and for a length that no message has.
@@ -80,17 +80,17 @@ def header(report: bytes) -> Header:
     return found
 
 
-def further_reports(length: int) -> int:
+def continuation_reports(length: int) -> int:
     """How many reports follow the first one of a message whose payload has `length` bytes."""
     return max(0, -(-(length - FIRST_BYTES) // REPORT_BYTES))
 
 
-def joined(reports: Sequence[bytes]) -> UsbMessage:
+def join_reports(reports: Sequence[bytes]) -> UsbMessage:
     """The message that `reports`, all of it and no more, carry.
 
     Raises `ValueError` when their number or size is not what the header says.
     """
-    flags, sequence, length = header(reports[0])
-    if len(reports) != 1 + further_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
+    flags, sequence, length = parse_header(reports[0])
+    if len(reports) != 1 + continuation_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
         raise ValueError(f"{len(reports)} reports for a payload of {length} bytes")
     return UsbMessage(flags, sequence, b"".join(reports)[HEADER_BYTES : HEADER_BYTES + length])

@@ -14,7 +14,7 @@ from drivers.dlp4500.sequence import (
     Program,
     Slot,
     flash_program,
-    still,
+    still_program,
 )
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, ConfigError, SettingError, SyncError
@@ -41,7 +41,7 @@ class InFlash:
         self._slots: list[Slot] = []
         self._load_us: dict[int, int] = {}
         self._played = self._forced_before = False
-        board.show_mode(DisplayMode.PATTERN)
+        board.set_display_mode(DisplayMode.PATTERN)
         count = board.images_in_flash() or 256  # which the count cannot tell from 0
         last = max(pattern.image for pattern in self._index.patterns)
         if last >= count:
@@ -60,7 +60,7 @@ class InFlash:
         if changes > PRELOADED_IMAGES:
             with board.dark_on_failure():
                 for image in {slot.image for slot in slots} - set(self._load_us):
-                    self._load_us[image] = board.load_us(image)
+                    self._load_us[image] = board.image_load_us(image)
         self._program(slots, max(LEAST_EXPOSURE_US[slot.bits] for slot in slots))
         self._slots = slots
 
@@ -68,7 +68,7 @@ class InFlash:
         """One pattern, again and again."""
         slot = self._slots[i]
         with board.dark_on_failure():
-            board.run(still(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
+            board.run(still_program(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
         """All patterns, one after the other, once."""

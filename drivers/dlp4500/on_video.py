@@ -14,15 +14,15 @@ import numpy as np
 from drivers.clock import Clock
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.display import Display
-from drivers.dlp4500.packing import Planes, in_frames, packed
+from drivers.dlp4500.packing import Planes, assign_slots, pack_images
 from drivers.dlp4500.protocol import DisplayMode
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, numbers, video_program
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, pattern_numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
 """Of a pixel's colours, where planes have green, red, blue."""
-MOST_IN_FRAME = len(numbers(1))
+MOST_IN_FRAME = len(pattern_numbers(1))
 
 
 class OnVideo:
@@ -35,7 +35,7 @@ class OnVideo:
         self._name, self._display, self._clock, self._leds = name, display, clock, leds
         self._patterns: Sequence[Pattern] = ()
         self._slots: list[Slot] = []
-        self._up: int | None = None
+        self._displayed_image: int | None = None
         """The frame that the display holds."""
 
     @property
@@ -47,7 +47,7 @@ class OnVideo:
         """Take the display, and follow its signal. Raises what `Display.open` and `select_video` do."""
         self._display.open()
         board.select_video()
-        board.show_mode(DisplayMode.PATTERN)
+        board.set_display_mode(DisplayMode.PATTERN)
         self.load(board, ())
 
     def close(self) -> None:
@@ -56,15 +56,19 @@ class OnVideo:
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
         """Say which pattern will be in which frame."""
-        self._patterns, self._slots, self._up = patterns, in_frames(patterns, MOST_IN_FRAME), None
+        self._patterns, self._slots, self._displayed_image = (
+            patterns,
+            assign_slots(patterns, MOST_IN_FRAME),
+            None,
+        )
 
     def show(self, board: Controller, i: int) -> None:
         """One pattern in every frame, as long as it lasts."""
         slot = self._slots[i]
         program = video_program([slot], self._frame_us, self._frame_us, self._leds, repeat=True)
         with board.dark_on_failure():
-            if slot.image != self._up:
-                self._put_up(slot.image)
+            if slot.image != self._displayed_image:
+                self._display_image(slot.image)
             board.run(program)
             self._clock.sleep(self._display.vsync_s)  # it begins with a frame
 
@@ -99,10 +103,10 @@ class OnVideo:
         return int(self._display.vsync_s * 1e6)
 
     def _play_frames(self, board: Controller, exposure_us: int) -> None:
-        slots = in_frames(self._patterns, self._frame_us // exposure_us)
+        slots = assign_slots(self._patterns, self._frame_us // exposure_us)
         groups = [list(group) for _, group in groupby(slots, lambda slot: slot.image)]
-        self._up, prepared = None, None
-        for frame, group in zip(packed(self._patterns, slots), groups, strict=True):
+        self._displayed_image, prepared = None, None
+        for frame, group in zip(pack_images(self._patterns, slots), groups, strict=True):
             board.leds_off()
             self._show_planes(frame)
             program = video_program(group, exposure_us, self._frame_us, self._leds)
@@ -112,12 +116,12 @@ class OnVideo:
             board.start(program)
             board.await_end(program)
 
-    def _put_up(self, image: int) -> None:
-        self._up = None
+    def _display_image(self, image: int) -> None:
+        self._displayed_image = None
         there = [i for i, slot in enumerate(self._slots) if slot.image == image]
         chosen = slice(there[0], there[-1] + 1)
-        self._show_planes(next(packed(self._patterns[chosen], self._slots[chosen])))
-        self._up = image
+        self._show_planes(next(pack_images(self._patterns[chosen], self._slots[chosen])))
+        self._displayed_image = image
 
     def _show_planes(self, image: Planes) -> None:
         self._display.show(np.ascontiguousarray(image[..., RGB]))

@@ -45,6 +45,6 @@ def connect_projector(serial: str | None) -> Link:
         There is none, or several and none is named.
     """
     from drivers.clock import RealClock
-    from drivers.dlp4500.transport import Link, connect, hidapi
+    from drivers.dlp4500.transport import Link, connect, load_hidapi
 
-    return Link(connect(hidapi(NAME), NAME, serial)[0], RealClock(), NAME)
+    return Link(connect(load_hidapi(NAME), NAME, serial)[0], RealClock(), NAME)

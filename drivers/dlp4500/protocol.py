@@ -18,7 +18,7 @@ Values = dict[str, int]
 
 @dataclass(frozen=True)
 class RegisterField:
-    """One number. allowed: its values, by default all that the bits hold. minus: taken off on the wire.
+    """One number. allowed: its values, by default all that the bits hold. offset: taken off on the wire.
 
     Without a name it is reserved: zero when packed, ignored when unpacked.
     """
@@ -26,11 +26,11 @@ class RegisterField:
     name: str
     bits: int
     allowed: Sequence[int] = ()
-    minus: int = 0
+    offset: int = 0
 
     def values(self) -> Sequence[int]:
         """What it may be."""
-        return self.allowed or range(self.minus, (1 << self.bits) + self.minus)
+        return self.allowed or range(self.offset, (1 << self.bits) + self.offset)
 
     def check(self, value: int) -> None:
         """Raise `ValueError` for what it may not be."""
@@ -65,7 +65,7 @@ class RegisterLayout:
         for field in self.fields:
             if field.name:
                 field.check(values[field.name])
-                word |= (values[field.name] - field.minus) << at
+                word |= (values[field.name] - field.offset) << at
             at += field.bits
         return word.to_bytes(self.size, "little")
 
@@ -76,14 +76,14 @@ class RegisterLayout:
         word, found = int.from_bytes(data, "little"), {}
         for field in self.fields:
             if field.name:
-                found[field.name] = (word & ((1 << field.bits) - 1)) + field.minus
+                found[field.name] = (word & ((1 << field.bits) - 1)) + field.offset
                 field.check(found[field.name])
             word >>= field.bits
         return found
 
 
 @dataclass(frozen=True)
-class Raw:
+class RawBytes:
     """Bytes that only their reader can tell apart, `least` to `most` of them."""
 
     least: int
@@ -95,7 +95,7 @@ class Raw:
             raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
 
 
-Layout = RegisterLayout | Raw
+Layout = RegisterLayout | RawBytes
 
 
 @dataclass(frozen=True)
@@ -136,19 +136,19 @@ def _words(*names: str) -> RegisterLayout:
 _TABLE: dict[int, Command] = {}
 
 
-def _known(command: Command) -> Command:
+def _declare(command: Command) -> Command:
     _TABLE[command.number] = command
     return command
 
 
 def _register(name: str, number: int, record: Layout) -> Command:
     """What can be written and read back in the same layout."""
-    return _known(Command(name, number, record, record))
+    return _declare(Command(name, number, record, record))
 
 
-def _told(name: str, number: int, layout: Layout) -> Command:
+def _read_only(name: str, number: int, layout: Layout) -> Command:
     """What can only be read."""
-    return _known(Command(name, number, None, layout))
+    return _declare(Command(name, number, None, layout))
 
 
 class DisplayMode(IntEnum):
@@ -206,7 +206,7 @@ MOST_VARIABLE_ENTRIES, MOST_VARIABLE_IMAGES = 1824, 256
 
 # --- status, identity, power
 
-HARDWARE_STATUS = _told(
+HARDWARE_STATUS = _read_only(
     "hardware status",
     0x1A0A,
     _record(
@@ -219,8 +219,8 @@ HARDWARE_STATUS = _told(
         RegisterField("sequencer_error", 1),
     ),
 )
-SYSTEM_STATUS = _told("system status", 0x1A0B, _flag("memory_test_passed"))
-MAIN_STATUS = _told(
+SYSTEM_STATUS = _read_only("system status", 0x1A0B, _flag("memory_test_passed"))
+MAIN_STATUS = _read_only(
     "main status",
     0x1A0C,
     _record(
@@ -232,7 +232,7 @@ MAIN_STATUS = _told(
     ),
 )
 PARTS = ("application", "api", "software_config", "sequence_config")
-VERSION = _told(
+VERSION = _read_only(
     "version",
     0x0205,
     RegisterLayout(
@@ -247,9 +247,9 @@ VERSION = _told(
         )
     ),
 )
-FIRMWARE_TAG = _told("firmware tag", 0x1AFF, Raw(1, 32))
-IMAGES_IN_FLASH = _told("images in flash", 0x1A42, _bytes("count"))
-POWER = _known(
+FIRMWARE_TAG = _read_only("firmware tag", 0x1AFF, RawBytes(1, 32))
+IMAGES_IN_FLASH = _read_only("images in flash", 0x1A42, _bytes("count"))
+POWER = _declare(
     Command(
         "power",
         0x0200,
@@ -257,8 +257,8 @@ POWER = _known(
         _record(RegisterField("standby", 2), _gap(6)),
     )
 )
-SOFTWARE_RESET = _known(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
-MEMORY = _known(
+SOFTWARE_RESET = _declare(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
+MEMORY = _declare(
     Command(
         "memory",
         0x1A16,
@@ -329,11 +329,11 @@ TEST_PATTERN_COLOURS = _register(
     ),
 )
 LOAD_IMAGE = _register("load flash image", 0x1A39, _bytes("index"))
-IMAGE_LOAD_TIMING = _known(
+IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
 TICKS_PER_MS = 18667
-VIDEO_SIGNAL = _told(
+VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
     RegisterLayout(
@@ -411,19 +411,19 @@ PATTERN_CONFIG = _register(
     "pattern configuration",
     0x1A31,
     _record(
-        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), minus=1),
+        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
-        RegisterField("patterns", 8, range(1, 257), minus=1),
-        RegisterField("images", 8, range(1, MOST_IMAGES + 1), minus=1),
+        RegisterField("patterns", 8, range(1, 257), offset=1),
+        RegisterField("images", 8, range(1, MOST_IMAGES + 1), offset=1),
     ),
 )
 VARIABLE_CONFIG = _register(
     "variable-exposure configuration",
     0x1A40,
     _record(
-        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), minus=1),
+        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
     ),
 )
@@ -431,7 +431,7 @@ MAILBOX_ADDRESS = _register(
     "mailbox address", 0x1A32, _record(RegisterField("address", 8, range(MOST_ENTRIES)))
 )
 MAILBOX = _register("mailbox", 0x1A33, _record(RegisterField("table", 8, range(4))))
-MAILBOX_DATA = _register("mailbox data", 0x1A34, Raw(1, 3 * MOST_ENTRIES))
+MAILBOX_DATA = _register("mailbox data", 0x1A34, RawBytes(1, 3 * MOST_ENTRIES))
 VARIABLE_ADDRESS = _register(
     "variable-exposure address", 0x1A3F, _record(RegisterField("address", 16, range(MOST_VARIABLE_ENTRIES)))
 )
@@ -467,7 +467,7 @@ VALIDATION = _record(
     _gap(2),
     RegisterField("busy", 1),
 )
-VALIDATE = _known(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
+VALIDATE = _declare(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 
 COMMANDS: Mapping[int, Command] = _TABLE
 """By number."""

@@ -37,7 +37,7 @@ REMEDY = "see to the display's cable and settings"
 
 
 @dataclass(frozen=True)
-class Failure:
+class ScreenFailure:
     """What the process could not do: what was found, and what can be done."""
 
     found: str
@@ -49,21 +49,21 @@ class ScreenError(Exception):
 
     def __init__(self, found: str, remedy: str = REMEDY) -> None:
         super().__init__(found)
-        self.failure = Failure(found, remedy)
+        self.failure = ScreenFailure(found, remedy)
 
 
 def serve_screen(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
-    """Have the display until the connection ends; answers are its period in s, or a `Failure`."""
+    """Have the display until the connection ends; answers are its period in s, or a `ScreenFailure`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # what an interruption means is decided by the other process
     memory = SharedMemory(memory_name)
     assert memory.buf is not None
     with suppress(EOFError, OSError):
         try:
-            with opened(wanted, size) as screen:
+            with open_screen(wanted, size) as screen:
                 connection.send(screen.vsync_s)
                 while True:
                     while not connection.poll(EVENTS_S):
-                        screen.attend()
+                        screen.process_events()
                     connection.recv()
                     screen.show(bytes(memory.buf[: screen.frame_bytes]))
                     connection.send(screen.vsync_s)
@@ -72,7 +72,7 @@ def serve_screen(connection: Connection, memory_name: str, wanted: int | str, si
 
 
 @contextmanager
-def opened(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
+def open_screen(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
     """The display, black, for as long as it is needed. Raises `ScreenError`."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # where SDL comes from is no news
@@ -95,8 +95,8 @@ class Screen:
     def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int]) -> None:
         self._sdl, self._size = sdl, size
         self.frame_bytes = 3 * size[0] * size[1]
-        self._index = index = self._found(wanted)
-        self._renderer, self._window = self._make(index)
+        self._index = index = self._display_index(wanted)
+        self._renderer, self._window = self._create_window(index)
         sdl.SDL_ShowCursor(sdl.SDL_DISABLE)
         self._texture = sdl.SDL_CreateTexture(
             self._renderer, sdl.SDL_PIXELFORMAT_RGB24, sdl.SDL_TEXTUREACCESS_STREAMING, *size
@@ -110,13 +110,13 @@ class Screen:
         if sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
             raise ScreenError(f"a frame cannot be shown ({sdl.SDL_GetError().decode()})")
         self._draw()
-        if self._drawn() != frame:
+        if self._read_back() != frame:
             raise ScreenError("other pixels are drawn than were given", "give it 24 bits per pixel, unscaled")
         for _ in range(1 + QUEUED_FRAMES):
             self._present()
-        self.attend()
+        self.process_events()
 
-    def attend(self) -> None:
+    def process_events(self) -> None:
         """Hear what the window system has to say. Raises `ScreenError` when the frame is off."""
         sdl, event = self._sdl, self._sdl.SDL_Event()
         while sdl.SDL_PollEvent(byref(event)):
@@ -127,9 +127,9 @@ class Screen:
         hidden = sdl.SDL_WINDOW_HIDDEN | sdl.SDL_WINDOW_MINIMIZED
         if sdl.SDL_GetWindowFlags(self._window) & hidden:
             raise ScreenError("its window was hidden", "leave the projector's display alone")
-        self._check_place()
+        self._check_placement()
 
-    def _found(self, wanted: int | str) -> int:
+    def _display_index(self, wanted: int | str) -> int:
         """The display that is meant. Raises `ScreenError` unless there is one, and of the right size."""
         sdl = self._sdl
         count = sdl.SDL_GetNumVideoDisplays()
@@ -153,7 +153,7 @@ class Screen:
         self._sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
         return mode
 
-    def _make(self, index: int) -> tuple[Any, Any]:
+    def _create_window(self, index: int) -> tuple[Any, Any]:
         sdl = self._sdl
         at = sdl.SDL_WINDOWPOS_UNDEFINED_MASK | index
         flags = sdl.SDL_WINDOW_FULLSCREEN_DESKTOP | sdl.SDL_WINDOW_ALLOW_HIGHDPI
@@ -163,7 +163,7 @@ class Screen:
             raise ScreenError(f"the display cannot be filled ({sdl.SDL_GetError().decode()})")
         return renderer, window
 
-    def _check_place(self) -> None:
+    def _check_placement(self) -> None:
         if self._sdl.SDL_GetWindowDisplayIndex(self._window) != self._index:
             raise ScreenError("its window is on another display", "leave the projector's display alone")
         width, height = c_int(), c_int()
@@ -175,7 +175,7 @@ class Screen:
     def _draw(self) -> None:
         self._sdl.SDL_RenderCopy(self._renderer, self._texture, None, None)
 
-    def _drawn(self) -> bytes:
+    def _read_back(self) -> bytes:
         pixels = create_string_buffer(self.frame_bytes)
         form, pitch = self._sdl.SDL_PIXELFORMAT_RGB24, 3 * self._size[0]
         self._sdl.SDL_RenderReadPixels(self._renderer, None, form, pixels, pitch)
@@ -185,7 +185,7 @@ class Screen:
         self._draw()
         self._sdl.SDL_RenderPresent(self._renderer)
 
-    def _locked_period_s(self, told_hz: int) -> float:
+    def _locked_period_s(self, reported_hz: int) -> float:
         """Period of the frames: as the display tells, if they follow it; measured where it tells nothing.
 
         Raises `ScreenError` when frames come faster than it shows them.
@@ -195,16 +195,16 @@ class Screen:
             self._present()
             times.append(time.perf_counter())
         measured_s = median(b - a for a, b in pairwise(times))
-        if not told_hz:
+        if not reported_hz:
             return measured_s
-        if measured_s < LEAST_OF_PERIOD / told_hz:
+        if measured_s < LEAST_OF_PERIOD / reported_hz:
             raise ScreenError(
-                f"frames come every {1e3 * measured_s:.1f} ms on a display of {told_hz} Hz",
+                f"frames come every {1e3 * measured_s:.1f} ms on a display of {reported_hz} Hz",
                 "switch on vertical synchronisation in the graphics driver",
             )
-        return period_s(told_hz)
+        return vsync_period_s(reported_hz)
 
 
-def period_s(told_hz: int) -> float:
+def vsync_period_s(reported_hz: int) -> float:
     """Period of a display: rates of television, 59.94 Hz and the like, are told as the whole number below."""
-    return 1.0 / (told_hz + (told_hz + 1 in WHOLE_RATES_HZ))
+    return 1.0 / (reported_hz + (reported_hz + 1 in WHOLE_RATES_HZ))

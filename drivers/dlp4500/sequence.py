@@ -52,19 +52,19 @@ _STARTS = {
 """By bit depth: the lowest plane of each pattern number."""
 
 
-def numbers(depth: int) -> range:
+def pattern_numbers(depth: int) -> range:
     """The pattern numbers of a depth. Raises `ValueError` for one that there is not."""
     if depth not in _STARTS:
         raise ValueError(f"depth is {depth}: 1 to 8")
     return range(len(_STARTS[depth]))
 
 
-def planes(depth: int, number: int) -> range:
+def bit_planes(depth: int, number: int) -> range:
     """The bit planes of pattern `number`, least significant first; 0 … 7 green, 8 … 15 red, 16 … 23 blue.
 
     Empty for solid black. Raises `ValueError` for a depth or number that there is not.
     """
-    numbered = numbers(depth)
+    numbered = pattern_numbers(depth)
     if depth == 1 and number == SOLID:
         return range(0)
     if number not in numbered:
@@ -168,14 +168,19 @@ def flash_program(
     entries: list[Entry] = []
     images: list[int] = []
     for slot in slots:
-        planes(slot.bits, slot.number)
+        bit_planes(slot.bits, slot.number)
         swap = not images or slot.image != images[-1]
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
     least = max(exposure_us + dark_us, _least_period_us(slots, load_us or {}, repeat))
     program = Program(
-        Source.FLASH, tuple(entries), tuple(images), exposure_us, period_us(exposure_us, least), repeat
+        Source.FLASH,
+        tuple(entries),
+        tuple(images),
+        exposure_us,
+        shortest_period_us(exposure_us, least),
+        repeat,
     )
     check_sequence(program)
     return program
@@ -201,7 +206,7 @@ def video_program(
                 f"{len(frame)} exposures of {exposure_us} µs in a frame: at most {vsync_us} µs together"
             )
         for k, slot in enumerate(frame):
-            planes(slot.bits, slot.number)
+            bit_planes(slot.bits, slot.number)
             trigger = PatternTrigger.NONE if k else PatternTrigger.RISING
             entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
     program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)
@@ -209,7 +214,7 @@ def video_program(
     return program
 
 
-def period_us(exposure_us: int, least_us: int = 0) -> int:
+def shortest_period_us(exposure_us: int, least_us: int = 0) -> int:
     """The shortest period for an exposure: as long as it, or longer by more than 230 µs."""
     return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + LEAST_GAP_US)
 
@@ -258,6 +263,6 @@ def _least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: 
     return max(waits)
 
 
-def still(slot: Slot, exposure_us: int, leds: tuple[str, ...] = COLOURS) -> Program:
+def still_program(slot: Slot, exposure_us: int, leds: tuple[str, ...] = COLOURS) -> Program:
     """One pattern, on show until it is stopped."""
     return flash_program([slot], exposure_us, leds, repeat=True)

@@ -50,7 +50,7 @@ class Status:
         return [words[0 if self.main[name] else 1] for name, words in MAIN_WORDS.items()] + self.faults
 
 
-def objections(validation: Values) -> list[str]:
+def validation_messages(validation: Values) -> list[str]:
     """What a finished validation has against a sequence, warnings included."""
     known = VALIDATION_ERRORS | VALIDATION_WARNINGS
     return [words for name, words in known.items() if validation[name]]

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
-from drivers.dlp4500.protocol import Command, Raw, RegisterLayout, Values
+from drivers.dlp4500.protocol import Command, RawBytes, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
@@ -25,7 +25,7 @@ MOST_STALE = 64
 """Reports thrown away before the device is said to talk nonsense."""
 
 
-class Wire(Protocol):
+class HidDevice(Protocol):
     """An open HID device: hidapi's `hid.device`."""
 
     def write(self, buff: bytes) -> int:
@@ -38,17 +38,17 @@ class Wire(Protocol):
         """Let go."""
 
 
-class Hid(Protocol):
+class HidModule(Protocol):
     """What is used of the module `hid`."""
 
     def enumerate(self, vendor_id: int, product_id: int) -> list[dict[str, Any]]:
         """The interfaces that are plugged in."""
 
     def device(self) -> Any:
-        """A `Wire` with `open_path`, not open yet."""
+        """A `HidDevice` with `open_path`, not open yet."""
 
 
-def hidapi(name: str) -> Hid:
+def load_hidapi(name: str) -> HidModule:
     """The library that talks to USB. Raises `DeviceError` when it does not load."""
     try:
         import hid
@@ -56,11 +56,11 @@ def hidapi(name: str) -> Hid:
         raise DeviceError(
             name, "open", f"hidapi does not load ({error})", "install the package libusb-1.0-0"
         ) from error
-    found: Hid = hid
+    found: HidModule = hid
     return found
 
 
-def connect(hid: Hid, name: str, serial: str | None) -> tuple[Wire, str]:
+def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
     """Open the one LightCrafter 4500 of that serial number, or the only one without; and that number.
 
     Raises `DisconnectedError` when it is not there, `DeviceError` when there are several or it does not open.
@@ -102,7 +102,7 @@ class Link:
     """
 
     def __init__(
-        self, wire: Wire, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
+        self, wire: HidDevice, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
     ) -> None:
         self._wire, self._clock, self.name = wire, clock, name
         self._checks_echo, self._timeout_s = checks_echo, timeout_s
@@ -118,34 +118,34 @@ class Link:
         Raises `SettingError` for a value out of range, before anything is sent; `ProtocolError` when the
         device refuses, `DeviceTimeoutError` when it does not answer, `DisconnectedError` when it is gone.
         """
-        self._order(command, self._packed(command, command.written, values))
+        self._write(command, self._packed(command, command.written, values))
 
     def write_bytes(self, command: Command, data: bytes) -> None:
         """Order something by a command of bytes; errors as `write`."""
-        assert isinstance(command.written, Raw)
+        assert isinstance(command.written, RawBytes)
         try:
             command.written.check(data)
         except ValueError as error:
             raise SettingError(self.name, command.name, str(error)) from error
-        self._order(command, data)
+        self._write(command, data)
 
     def read(self, command: Command, **selector: int) -> Values:
         """Ask for the fields of a command; errors as `write`, and `ProtocolError` for impossible values."""
-        data = self._asked(command, selector)
+        data = self._query(command, selector)
         try:
             assert isinstance(command.returned, RegisterLayout)
             return command.returned.unpack(data)
         except ValueError as error:
-            raise self._nonsense(command.name, str(error)) from error
+            raise self._protocol_error(command.name, str(error)) from error
 
     def read_bytes(self, command: Command, **selector: int) -> bytes:
         """Ask for the bytes of a command; errors as `read`."""
-        data = self._asked(command, selector)
+        data = self._query(command, selector)
         try:
-            assert isinstance(command.returned, Raw)
+            assert isinstance(command.returned, RawBytes)
             command.returned.check(data)
         except ValueError as error:
-            raise self._nonsense(command.name, str(error)) from error
+            raise self._protocol_error(command.name, str(error)) from error
         return data
 
     def drain(self) -> None:
@@ -153,20 +153,20 @@ class Link:
         for _ in range(MOST_STALE):
             if not self._report("drain", 1):
                 return
-        raise self._nonsense("drain", "reports keep coming that nobody asked for")
+        raise self._protocol_error("drain", "reports keep coming that nobody asked for")
 
-    def _order(self, command: Command, data: bytes) -> None:
+    def _write(self, command: Command, data: bytes) -> None:
         self._exchange(command, data, REPLY_WANTED if command.acknowledged else 0)
 
-    def _asked(self, command: Command, selector: Values) -> bytes:
+    def _query(self, command: Command, selector: Values) -> bytes:
         data = self._packed(command, command.selector, selector)
         reply = self._exchange(command, data, READ | REPLY_WANTED)
         assert reply is not None
         if not reply.payload:
-            raise self._nonsense(command.name, "an empty answer")
+            raise self._protocol_error(command.name, "an empty answer")
         return reply.payload
 
-    def _packed(self, command: Command, layout: RegisterLayout | Raw | None, values: Values) -> bytes:
+    def _packed(self, command: Command, layout: RegisterLayout | RawBytes | None, values: Values) -> bytes:
         assert isinstance(layout, RegisterLayout)
         try:
             return layout.pack(values)
@@ -178,7 +178,7 @@ class Link:
             self.drain()
         sequence = self.requests % 256
         self.requests += 1
-        for report in framing.request(command.number, data, sequence, flags).reports():
+        for report in framing.make_request(command.number, data, sequence, flags).reports():
             self._send(command.name, report)
         if not flags & REPLY_WANTED:
             return None
@@ -193,36 +193,38 @@ class Link:
         try:
             sent = self._wire.write(b"\0" + report)
         except OSError as error:
-            raise self._gone(operation) from error
+            raise self._disconnected(operation) from error
         if sent < 0:
-            raise self._gone(operation)
+            raise self._disconnected(operation)
 
     def _reply(self, operation: str, flags: int, sequence: int) -> UsbMessage:
         deadline = self._clock.now() + self._timeout_s
         for _ in range(MOST_STALE):
-            report = self._awaited(operation, deadline)
+            report = self._next_report(operation, deadline)
             try:
-                head = framing.header(report)
-                message = self._whole(operation, head, report, deadline)
+                head = framing.parse_header(report)
+                message = self._complete_reply(operation, head, report, deadline)
             except ValueError as error:
-                raise self._nonsense(operation, str(error)) from error
+                raise self._protocol_error(operation, str(error)) from error
             if self._answers(head, flags, sequence):
                 return message
-        raise self._nonsense(operation, "answers to questions that were not asked")
+        raise self._protocol_error(operation, "answers to questions that were not asked")
 
     def _answers(self, head: Header, flags: int, sequence: int) -> bool:
         if not self._checks_echo:
             return True
         return head.sequence == sequence and head.flags & ~framing.ERROR == flags
 
-    def _whole(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
+    def _complete_reply(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
         """The answer that `first` begins; acknowledgements and refusals are one report, whatever they say."""
         if not head.flags & READ or head.flags & framing.ERROR:
             return UsbMessage(head.flags, head.sequence)
-        rest = [self._awaited(operation, deadline) for _ in range(framing.further_reports(head.length))]
-        return framing.joined([first, *rest])
+        rest = [
+            self._next_report(operation, deadline) for _ in range(framing.continuation_reports(head.length))
+        ]
+        return framing.join_reports([first, *rest])
 
-    def _awaited(self, operation: str, deadline: float) -> bytes:
+    def _next_report(self, operation: str, deadline: float) -> bytes:
         """The next report before the deadline."""
         left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait for ever
         report = self._report(operation, left_ms)
@@ -239,12 +241,12 @@ class Link:
         try:
             return bytes(self._wire.read(framing.REPORT_BYTES, timeout_ms))
         except OSError as error:
-            raise self._gone(operation) from error
+            raise self._disconnected(operation) from error
 
-    def _gone(self, operation: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
             self.name, operation, "the USB device is gone", "see its power and cable, and open it again"
         )
 
-    def _nonsense(self, operation: str, found: str) -> ProtocolError:
+    def _protocol_error(self, operation: str, found: str) -> ProtocolError:
         return ProtocolError(self.name, operation, found, "switch the projector off and on")

@@ -33,11 +33,11 @@ from fpplab.devices import DeviceInfo, Stage, StageCaps
 POLL_S = 0.05
 HOME, AFTER_MOTION = "$H", "G4P0"
 """The second, a pause of no length, is answered when all motion has ended, a move once it is planned."""
-OFFSET_WITHIN = 30
+REPORTS_PER_OFFSET = 30
 """GRBL tells the work offset at least once in so many reports."""
 DIGIT_MM, DIGIT_INCH = 0.001, 0.0001
 """The last digit of a position that it tells."""
-MEDDLED = "close other programs that move the stage, then close, open and home it again"
+OTHER_PROGRAM_REMEDY = "close other programs that move the stage, then close, open and home it again"
 
 
 class StageOptions(Document):
@@ -56,16 +56,16 @@ class Mechanics:
 
     usable_mm: how far it goes from where homing ends. away: sign of the machine's axis away from the switch.
     braking_s, homing_s: the longest times from full speed to rest, of a homing cycle. unit_mm: of positions
-    that it tells. told_mm: half their last digit.
+    that it tells. rounding_mm: half their last digit.
     """
 
     step_mm: float
     usable_mm: float
-    away: int
+    direction: int
     braking_s: float
     homing_s: float
     unit_mm: float
-    told_mm: float
+    rounding_mm: float
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
@@ -79,17 +79,17 @@ class Mechanics:
             step_mm=step_mm,
             # Homing ends at a whole step; one step less keeps the far end inside GRBL's own limit.
             usable_mm=settings[130 + axis] - pull_off_mm - step_mm,
-            away=1 if int(settings[23]) >> axis & 1 else -1,
+            direction=1 if int(settings[23]) >> axis & 1 else -1,
             braking_s=settings[110 + axis] / 60 / settings[120 + axis],
             homing_s=2 * (search_s + pull_offs_s) + ANSWER_S,  # twice, for speeding up and slowing down
             unit_mm=unit_mm,
-            told_mm=unit_mm * digit / 2,
+            rounding_mm=unit_mm * digit / 2,
         )
 
     @property
     def tolerance_mm(self) -> float:
         """How far from a target it may stand: by the step, and the digits that are told and sent."""
-        return self.step_mm / 2 + self.told_mm + 1e-4
+        return self.step_mm / 2 + self.rounding_mm + 1e-4
 
 
 class GrblStage(Stage):
@@ -185,7 +185,7 @@ class GrblStage(Stage):
     def _move_to(self, mm: float, deadline_s: float) -> None:
         wire, mechanics = self._open_wire, self._open_mechanics
         self._at_rest("move_to")
-        target = self._home_mm + mechanics.away * mm
+        target = self._home_mm + mechanics.direction * mm
         self._rest_mm, line = None, f"G90G21G53G0{self._options.axis}{target:.4f}"
         wire.send("move_to", line)
         self._moving = True
@@ -199,7 +199,7 @@ class GrblStage(Stage):
                 self.name,
                 "move_to",
                 f"stopped at {self._stage_mm(reached):.3f} mm, not at {mm:g} mm",
-                MEDDLED,
+                OTHER_PROGRAM_REMEDY,
             )
         self._check_switch("move_to", report)
         self._rest_mm = reached
@@ -207,7 +207,7 @@ class GrblStage(Stage):
     def _await_rest(self, mm: float, deadline_s: float) -> None:
         wire = self._open_wire
         wire.send("move_to", AFTER_MOTION)
-        while not wire.answered("move_to", AFTER_MOTION, POLL_S):
+        while not wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S):
             report = self._status(wire, "move_to")
             if report.state not in ("Run", "Idle"):  # Idle until it sets out
                 raise DeviceError(
@@ -234,67 +234,70 @@ class GrblStage(Stage):
         self._stop(self._open_wire, "halt")
         self._rest_mm, self._moving = None, False
 
-    def _stop(self, wire: GrblWire, doing: str) -> None:
+    def _stop(self, wire: GrblWire, operation: str) -> None:
         """Brake, as a reset in motion loses steps; then reset, which drops all plans and also ends homing."""
-        wire.realtime(doing, HOLD)
+        wire.realtime(operation, HOLD)
         braking_s = self._mechanics.braking_s if self._mechanics else 0.0
         deadline = time.monotonic() + braking_s + ANSWER_S
         try:
-            while _moves(self._status(wire, doing)) and time.monotonic() < deadline:
+            while _is_braking(self._status(wire, operation)) and time.monotonic() < deadline:
                 time.sleep(POLL_S)
         except DisconnectedError:
             raise
         except DeviceError:
             pass  # in homing and in alarm it tells nothing, or the bad news again; a reset it obeys
-        wire.reset(doing, START_S)
+        wire.reset(operation, START_S)
 
-    def _status(self, wire: GrblWire, doing: str) -> StatusReport:
-        report = wire.status(doing)
+    def _status(self, wire: GrblWire, operation: str) -> StatusReport:
+        report = wire.status(operation)
         self._offset = report.offset or self._offset
         return report
 
-    def _at_rest(self, doing: str) -> StatusReport:
+    def _at_rest(self, operation: str) -> StatusReport:
         """A report of a stage that stands where it was left, or a `DeviceError`."""
-        report = self._status(self._open_wire, doing)
+        report = self._status(self._open_wire, operation)
         if report.state != "Idle":
             raise DeviceError(
                 self.name,
-                doing,
+                operation,
                 f"is in state '{report.state}', not at rest",
                 "close, open and home it again",
             )
-        here = self._machine_mm(doing, report)
-        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.told_mm:
+        here = self._machine_mm(operation, report)
+        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.rounding_mm:
             left, found = self._stage_mm(self._rest_mm), self._stage_mm(here)
             raise DeviceError(
-                self.name, doing, f"was left at {left:.3f} mm and is at {found:.3f} mm", MEDDLED
+                self.name,
+                operation,
+                f"was left at {left:.3f} mm and is at {found:.3f} mm",
+                OTHER_PROGRAM_REMEDY,
             )
         return report
 
-    def _check_switch(self, doing: str, report: StatusReport) -> None:
+    def _check_switch(self, operation: str, report: StatusReport) -> None:
         if self._options.axis in report.pins:
-            at_mm = self._stage_mm(self._machine_mm(doing, report))
+            at_mm = self._stage_mm(self._machine_mm(operation, report))
             raise DeviceError(
                 self.name,
-                doing,
+                operation,
                 f"its home switch is pressed, though it should stand at {at_mm:.3f} mm: steps were lost",
                 "see what holds it up, then close, open and home it again",
             )
 
-    def _machine_mm(self, doing: str, report: StatusReport) -> float:
+    def _machine_mm(self, operation: str, report: StatusReport) -> float:
         """Position of a report on the machine's own axis; work positions are put back."""
         unit_mm = self._open_mechanics.unit_mm
         if report.machine is not None:
             return report.machine[self._axis] * unit_mm
-        for _ in range(OFFSET_WITHIN):
+        for _ in range(REPORTS_PER_OFFSET):
             if report.work is not None and self._offset is not None:
                 return (report.work[self._axis] + self._offset[self._axis]) * unit_mm
-            report = self._status(self._open_wire, doing)
-        raise ProtocolError(self.name, doing, "its reports never hold the work offset", "set $10=1")
+            report = self._status(self._open_wire, operation)
+        raise ProtocolError(self.name, operation, "its reports never hold the work offset", "set $10=1")
 
     def _stage_mm(self, machine_mm: float) -> float:
-        home_mm, away = self._home_mm, self._open_mechanics.away
-        return machine_mm - home_mm if away > 0 else home_mm - machine_mm
+        home_mm, direction = self._home_mm, self._open_mechanics.direction
+        return machine_mm - home_mm if direction > 0 else home_mm - machine_mm
 
     @property
     def _open_wire(self) -> GrblWire:
@@ -307,6 +310,6 @@ class GrblStage(Stage):
         return self._mechanics
 
 
-def _moves(report: StatusReport) -> bool:
+def _is_braking(report: StatusReport) -> bool:
     """Whether it is still to come to rest after a hold; `Hold:0` is at rest."""
     return report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1)

@@ -119,19 +119,19 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Told:
+class OtherLine:
     """Anything else that the protocol allows: bracketed messages, startup lines."""
 
     text: str
 
 
-GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | Told
+GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | OtherLine
 
 _WELCOME = re.compile(r"Grbl (\d\S*) \[.*\]")
 _STATE = re.compile(r"([A-Z][a-z]+)(?::(\d))?")
 _SETTING = re.compile(r"\$(\d{1,3})=(\d+\.?\d*)")
 _NUMBERS = re.compile(r"-?\d+\.\d+(?:,-?\d+\.\d+){2,}")
-_TOLD = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
+_OTHER = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
 
 
 def parse_line(line: str) -> GrblMessage:
@@ -150,8 +150,8 @@ def parse_line(line: str) -> GrblMessage:
         return Setting(int(found[1]), float(found[2]))
     if line.startswith("<") and line.endswith(">"):
         return _report(line[1:-1])
-    if _TOLD.fullmatch(line):
-        return Told(line)
+    if _OTHER.fullmatch(line):
+        return OtherLine(line)
     raise ValueError(f"{line!r} is not a line of GRBL 1.1")
 
 
@@ -179,11 +179,11 @@ def _axes(text: str | None) -> Axes | None:
     return tuple(float(number) for number in text.split(","))
 
 
-def error_in_words(code: int) -> str:
+def describe_error(code: int) -> str:
     """`error:N` for people."""
     return f"error:{code}, {ERRORS.get(code, 'which GRBL 1.1 does not document')}"
 
 
-def alarm_in_words(code: int) -> str:
+def describe_alarm(code: int) -> str:
     """`ALARM:N` for people."""
     return f"ALARM:{code}, {ALARMS.get(code, 'which GRBL 1.1 does not document')}"

@@ -21,8 +21,8 @@ from drivers.stage_grbl.lines import (
     Setting,
     StatusReport,
     Welcome,
-    alarm_in_words,
-    error_in_words,
+    describe_alarm,
+    describe_error,
     parse_line,
 )
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
@@ -40,7 +40,7 @@ class RestartedError(DeviceError):
 
 
 class GrblWire:
-    """An open port. name: the device's, for errors; `doing` is what the device is at, likewise."""
+    """An open port. name: the device's, for errors; `operation` is what the device is at, likewise."""
 
     def __init__(self, name: str, port: str) -> None:
         """Raises `DeviceError` when the port cannot be opened, or another program holds it."""
@@ -58,13 +58,13 @@ class GrblWire:
         """Let go of the port; legal any number of times."""
         self._serial.close()
 
-    def reset(self, doing: str, timeout_s: float) -> str:
+    def reset(self, operation: str, timeout_s: float) -> str:
         """Stop and restart the controller; what it said before is dropped. Returns its version."""
-        self._read(doing, time.monotonic())
+        self._read(operation, time.monotonic())
         self._received.clear()  # or a welcome from before would be taken for the answer
-        self._write(doing, RESET)
+        self._write(operation, RESET)
         deadline = time.monotonic() + timeout_s
-        while (line := self._line(doing, deadline)) is not None:
+        while (line := self._line(operation, deadline)) is not None:
             try:
                 message = parse_line(line)
             except ValueError:
@@ -75,80 +75,86 @@ class GrblWire:
                 return message.version
         raise DeviceTimeoutError(
             self._name,
-            doing,
+            operation,
             f"no GRBL answers at {self._port} within {timeout_s:g} s",
             "see to power and cable, and that this is the stage's port (`fpplab devices`)",
         )
 
-    def await_ok(self, doing: str, line: str, timeout_s: float) -> None:
+    def await_ok(self, operation: str, line: str, timeout_s: float) -> None:
         """Wait for the `ok` to the line sent."""
-        if not self.answered(doing, line, timeout_s):
+        if not self.wait_for_answer(operation, line, timeout_s):
             raise DeviceTimeoutError(
-                self._name, doing, f"no answer to '{line}' within {timeout_s:g} s", "see to power and cable"
+                self._name,
+                operation,
+                f"no answer to '{line}' within {timeout_s:g} s",
+                "see to power and cable",
             )
 
-    def send(self, doing: str, line: str) -> None:
+    def send(self, operation: str, line: str) -> None:
         """Send one line; `answered` waits for its answer. Whatever came unasked comes to light before."""
-        while self._take_one(doing, time.monotonic()):
+        while self._process_line(operation, time.monotonic()):
             pass
         if self._answers:
             raise ProtocolError(
                 self._name,
-                doing,
+                operation,
                 f"{self._port} answered what was not asked",
                 "another program uses the port as well: close it",
             )
-        self._write(doing, line.encode("ascii") + b"\n")
+        self._write(operation, line.encode("ascii") + b"\n")
 
-    def answered(self, doing: str, line: str, within_s: float) -> bool:
+    def wait_for_answer(self, operation: str, line: str, within_s: float) -> bool:
         """Whether the answer to the line sent has come; raise `DeviceError` if it was refused."""
         deadline = time.monotonic() + within_s
         while not self._answers:
-            if not self._take_one(doing, deadline):
+            if not self._process_line(operation, deadline):
                 return False
         answer = self._answers.popleft()
         if isinstance(answer, GrblError):
-            raise DeviceError(self._name, doing, f"refused '{line}': {error_in_words(answer.code)}")
+            raise DeviceError(self._name, operation, f"refused '{line}': {describe_error(answer.code)}")
         return True
 
-    def status(self, doing: str) -> StatusReport:
+    def status(self, operation: str) -> StatusReport:
         """What the controller does, and where it is. It does not tell during homing."""
         self._report = None
-        self._write(doing, STATUS)
+        self._write(operation, STATUS)
         deadline = time.monotonic() + ANSWER_S
         while self._report is None:
-            if not self._take_one(doing, deadline):
+            if not self._process_line(operation, deadline):
                 raise DeviceTimeoutError(
-                    self._name, doing, f"no report within {ANSWER_S:g} s", "see to power and cable"
+                    self._name, operation, f"no report within {ANSWER_S:g} s", "see to power and cable"
                 )
         return self._report
 
-    def settings(self, doing: str) -> dict[int, float]:
+    def settings(self, operation: str) -> dict[int, float]:
         """All of `$$`, by number."""
         self._settings.clear()
-        self.send(doing, "$$")
-        self.await_ok(doing, "$$", ANSWER_S)
+        self.send(operation, "$$")
+        self.await_ok(operation, "$$", ANSWER_S)
         return dict(self._settings)
 
-    def realtime(self, doing: str, byte: bytes) -> None:
+    def realtime(self, operation: str, byte: bytes) -> None:
         """Send a command that is obeyed at once, and has no answer."""
-        self._write(doing, byte)
+        self._write(operation, byte)
 
-    def _take_one(self, doing: str, deadline: float) -> bool:
+    def _process_line(self, operation: str, deadline: float) -> bool:
         """Take one line to where it belongs; False when none came in time."""
-        line = self._line(doing, deadline)
+        line = self._line(operation, deadline)
         if line is None:
             return False
         try:
             message = parse_line(line)
         except ValueError as error:
             raise ProtocolError(
-                self._name, doing, str(error), "see to the cable, and close other programs that use the port"
+                self._name,
+                operation,
+                str(error),
+                "see to the cable, and close other programs that use the port",
             ) from None
-        self._keep(doing, message)
+        self._dispatch(operation, message)
         return True
 
-    def _keep(self, doing: str, message: GrblMessage) -> None:
+    def _dispatch(self, operation: str, message: GrblMessage) -> None:
         match message:
             case Ok() | GrblError():
                 self._answers.append(message)
@@ -159,19 +165,19 @@ class GrblWire:
             case Alarm(code):
                 raise DeviceError(
                     self._name,
-                    doing,
-                    alarm_in_words(code),
+                    operation,
+                    describe_alarm(code),
                     "see that the way is free, then close, open and home it again",
                 )
             case Welcome():
                 raise RestartedError(
                     self._name,
-                    doing,
+                    operation,
                     "the controller has restarted, and where the stage stands is lost",
                     "see to its supply, then close, open and home it again",
                 )
 
-    def _line(self, doing: str, deadline: float) -> str | None:
+    def _line(self, operation: str, deadline: float) -> str | None:
         """The next line that is not empty; None when none is complete in time."""
         while True:
             while (end := self._received.find(b"\n")) >= 0:
@@ -183,36 +189,36 @@ class GrblWire:
                 beginning = bytes(self._received[:20])
                 self._received.clear()
                 raise ProtocolError(
-                    self._name, doing, f"{beginning!r} … has no end", f"set the controller to {BAUD} baud"
+                    self._name, operation, f"{beginning!r} … has no end", f"set the controller to {BAUD} baud"
                 )
-            if not self._read(doing, deadline):
+            if not self._read(operation, deadline):
                 return None
 
-    def _read(self, doing: str, deadline: float) -> bool:
+    def _read(self, operation: str, deadline: float) -> bool:
         """Wait for bytes; False at the deadline. Bytes that are there are read even after it."""
         try:
             self._serial.timeout = max(0.0, deadline - time.monotonic())
             data = self._serial.read(1)
             data += self._serial.read(self._serial.in_waiting) if data else b""
         except OSError as error:
-            raise self._gone(doing) from error
+            raise self._disconnected(operation) from error
         self._received += data
         return bool(data)
 
-    def _write(self, doing: str, data: bytes) -> None:
+    def _write(self, operation: str, data: bytes) -> None:
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
             raise DeviceTimeoutError(
-                self._name, doing, f"{self._port} takes nothing more", "see to the cable"
+                self._name, operation, f"{self._port} takes nothing more", "see to the cable"
             ) from None
         except OSError as error:
-            raise self._gone(doing) from error
+            raise self._disconnected(operation) from error
 
-    def _gone(self, doing: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
             self._name,
-            doing,
+            operation,
             f"{self._port} is gone",
             "see to the cable and the stage's supply, then open it again",
         )

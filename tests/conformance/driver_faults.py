@@ -128,7 +128,7 @@ DRIVER_OF_BASLER = [
 DRIVER_OF_GRBL = [
     Fault("grbl: an alarm is ignored", STAGE_WIRE, "case Alarm(code):", "case Alarm(code) if code < 0:"),
     Fault("grbl: a restart is ignored", STAGE_WIRE, "case Welcome():", "case Welcome(''):"),
-    Fault("grbl: a refusal is ignored", STAGE_WIRE, "if isinstance(answer, Refused):", "if answer is None:"),
+    Fault("grbl: a refusal is ignored", STAGE_WIRE, "if isinstance(answer, GrblError):", "if answer is None:"),
     Fault(
         "grbl: noise is ignored",
         STAGE_WIRE,
@@ -144,23 +144,23 @@ DRIVER_OF_GRBL = [
     Fault(
         "grbl: silence is success",
         STAGE_WIRE,
-        "if not self.answered(doing, line, timeout_s):",
-        "if self.answered(doing, line, timeout_s) is None:",
+        "if not self.wait_for_answer(operation, line, timeout_s):",
+        "if self.wait_for_answer(operation, line, timeout_s) is None:",
     ),
     Fault("grbl: the port is shared", STAGE_WIRE, "exclusive=True", "exclusive=False"),
     Fault(
         "grbl: unplugging is not understood",
         STAGE_WIRE,
-        "except OSError as error:\n            raise self._gone(doing) from error\n        self._r",
-        "except ZeroDivisionError as error:\n            raise self._gone(doing) from error\n        self._r",
+        "except OSError as error:\n            raise self._disconnected(operation) from error\n        self._r",
+        "except ZeroDivisionError as error:\n            raise self._disconnected(operation) from error\n        self._r",
     ),
     Fault(
         "grbl: planned is arrived",
         STAGE,
-        'while not wire.answered("move_to", AFTER_MOTION, POLL_S):',
-        'while wire.answered("move_to", AFTER_MOTION, POLL_S) is None:',
+        'while not wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S):',
+        'while wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S) is None:',
     ),
-    Fault("grbl: reset without braking", STAGE, "        wire.realtime(doing, HOLD)\n", ""),
+    Fault("grbl: reset without braking", STAGE, "        wire.realtime(operation, HOLD)\n", ""),
     Fault(
         "grbl: stopped elsewhere",
         STAGE,
@@ -170,7 +170,7 @@ DRIVER_OF_GRBL = [
     Fault(
         "grbl: moved by another program",
         STAGE,
-        "abs(here - self._rest_mm) > self._open_mechanics.told_mm:",
+        "abs(here - self._rest_mm) > self._open_mechanics.rounding_mm:",
         "abs(here - self._rest_mm) > 1e9:",
     ),
     Fault(
@@ -187,7 +187,7 @@ DRIVER_OF_GRBL = [
         "return report.machine[self._axis]",
     ),
     Fault("grbl: the work offset is forgotten", STAGE, " + self._offset[self._axis])", ")"),
-    Fault("grbl: the wrong way", STAGE, "away=1 if int(", "away=-1 if int("),
+    Fault("grbl: the wrong way", STAGE, "direction=1 if int(", "direction=-1 if int("),
     Fault("grbl: work coordinates", STAGE, "G90G21G53G0", "G90G21G0"),
     Fault("grbl: units as left behind", STAGE, "G90G21G53G0", "G90G53G0"),
     Fault("grbl: left moving", STAGE, '            self._stop(wire, "close")\n', "            pass\n"),
@@ -227,15 +227,15 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: what is gone is silent",
         DLP_LINK,
-        "        if sent < 0:\n            raise self._gone(operation)\n",
+        "        if sent < 0:\n            raise self._disconnected(operation)\n",
         "",
     ),
     Fault("dlp4500: the first interface", DLP_LINK, 'd["interface_number"] in (-1, INTERFACE) and ', ""),
     Fault(
         "dlp4500: changed while it runs",
         DLP_CONTROLLER,
-        "        self.show_mode(Mode.PATTERN)\n        self.stop()\n",
-        "        self.show_mode(Mode.PATTERN)\n",
+        "        self.set_display_mode(DisplayMode.PATTERN)\n        self.stop()\n",
+        "        self.set_display_mode(DisplayMode.PATTERN)\n",
     ),
     Fault(
         "dlp4500: started without validation",
@@ -246,8 +246,8 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: the verdict is not read",
         DLP_CONTROLLER,
-        "if words := objections(found):",
-        "if (words := objections(found)) and not words:",
+        "if words := validation_messages(found):",
+        "if (words := validation_messages(found)) and not words:",
     ),
     Fault(
         "dlp4500: a busy validation is a good one",
@@ -270,7 +270,7 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: dark by stopping alone",
         DLP_CONTROLLER,
-        "            both.callback(self._insist, self.leds_off)  # which comes first\n",
+        "            both.callback(self._try_twice, self.leds_off)  # which comes first\n",
         "",
     ),
     Fault(
@@ -370,12 +370,17 @@ VIDEO_PORT_OF_DLP4500 = [
         "            self._clock.sleep(self._display.vsync_s)  # it begins with a frame\n",
         "",
     ),
-    Fault("dlp4500: any frame will do", DLP_VIDEO, "if slot.image != self._up:", "if self._up is None:"),
+    Fault(
+        "dlp4500: any frame will do",
+        DLP_VIDEO,
+        "if slot.image != self._displayed_image:",
+        "if self._displayed_image is None:",
+    ),
     Fault(
         "dlp4500: more patterns than a frame has time for",
         DLP_VIDEO,
-        "in_frames(self._patterns, self._frame_us // exposure_us)",
-        "in_frames(self._patterns, 1 + self._frame_us // exposure_us)",
+        "assign_slots(self._patterns, self._frame_us // exposure_us)",
+        "assign_slots(self._patterns, 1 + self._frame_us // exposure_us)",
     ),
     Fault(
         "dlp4500: the display is kept",
@@ -386,7 +391,7 @@ VIDEO_PORT_OF_DLP4500 = [
     Fault(
         "dlp4500: frames that do not wait pass",
         DLP_SCREEN,
-        "if measured_s < LEAST_OF_PERIOD / told_hz:",
+        "if measured_s < LEAST_OF_PERIOD / reported_hz:",
         "if measured_s < 0.0:",
     ),
     Fault(

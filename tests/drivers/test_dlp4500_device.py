@@ -494,7 +494,7 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
     assert watched(bench, 4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]
     assert bench.controller.sequencer.state is Run.START
-    board.show_mode(DisplayMode.VIDEO)
+    board.set_display_mode(DisplayMode.VIDEO)
     assert bench.controller.sequencer.state is Run.STOP
 
 

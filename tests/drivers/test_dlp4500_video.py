@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.index import shown_image
-from drivers.dlp4500.packing import in_frames, packed
+from drivers.dlp4500.packing import assign_slots, pack_images
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
 from drivers.emulators.dlpc350 import EmulatedDisplay, UsbFault
@@ -100,9 +100,9 @@ def played(bench: VideoBench, projector: Dlp4500, exposure_s: float) -> list[int
 def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
     """Read by the emulated controller, which takes planes apart on its own."""
     patterns = noise(*[bits] * 25)
-    slots = in_frames(patterns, 24)
+    slots = assign_slots(patterns, 24)
     assert [slot.number for slot in slots[:2]] == [0, 1]
-    images = list(packed(patterns, slots))
+    images = list(pack_images(patterns, slots))
     assert len(images) == slots[-1].image + 1
     for pattern, slot in zip(patterns, slots, strict=True):
         np.testing.assert_array_equal(
@@ -111,7 +111,7 @@ def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
 
 
 def test_depths_do_not_share_a_frame() -> None:
-    slots = in_frames(noise(8, 8, 1, 1, 8), 24)
+    slots = assign_slots(noise(8, 8, 1, 1, 8), 24)
     assert [(slot.image, slot.number, slot.bits) for slot in slots] == [
         (0, 0, 8), (0, 1, 8), (1, 0, 1), (1, 1, 1), (2, 0, 8),
     ]  # fmt: skip

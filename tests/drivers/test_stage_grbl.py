@@ -146,7 +146,7 @@ def test_an_interruption_leaves_it_at_rest(
     operation: str, monkeypatch: pytest.MonkeyPatch, impatient: None
 ) -> None:
     """Ctrl-C arrives while it moves; closing stops the stage."""
-    wait = GrblWire.answered
+    wait = GrblWire.wait_for_answer
 
     def interrupted(line_to_it: GrblWire, doing: str, line: str, within_s: float) -> bool:
         if line in (device.HOME, device.AFTER_MOTION):
@@ -157,7 +157,7 @@ def test_an_interruption_leaves_it_at_rest(
     with Bench(BRISK, times=4.0) as bench:
         stage = bench.homed()
         with monkeypatch.context() as patch:
-            patch.setattr(GrblWire, "answered", interrupted)
+            patch.setattr(GrblWire, "wait_for_answer", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 _use(stage, operation)
         assert bench.controller.mode is (GrblState.RUN if operation == "move_to" else GrblState.HOME)

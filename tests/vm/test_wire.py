@@ -13,7 +13,7 @@ import pytest
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, request
 from drivers.dlp4500.protocol import VERSION
-from drivers.dlp4500.transport import TIMEOUT_S, Wire, connect
+from drivers.dlp4500.transport import TIMEOUT_S, HidDevice, connect
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import State
@@ -35,7 +35,7 @@ def timed(action: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def raw_round_trip(wire: Wire) -> None:
+def raw_round_trip(wire: HidDevice) -> None:
     """The reports of a command and of its answer, with no driver."""
     for report in request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
         wire.write(b"\0" + report)

@@ -28,33 +28,33 @@ class Compression(IntEnum):
 
 
 @dataclass(frozen=True)
-class Compressed:
+class CompressedImage:
     """The stored bytes of one image, without header."""
 
     method: Compression
     data: bytes
 
 
-def compress(image: ImageBytes) -> Compressed:
+def compress(image: ImageBytes) -> CompressedImage:
     """Store an image in the shortest way that loses nothing.
 
     Four lines where every row repeats four rows further down, as vertical fringes do on
     either lattice; else run lengths where they are shorter than the image itself.
     """
-    if repeats_by_lines(image):
-        return Compressed(Compression.FOUR_LINE, image[:LINES].tobytes())
-    runs = run_lengths(image)
+    if repeats_every_four_lines(image):
+        return CompressedImage(Compression.FOUR_LINE, image[:LINES].tobytes())
+    runs = encode_run_lengths(image)
     if len(runs) < image.nbytes:
-        return Compressed(Compression.RUN_LENGTH, runs)
-    return Compressed(Compression.NONE, image.tobytes())
+        return CompressedImage(Compression.RUN_LENGTH, runs)
+    return CompressedImage(Compression.NONE, image.tobytes())
 
 
-def repeats_by_lines(image: ImageBytes) -> bool:
+def repeats_every_four_lines(image: ImageBytes) -> bool:
     """Whether every row is the one four rows above it; of one colour plane as of all."""
     return len(image) > LINES and np.array_equal(image[LINES:], image[:-LINES])
 
 
-def run_lengths(image: ImageBytes) -> bytes:
+def encode_run_lengths(image: ImageBytes) -> bytes:
     """An image row by row as runs and literals.
 
     A byte n of 1 … 255: the pixel after it n times. 0 and n of 2 … 255: n pixels follow as they are.

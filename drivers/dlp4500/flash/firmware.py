@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.flash.compression import Compressed, compress, repeats_by_lines
-from drivers.dlp4500.packing import packed
+from drivers.dlp4500.flash.compression import CompressedImage, compress, repeats_every_four_lines
+from drivers.dlp4500.packing import pack_images
 from drivers.dlp4500.sequence import SIZE, Slot
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.fringes import Pattern
@@ -126,14 +126,14 @@ class Firmware:
         them, and when they do not fit into the flash.
         """
         _check(patterns)
-        slots = arranged(patterns)
+        slots = arrange_patterns(patterns)
         if slots[-1].image >= MOST_IMAGES:
             raise ConfigError(
                 f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MOST_IMAGES}"
             )
         start = self.behind_program
         splash = splash_area(
-            [compress(np.ascontiguousarray(image[..., STORED])) for image in packed(patterns, slots)],
+            [compress(np.ascontiguousarray(image[..., STORED])) for image in pack_images(patterns, slots)],
             memory.ADDRESS + start,
         )
         if start + len(splash) > memory.SIZE:
@@ -164,7 +164,7 @@ class Firmware:
                 )
 
 
-def arranged(patterns: Sequence[Pattern]) -> list[Slot]:
+def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
     """Where each pattern goes: in its order, three to an image.
 
     Patterns that repeat by lines and others never share one: a single other one would have it stored at
@@ -173,7 +173,7 @@ def arranged(patterns: Sequence[Pattern]) -> list[Slot]:
     slots: list[Slot] = []
     image, number, repeated = -1, PER_IMAGE, False
     for pattern in patterns:
-        repeats = repeats_by_lines(pattern.image)
+        repeats = repeats_every_four_lines(pattern.image)
         if number == PER_IMAGE or repeats != repeated:
             image, number, repeated = image + 1, 0, repeats
         slots.append(Slot(image, number, BIT_DEPTH))
@@ -197,7 +197,7 @@ def _check(patterns: Sequence[Pattern]) -> None:
             )
 
 
-def splash_area(images: Sequence[Compressed], address: int) -> bytes:
+def splash_area(images: Sequence[CompressedImage], address: int) -> bytes:
     """Signature, count and table of the images, then each with its header, for the controller's `address`."""
     stored = [_header(image) + image.data for image in images]
     table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MOST_IMAGES)
@@ -208,7 +208,7 @@ def splash_area(images: Sequence[Compressed], address: int) -> bytes:
     return b"".join([_SPLASH_SIGNATURE, struct.pack("<I", len(images)), table, *stored])
 
 
-def _header(image: Compressed) -> bytes:
+def _header(image: CompressedImage) -> bytes:
     width, height = SIZE
     whole, background, packed_24_bit, byte_order, chroma_order = _UNUSED, 0, 1, 1, 0
     return _HEADER.pack(

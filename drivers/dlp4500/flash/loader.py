@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.protocol import VERSION, Command, Raw, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import VERSION, Command, RawBytes, RegisterField, RegisterLayout
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
@@ -29,17 +29,17 @@ MOST_DATA = 504
 """Bytes of one data message; two less than fit, for the loader's sake."""
 
 ENTER = Command("enter the boot loader", 0x3001, RegisterLayout(), acknowledged=False)
-TELL = Command(
+READ_STATUS = Command(
     "boot loader's answer",
     0x0015,
-    returned=Raw(10, 60),
+    returned=RawBytes(10, 60),
     selector=RegisterLayout((RegisterField("what", 8, (0x00, 0x0C, 0x0D)),)),
 )
 FLASH_TYPE = Command("flash type", 0x002F, RegisterLayout((RegisterField("algorithm", 8),)))
 ADDRESS = Command("flash address", 0x0029, _NUMBER)
 ERASE = Command("erase sector", 0x0028, RegisterLayout())
 UPLOAD_SIZE = Command("upload size", 0x002C, _NUMBER)
-DATA = Command("flash data", 0x0025, Raw(1, MOST_DATA), acknowledged=False)
+DATA = Command("flash data", 0x0025, RawBytes(1, MOST_DATA), acknowledged=False)
 SUM = Command("start checksum", 0x0026, RegisterLayout(), acknowledged=False)
 LEAVE = Command(
     "leave the boot loader", 0x0030, RegisterLayout((RegisterField("how", 8, (2,)),)), acknowledged=False
@@ -62,7 +62,7 @@ Connect = Callable[[], Link]
 """Opens the projector, whichever program it runs."""
 
 
-class Loader:
+class BootLoader:
     """One conversation with the boot loader; offsets count from the first byte of the flash."""
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
@@ -116,7 +116,7 @@ class Loader:
         self._wait("start checksum")
         return self._number(_CHECKSUM)
 
-    def peek(self, offset: int, size: int) -> bytes:
+    def read(self, offset: int, size: int) -> bytes:
         """Read a few bytes, one by one."""
         return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
 
@@ -137,13 +137,13 @@ class Loader:
             )
 
     def _number(self, what: int) -> int:
-        answer = self.link.read_bytes(TELL, what=what)
+        answer = self.link.read_bytes(READ_STATUS, what=what)
         low, high = answer[6:10], answer[12:16] if what == _DEVICE else b""
         return int.from_bytes(low + high, "little")
 
     def _wait(self, operation: str) -> None:
         deadline = self._clock.now() + BUSY_LIMIT_S
-        while self.link.read_bytes(TELL, what=_CHECKSUM)[0] & _BUSY:
+        while self.link.read_bytes(READ_STATUS, what=_CHECKSUM)[0] & _BUSY:
             if self._clock.now() > deadline:
                 raise DeviceTimeoutError(
                     self.name,
@@ -159,12 +159,12 @@ def _words(part: tuple[int, int]) -> str:
 
 
 @contextmanager
-def programming(connect: Connect, clock: Clock, name: str) -> Iterator[Loader]:
+def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoader]:
     """The projector in its boot loader, wherever it was before; it starts again at the end.
 
     Raises `DeviceError` when either program does not come back, or the flash is another.
     """
-    loader = Loader(_entered(connect, clock, name), clock, name)
+    loader = BootLoader(_entered(connect, clock, name), clock, name)
     try:
         loader.identify()
         yield loader

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
-from drivers.dlp4500.flash.loader import Loader
+from drivers.dlp4500.flash.loader import BootLoader
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DataError, DeviceError
@@ -27,7 +27,7 @@ _MARK = bytes(_SLOT)
 
 
 @dataclass(frozen=True)
-class Work:
+class UploadPlan:
     """What an upload has to do.
 
     images: the sectors of the images. written: those that an earlier upload of the same file has finished;
@@ -45,7 +45,7 @@ class Work:
         return [*rest, *([TABLE_SECTOR] if self.table else []), self.images[0]]
 
     @property
-    def words(self) -> list[str]:
+    def summary(self) -> list[str]:
         """What will be erased, for the operator to agree to."""
         first, last = self.images[0], self.images[-1]
         sentences = [
@@ -73,20 +73,22 @@ def check_firmware(firmware: Firmware) -> range:
     return range(memory.sector_of(splash.offset), memory.sector_of(splash.end - 1) + 1)
 
 
-def prepare(firmware: Firmware, loader: Loader) -> Work:
+def plan_upload(firmware: Firmware, loader: BootLoader) -> UploadPlan:
     """Find out what is to be done, without changing anything.
 
     Raises `DataError` as `check_firmware`, `DeviceError` when the projector has another program than the file.
     """
     images = check_firmware(firmware)
     _check_program(firmware, loader)
-    page = _Page(firmware, loader, images)
-    return Work(images, page.written() if page.is_there() else None, _table_differs(firmware, loader))
+    page = _ProgressPage(firmware, loader, images)
+    return UploadPlan(
+        images, page.written() if page.matches_file() else None, _table_differs(firmware, loader)
+    )
 
 
-def perform(firmware: Firmware, loader: Loader, work: Work, report: Progress) -> None:
+def perform_upload(firmware: Firmware, loader: BootLoader, work: UploadPlan, report: Progress) -> None:
     """Erase, write and compare every sector of `work`. Raises `DeviceError`; the same again then goes on."""
-    page = _Page(firmware, loader, work.images)
+    page = _ProgressPage(firmware, loader, work.images)
     if work.written is None:
         page.begin()
     for done, sector in enumerate(work.sectors):
@@ -109,10 +111,10 @@ def verify_image_count(firmware: Firmware, link: Link) -> None:
         )
 
 
-class _Page:
+class _ProgressPage:
     """The progress of an upload, in the first sector of the images until they are complete."""
 
-    def __init__(self, firmware: Firmware, loader: Loader, images: range) -> None:
+    def __init__(self, firmware: Firmware, loader: BootLoader, images: range) -> None:
         self._firmware, self._loader, self._images = firmware, loader, images
         self._offset = images[0] * memory.SECTOR
         self._digest = hashlib.sha256(firmware.content).digest()[:_SLOT]
@@ -122,9 +124,9 @@ class _Page:
         self._loader.erase(self._images[0])
         self._loader.write(self._offset, self._digest)
 
-    def is_there(self) -> bool:
+    def matches_file(self) -> bool:
         """Whether an upload of this file was interrupted."""
-        return self._loader.peek(self._offset, _SLOT) == self._digest
+        return self._loader.read(self._offset, _SLOT) == self._digest
 
     def written(self) -> frozenset[int]:
         """The sectors that are marked, and still sum up to what they should."""
@@ -144,7 +146,7 @@ class _Page:
         return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
 
 
-def _check_program(firmware: Firmware, loader: Loader) -> None:
+def _check_program(firmware: Firmware, loader: BootLoader) -> None:
     """Refuse a projector whose program differs outside of the table's sector, which may be half written."""
     for block in firmware.blocks:
         start = max(block.offset, (TABLE_SECTOR + 1) * memory.SECTOR)
@@ -158,15 +160,15 @@ def _check_program(firmware: Firmware, loader: Loader) -> None:
             )
 
 
-def _table_differs(firmware: Firmware, loader: Loader) -> bool:
+def _table_differs(firmware: Firmware, loader: BootLoader) -> bool:
     """Whether the sector of the flash table must be written; sums alone might agree by accident."""
     entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
-    return loader.peek(SPLASH_ENTRY, 4) != entry or not _is_same(
+    return loader.read(SPLASH_ENTRY, 4) != entry or not _is_same(
         firmware, loader, _part(firmware, TABLE_SECTOR)
     )
 
 
-def _is_same(firmware: Firmware, loader: Loader, part: FlashBlock) -> bool:
+def _is_same(firmware: Firmware, loader: BootLoader, part: FlashBlock) -> bool:
     """Whether the projector's flash sums up to what the file has there."""
     wanted = memory.flash_checksum(firmware.content[part.offset : part.end])
     return loader.checksum(part.offset, part.size) == wanted
