@@ -455,7 +455,7 @@ def test_standby_and_back(bench: Bench, projector: Dlp4500) -> None:
     board = projector._board
     projector.load(bench.patterns)
     projector.show(0)
-    board.sleep()
+    board.enter_standby()
     assert board.is_standby()
     assert bench.is_dark()
     board.wake()

@@ -169,7 +169,7 @@ def test_after_a_missed_pulse_the_last_frame_never_comes(folder: Path) -> None:
     with rig_file(folder, {"faults": {"missed": [3]}}) as rig:
         assert len(played(rig, 7)) == 7
         rig.projector.blank()
-        with pytest.raises(DeviceTimeoutError, match="see to the trigger cable"):
+        with pytest.raises(DeviceTimeoutError, match="check the trigger cable"):
             played(rig, 8)
 
 

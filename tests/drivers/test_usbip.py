@@ -254,6 +254,6 @@ def test_it_says_what_it_does(tmp_path: Path) -> None:
         projector.play(0.02)
         assert described(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
         projector.blank()
-        projector._board.sleep()
+        projector._board.enter_standby()
         assert described(bench.controller) == "standby"
         projector._board.wake()
