@@ -2,16 +2,16 @@
 
 stage: {backend: "drivers.stage_grbl:GrblStage", port: /dev/ttyACM0, axis: X}
 
-The stage's zero is where homing ends, and its millimetres count away from the home switch, whichever way the
-controller's own axis points. Moves go by machine coordinates (G53), so that no work offset of another program
-shifts them.
+The stage's zero is the position where homing ends, and its coordinate increases away from the home switch,
+whichever way the controller's own axis points. Moves use machine coordinates (G53), so that a work offset
+left by another program has no effect.
 
-GRBL counts the steps that it sends and has no scale: it cannot know that a motor has stalled or slipped. What
-it can tell is told: alarms and restarts, a move that ends elsewhere than asked, a stage that was moved by
-something else, and a home switch that is pressed where it should be free. For the rest, home again and see
-whether the measurement repeats.
+GRBL counts the steps that it sends and has no position encoder: it cannot know that a motor has stalled or
+slipped. What it can detect is reported: alarms and restarts, a move that ends elsewhere than asked, a stage
+that was moved by something else, and a home switch that is pressed where it should be free. For the rest,
+home again and check whether the measurement repeats.
 
-Proven on an emulated controller over a pseudo-terminal alone.
+Tested on an emulated controller over a pseudo-terminal only.
 """
 
 from __future__ import annotations
@@ -32,31 +32,47 @@ from fpplab.devices import DeviceInfo, Stage, StageCaps
 
 POLL_S = 0.05
 HOME, AFTER_MOTION = "$H", "G4P0"
-"""The second, a pause of no length, is answered when all motion has ended, a move once it is planned."""
+"""Lines to home, and to wait for the end of all motion.
+
+`G4P0` is a pause of zero length, which is answered when all motion has ended; a move is answered as soon as
+it is planned.
+"""
 REPORTS_PER_OFFSET = 30
-"""GRBL tells the work offset at least once in so many reports."""
+"""GRBL sends the work coordinate offset at least once in this many reports."""
 DIGIT_MM, DIGIT_INCH = 0.001, 0.0001
-"""The last digit of a position that it tells."""
+"""Last digit of a reported position, in mm or inches."""
 OTHER_PROGRAM_REMEDY = "close other programs that move the stage, then close, open and home it again"
 
 
 class StageOptions(Document):
-    """The stage's section in a rig file.
-
-    port: the serial port; left out, the rig's bench brings one as `stage_port`. axis: the controller's.
-    """
+    """The stage's section in a rig file."""
 
     port: str | None = None
+    """Serial port, such as /dev/ttyACM0 or COM3; without it, the rig's bench provides one as `stage_port`."""
     axis: Literal["X", "Y", "Z"] = "X"
+    """The controller's axis that moves the stage."""
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What the controller's settings say of the axis.
+    """Properties of the axis, derived from the controller's settings.
 
-    usable_mm: how far it goes from where homing ends. away: sign of the machine's axis away from the switch.
-    braking_s, homing_s: the longest times from full speed to rest, of a homing cycle. unit_mm: of positions
-    that it tells. rounding_mm: half their last digit.
+    Attributes
+    ----------
+    step_mm : float
+        Length of one motor step in mm.
+    usable_mm : float
+        Travel in mm from the position where homing ends.
+    direction : int
+        Sign of the machine axis in the direction away from the home switch, 1 or -1.
+    braking_s : float
+        Longest time from full speed to rest, in s.
+    homing_s : float
+        Longest time of a homing cycle, in s.
+    unit_mm : float
+        Unit of reported positions in mm: 1 or 25.4.
+    rounding_mm : float
+        Half the last digit of a reported position, in mm.
     """
 
     step_mm: float
@@ -69,7 +85,27 @@ class Mechanics:
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
-        """From `$$`; raises `KeyError` where a setting is missing, `ZeroDivisionError` where it is 0."""
+        """Derive the properties of an axis from the controller's settings.
+
+        Parameters
+        ----------
+        settings : dict of int to float
+            Answer to `$$`, by number.
+        axis : int
+            0 for X, 1 for Y, 2 for Z.
+
+        Returns
+        -------
+        Mechanics
+            Of that axis.
+
+        Raises
+        ------
+        KeyError
+            A setting is missing.
+        ZeroDivisionError
+            Steps per mm, a homing rate or the acceleration is 0.
+        """
         unit_mm, digit = (MM_PER_INCH, DIGIT_INCH) if settings[13] else (1.0, DIGIT_MM)
         step_mm, pull_off_mm = 1.0 / settings[100 + axis], settings[27]
         seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000
@@ -88,12 +124,12 @@ class Mechanics:
 
     @property
     def tolerance_mm(self) -> float:
-        """How far from a target it may stand: by the step, and the digits that are told and sent."""
+        """Largest accepted distance from a target in mm: half a step, and the rounding of positions."""
         return self.step_mm / 2 + self.rounding_mm + 1e-4
 
 
 class GrblStage(Stage):
-    """One axis of a GRBL 1.1 controller, whose homing is compiled for the axes that have a switch."""
+    """One axis of a GRBL 1.1 controller whose homing cycle is compiled for the axes that have a switch."""
 
     _wire: GrblWire | None = None
     _mechanics: Mechanics | None = None
@@ -116,12 +152,12 @@ class GrblStage(Stage):
         try:
             self._version = self._reset(wire)
         except BaseException:
-            wire.close()  # nobody there to be made safe
+            wire.close()  # no controller answers, so there is no motion to stop
             raise
         self._wire = wire
         try:
             self._mechanics = self._read_mechanics(wire.settings("open"))
-        except RestartedError:  # the welcome was one from before the reset, whose own came now
+        except RestartedError:  # that welcome message was an earlier one; the reset's own has come now
             self._reset(wire)
             self._mechanics = self._read_mechanics(wire.settings("open"))
 
@@ -136,7 +172,7 @@ class GrblStage(Stage):
             mechanics = Mechanics.of(settings, self._axis)
         except (KeyError, ZeroDivisionError) as error:
             raise ProtocolError(
-                self.name, "open", f"its settings ($$) are incomplete, or zero ({error})", "correct them"
+                self.name, "open", f"its settings ($$) are incomplete or zero ({error})", "correct them"
             ) from error
         if mechanics.usable_mm <= 0:
             travel, pull_off = f"${130 + self._axis}={settings[130 + self._axis]:g}", f"$27={settings[27]:g}"
@@ -159,7 +195,7 @@ class GrblStage(Stage):
         try:
             self._stop(wire, "close")
         except DisconnectedError:
-            if self._moving:  # else it stands, which is safe
+            if self._moving:  # a stage at rest is safe
                 raise
         finally:
             wire.close()
@@ -209,12 +245,12 @@ class GrblStage(Stage):
         wire.send("move_to", AFTER_MOTION)
         while not wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S):
             report = self._status(wire, "move_to")
-            if report.state not in ("Run", "Idle"):  # Idle until it sets out
+            if report.state not in ("Run", "Idle"):  # Idle until the motion starts
                 raise DeviceError(
                     self.name,
                     "move_to",
                     f"is in state '{report.state}' and does not move",
-                    "see to its buttons",
+                    "check its buttons",
                 )
             if time.monotonic() >= deadline_s:
                 wire.realtime("move_to", HOLD)
@@ -235,7 +271,7 @@ class GrblStage(Stage):
         self._rest_mm, self._moving = None, False
 
     def _stop(self, wire: GrblWire, operation: str) -> None:
-        """Brake, as a reset in motion loses steps; then reset, which drops all plans and also ends homing."""
+        """Brake, as a reset in motion loses steps; then reset, which drops planned moves and ends homing."""
         wire.realtime(operation, HOLD)
         braking_s = self._mechanics.braking_s if self._mechanics else 0.0
         deadline = time.monotonic() + braking_s + ANSWER_S
@@ -245,7 +281,7 @@ class GrblStage(Stage):
         except DisconnectedError:
             raise
         except DeviceError:
-            pass  # in homing and in alarm it tells nothing, or the bad news again; a reset it obeys
+            pass  # no report while homing, or the same alarm again; a reset is executed in either case
         wire.reset(operation, START_S)
 
     def _status(self, wire: GrblWire, operation: str) -> StatusReport:
@@ -254,7 +290,7 @@ class GrblStage(Stage):
         return report
 
     def _at_rest(self, operation: str) -> StatusReport:
-        """A report of a stage that stands where it was left, or a `DeviceError`."""
+        """Return a report of a stage that stands where it was left, or raise `DeviceError`."""
         report = self._status(self._open_wire, operation)
         if report.state != "Idle":
             raise DeviceError(
@@ -280,12 +316,12 @@ class GrblStage(Stage):
             raise DeviceError(
                 self.name,
                 operation,
-                f"its home switch is pressed, though it should stand at {at_mm:.3f} mm: steps were lost",
-                "see what holds it up, then close, open and home it again",
+                f"its home switch is pressed although it should be at {at_mm:.3f} mm: steps were lost",
+                "check what blocks it, then close, open and home it again",
             )
 
     def _machine_mm(self, operation: str, report: StatusReport) -> float:
-        """Position of a report on the machine's own axis; work positions are put back."""
+        """Return the reported position on the machine's axis; the work offset is added to a work position."""
         unit_mm = self._open_mechanics.unit_mm
         if report.machine is not None:
             return report.machine[self._axis] * unit_mm
@@ -293,7 +329,7 @@ class GrblStage(Stage):
             if report.work is not None and self._offset is not None:
                 return (report.work[self._axis] + self._offset[self._axis]) * unit_mm
             report = self._status(self._open_wire, operation)
-        raise ProtocolError(self.name, operation, "its reports never hold the work offset", "set $10=1")
+        raise ProtocolError(self.name, operation, "its reports never contain the work offset", "set $10=1")
 
     def _stage_mm(self, machine_mm: float) -> float:
         home_mm, direction = self._home_mm, self._open_mechanics.direction
@@ -311,5 +347,5 @@ class GrblStage(Stage):
 
 
 def _is_braking(report: StatusReport) -> bool:
-    """Whether it is still to come to rest after a hold; `Hold:0` is at rest."""
+    """Tell whether the stage still moves after a feed hold; `Hold:0` is at rest."""
     return report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1)

@@ -93,7 +93,7 @@ def test_every_code_has_its_words() -> None:
     """The codes of GRBL's own tables."""
     assert set(ERRORS) == {*range(1, 18), *range(20, 39)}
     assert set(ALARMS) == set(range(1, 10))
-    assert describe_error(9) == "error:9, locked, by an alarm or while it jogs"
+    assert describe_error(9) == "error:9, locked by an alarm or while jogging"
     assert describe_alarm(77) == "ALARM:77, which GRBL 1.1 does not document"
 
 
