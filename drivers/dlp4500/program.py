@@ -1,4 +1,4 @@
-"""The program `fpplab dlp4500`, to which the files of commands add theirs, and what they have in common."""
+"""The command group `fpplab dlp4500`, which the modules of commands extend, and what these share."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ dlp4500 = typer.Typer(
 """`fpplab dlp4500 …`."""
 
 NAME = "projector"
+"""The projector's name in errors."""
 
 ProjectorSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")

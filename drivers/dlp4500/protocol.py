@@ -1,10 +1,10 @@
-"""Every command that runs a bench: its number, and the fields of its data as pure functions.
+"""The commands of the DLPC350 that a projector needs: their numbers, and their data as bit fields.
 
-A `RegisterLayout` is fields of bits, lowest first, which is at once the order of bits in a byte and of bytes in a
-number: everything multi-byte is little-endian. Values are checked when packed and when unpacked, so that
-neither a wrong call nor a wrong answer passes.
+A `RegisterLayout` lists bit fields, lowest first, which is at once the order of bits in a byte and of bytes
+in a number: everything multi-byte is little-endian. Values are checked both when packed and when unpacked,
+so that neither a wrong call nor a wrong reply goes unnoticed.
 
-Source: TI's DLPC350 client (API 4.0), GUI and SDK. Nothing here has been near a board.
+Source: TI's DLPC350 client (API 4.0), GUI and SDK. Not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -18,9 +18,18 @@ Values = dict[str, int]
 
 @dataclass(frozen=True)
 class RegisterField:
-    """One number. allowed: its values, by default all that the bits hold. offset: taken off on the wire.
+    """One number in a register.
 
-    Without a name it is reserved: zero when packed, ignored when unpacked.
+    Attributes
+    ----------
+    name : str
+        Name of the value; empty for reserved bits, which are zero when packed and ignored when unpacked.
+    bits : int
+        Width in bits.
+    allowed : sequence of int
+        Allowed values; empty for all that the bits hold.
+    offset : int
+        Subtracted from the value when it is packed, added when it is unpacked.
     """
 
     name: str
@@ -29,11 +38,28 @@ class RegisterField:
     offset: int = 0
 
     def values(self) -> Sequence[int]:
-        """What it may be."""
+        """List the allowed values.
+
+        Returns
+        -------
+        sequence of int
+            `allowed`, or the range that the bits hold.
+        """
         return self.allowed or range(self.offset, (1 << self.bits) + self.offset)
 
     def check(self, value: int) -> None:
-        """Raise `ValueError` for what it may not be."""
+        """Check that a value is allowed.
+
+        Parameters
+        ----------
+        value : int
+            The value.
+
+        Raises
+        ------
+        ValueError
+            It is not allowed.
+        """
         allowed = self.values()
         if value not in allowed:
             words = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
@@ -42,13 +68,19 @@ class RegisterField:
 
 @dataclass(frozen=True)
 class RegisterLayout:
-    """Fields, from the lowest bit of the first byte on."""
+    """Bit fields, from the lowest bit of the first byte on.
+
+    Attributes
+    ----------
+    fields : tuple of RegisterField
+        The fields, reserved ones included.
+    """
 
     fields: tuple[RegisterField, ...] = ()
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size in bytes."""
         return sum(field.bits for field in self.fields) // 8
 
     @property
@@ -57,7 +89,23 @@ class RegisterLayout:
         return [field for field in self.fields if field.name]
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """The bytes of `values`, which must name each field; `ValueError` otherwise or out of range."""
+        """Encode values.
+
+        Parameters
+        ----------
+        values : mapping of str to int
+            A value for each field that is not reserved.
+
+        Returns
+        -------
+        bytes
+            The encoded fields, `size` bytes.
+
+        Raises
+        ------
+        ValueError
+            A field is missing, unknown or out of range.
+        """
         names = {field.name for field in self.named}
         if names != set(values):
             raise ValueError(f"the fields are {sorted(names)}, given are {sorted(values)}")
@@ -70,7 +118,23 @@ class RegisterLayout:
         return word.to_bytes(self.size, "little")
 
     def unpack(self, data: bytes) -> Values:
-        """The values in `data`; `ValueError` when it has another size or a field is out of range."""
+        """Decode values.
+
+        Parameters
+        ----------
+        data : bytes
+            The encoded fields.
+
+        Returns
+        -------
+        dict of str to int
+            A value for each field that is not reserved.
+
+        Raises
+        ------
+        ValueError
+            The size is wrong, or a field is out of range.
+        """
         if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes of data: {self.size}")
         word, found = int.from_bytes(data, "little"), {}
@@ -84,13 +148,32 @@ class RegisterLayout:
 
 @dataclass(frozen=True)
 class RawBytes:
-    """Bytes that only their reader can tell apart, `least` to `most` of them."""
+    """Data without a bit-field layout.
+
+    Attributes
+    ----------
+    least : int
+        Smallest number of bytes.
+    most : int
+        Largest number of bytes.
+    """
 
     least: int
     most: int
 
     def check(self, data: bytes) -> None:
-        """Raise `ValueError` for another number of bytes."""
+        """Check the number of bytes.
+
+        Parameters
+        ----------
+        data : bytes
+            The data.
+
+        Raises
+        ------
+        ValueError
+            Their number is out of range.
+        """
         if not self.least <= len(data) <= self.most:
             raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
 
@@ -100,9 +183,22 @@ Layout = RegisterLayout | RawBytes
 
 @dataclass(frozen=True)
 class Command:
-    """written, returned: the data of a write and of the reply to a read; None where there is no such thing.
+    """One command of the controller.
 
-    selector: what a read request carries. acknowledged: whether a write asks for a reply.
+    Attributes
+    ----------
+    name : str
+        Name of the command, for errors.
+    number : int
+        Number of the command, 16 bits.
+    written : RegisterLayout or RawBytes or None
+        Data of a write; None for a command that can only be read.
+    returned : RegisterLayout or RawBytes or None
+        Data of the reply to a read; None for a command that can only be written.
+    selector : RegisterLayout
+        Data of a read request.
+    acknowledged : bool
+        Whether a write asks for a reply.
     """
 
     name: str
@@ -142,12 +238,12 @@ def _declare(command: Command) -> Command:
 
 
 def _register(name: str, number: int, record: Layout) -> Command:
-    """What can be written and read back in the same layout."""
+    """Declare a command that is written and read back in the same layout."""
     return _declare(Command(name, number, record, record))
 
 
 def _read_only(name: str, number: int, layout: Layout) -> Command:
-    """What can only be read."""
+    """Declare a command that can only be read."""
     return _declare(Command(name, number, None, layout))
 
 
@@ -159,7 +255,7 @@ class DisplayMode(IntEnum):
 
 
 class Run(IntEnum):
-    """States of the sequencer, and the orders to be in them."""
+    """States of the sequencer, and the commands to enter them."""
 
     STOP = 0
     PAUSE = 1
@@ -167,14 +263,14 @@ class Run(IntEnum):
 
 
 class Source(IntEnum):
-    """Where patterns come from."""
+    """Source of the patterns."""
 
     VIDEO = 0
     FLASH = 3
 
 
 class TriggerMode(IntEnum):
-    """What advances a sequence."""
+    """What starts the next pattern of a sequence."""
 
     VSYNC = 0
     INTERNAL = 1
@@ -184,7 +280,7 @@ class TriggerMode(IntEnum):
 
 
 class Mailbox(IntEnum):
-    """Which table is open for writing."""
+    """Table that is open for writing."""
 
     CLOSED = 0
     IMAGES = 1
@@ -202,7 +298,9 @@ class PatternTrigger(IntEnum):
 
 
 MOST_ENTRIES, MOST_IMAGES = 128, 64
+"""Largest tables of the modes with one exposure for all patterns."""
 MOST_VARIABLE_ENTRIES, MOST_VARIABLE_IMAGES = 1824, 256
+"""Largest tables of the modes with an exposure for each pattern."""
 
 # --- status, identity, power
 
@@ -232,6 +330,7 @@ MAIN_STATUS = _read_only(
     ),
 )
 PARTS = ("application", "api", "software_config", "sequence_config")
+"""Parts of the firmware that have a version."""
 VERSION = _read_only(
     "version",
     0x0205,
@@ -314,6 +413,7 @@ TEST_PATTERNS = (
     "colour-bars",
     "step-bars",
 )
+"""Names of the test patterns, in the order of their numbers."""
 TEST_PATTERN = _register(
     "test pattern", 0x1203, _record(RegisterField("pattern", 8, range(len(TEST_PATTERNS))))
 )
@@ -333,6 +433,7 @@ IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
 TICKS_PER_MS = 18667
+"""Unit of the image load time."""
 VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
@@ -358,6 +459,7 @@ VIDEO_SIGNAL = _read_only(
     ),
 )
 LOCKED = 2
+"""Value of `lock` in the video signal for a stable signal."""
 GAMMA = _register("gamma", 0x1A0E, _record(RegisterField("table", 1), _gap(6), RegisterField("on", 1)))
 
 # --- LEDs
@@ -378,7 +480,9 @@ LED_DELAYS = {
 # --- triggers
 
 ZERO_DELAY, MOST_TRIGGER_DELAY = 0xBB, 0xD5
+"""Codes of a trigger delay of zero, and of the longest one."""
 DELAY_STEP_US = 0.1072
+"""Step of a trigger delay in µs."""
 TRIGGER_OUT_1 = _register(
     "trigger output 1",
     0x1A1D,
@@ -451,7 +555,8 @@ _ENTRY_BITS = (
 ENTRY = RegisterLayout(_ENTRY_BITS)
 """One entry of the pattern table, 3 bytes.
 
-Unlike a command's, the fields take whatever the bits hold: what is wrong with them the validation says.
+Unlike the fields of a command, these take any value that their bits hold: wrong ones are reported by the
+validation.
 """
 VARIABLE_DATA = _register(
     "variable-exposure data",
@@ -470,4 +575,4 @@ VALIDATION = _record(
 VALIDATE = _declare(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 
 COMMANDS: Mapping[int, Command] = _TABLE
-"""By number."""
+"""All commands by number."""
