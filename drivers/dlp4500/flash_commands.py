@@ -1,6 +1,6 @@
-"""`fpplab dlp4500 build|upload|…`: what is in the projector's flash.
+"""`fpplab dlp4500 build|upload`: patterns in the projector's flash.
 
-Heavy modules are imported where they are used, so that `--help` is at once.
+Modules that load slowly are imported where they are used, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ def build(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Build a firmware file that holds a plan's patterns, for the projector to show by itself.
+    """Build a firmware file that contains a plan's patterns, for the projector to show from flash.
 
-    Three patterns of 8 bits go into each image, in green, red and blue, for the diamond lattice of
-    the mirrors and through the plan's response; the greys of `fpplab gamma` and `fpplab check` follow them.
-    The images of BASE are left out, its program stays as it is.
-    Beside OUT is left the index, a .yaml, that says which pattern is where: the rig file names it as `flash`.
+    Three patterns of 8 bits go into each image, in green, red and blue, sampled on the diamond lattice of the
+    mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
+    follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file beside OUT,
+    lists where each pattern is: the rig file names it as `flash`.
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
     """
@@ -80,13 +80,13 @@ def upload(
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
 ) -> None:
-    """Write the patterns of a built firmware file into the projector.
+    """Write the patterns of a built firmware file into the projector's flash.
 
-    Says what will be erased and asks. Only sectors of images and, when these move, the one of the flash table
-    are written, never the boot loader; each is compared by checksum. After an interruption give the same
-    command again: it goes on.
+    Lists what will be erased and asks. Only the sectors of the images are written and, when these move, the
+    one of the flash table, never the boot loader; each is compared by checksum. After an interruption, give
+    the same command again: it continues.
 
-    Proven on an emulated projector only: have the maker's own tool and firmware at hand.
+    Tested on an emulated projector only: have TI's own tool and firmware at hand.
 
     Example: `fpplab dlp4500 upload patterns.bin`
     """

@@ -1,7 +1,7 @@
 """Patterns that a display of the computer sends to the projector's video port.
 
-The display holds one frame still, and the projector takes what it needs from it. So neither has to keep up
-with the other: whatever delays a frame, no pattern is shown in place of another.
+The display holds one frame, and the projector takes the patterns from it. Neither has to keep up with the
+other: whatever delays a frame, no pattern is shown in place of another.
 """
 
 from __future__ import annotations
@@ -21,14 +21,24 @@ from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
-"""Of a pixel's colours, where planes have green, red, blue."""
+"""Colour plane of each channel of a video frame; planes are in the order green, red, blue."""
 MOST_IN_FRAME = len(pattern_numbers(1))
+"""Patterns of one bit in a frame."""
 
 
 class OnVideo:
-    """What the computer has in memory.
+    """Storage of patterns in the computer's memory, sent over the video port.
 
-    name: the projector's, for errors. leds: those that light the patterns.
+    Parameters
+    ----------
+    name : str
+        The projector's name, for errors.
+    display : Display
+        The display that the video port is connected to.
+    clock : Clock
+        For waits.
+    leds : tuple of str
+        Colours of the LEDs that light the patterns.
     """
 
     def __init__(self, name: str, display: Display, clock: Clock, leds: tuple[str, ...]) -> None:
@@ -40,22 +50,42 @@ class OnVideo:
 
     @property
     def depths(self) -> set[int]:
-        """The bit depths of which a frame is long enough for one pattern."""
+        """Bit depths of which at least one pattern fits into a frame."""
         return {bits for bits, least_us in LEAST_EXPOSURE_US.items() if least_us <= self._frame_us}
 
     def open(self, board: Controller) -> None:
-        """Take the display, and follow its signal. Raises what `Display.open` and `select_video` do."""
+        """Open the display, and have the projector synchronise to its signal before pattern mode.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+
+        Raises
+        ------
+        DeviceError
+            The display cannot be used, or there is no stable signal (see `Display.open`,
+            `Controller.select_video`).
+        """
         self._display.open()
         board.select_video()
         board.set_display_mode(DisplayMode.PATTERN)
         self.load(board, ())
 
     def close(self) -> None:
-        """Let go of the display."""
+        """Close the display."""
         self._display.close()
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Say which pattern will be in which frame."""
+        """Assign the patterns to frames.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        patterns : sequence of Pattern
+            Patterns with the grey levels that the mirrors show.
+        """
         self._patterns, self._slots, self._displayed_image = (
             patterns,
             assign_slots(patterns, MOST_IN_FRAME),
@@ -63,7 +93,15 @@ class OnVideo:
         )
 
     def show(self, board: Controller, i: int) -> None:
-        """One pattern in every frame, as long as it lasts."""
+        """Show one pattern in every frame, for the whole frame.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        i : int
+            Index of the pattern.
+        """
         slot = self._slots[i]
         program = video_program([slot], self._frame_us, self._frame_us, self._leds, repeat=True)
         with board.dark_on_failure():
@@ -73,9 +111,23 @@ class OnVideo:
             self._clock.sleep(self._display.vsync_s)  # it begins with a frame
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
-        """All patterns, frame by frame: put it up, show once what is in it, wait until that has ended.
+        """Show all patterns once, frame by frame: show the frame, run its patterns once and wait for their end.
 
-        Raises `SettingError` for an exposure longer than a frame, `CapabilityError` for darkness.
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        exposure_us : int
+            Exposure of each pattern in µs.
+        dark_us : int
+            Dark time after each pattern in µs; only 0 is possible.
+
+        Raises
+        ------
+        SettingError
+            The exposure is longer than a frame.
+        CapabilityError
+            Dark time is asked for.
         """
         if dark_us:
             raise CapabilityError(
@@ -96,7 +148,13 @@ class OnVideo:
             self._play_frames(board, exposure_us)
 
     def check_played(self, board: Controller) -> None:
-        """Every frame was waited for already."""
+        """Do nothing: `play` has waited for the end of every frame.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        """
 
     @property
     def _frame_us(self) -> int:

@@ -1,9 +1,10 @@
-"""The boot loader: a program of its own that erases, writes and sums the flash, and nothing else.
+"""The controller's boot loader, which erases and writes the flash and computes checksums.
 
-The projector leaves the USB when it enters and when it leaves the loader, and comes back as the other
-program. The loader cannot read the flash, but the checksum of one byte is that byte.
+The boot loader is a program of its own. The projector disappears from USB when it enters or leaves the boot
+loader, and reappears running the other program. The boot loader cannot read the flash, but the checksum of a
+single byte is that byte.
 
-Source: TI's DLPC350 client and GUI. Proven on an emulated wire only: no board has been written with it yet.
+Source: TI's DLPC350 client and GUI. Tested on an emulated flash only, not yet on a board.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from fpplab.core.errors import (
 
 _NUMBER = RegisterLayout((RegisterField("value", 32),))
 MOST_DATA = 504
-"""Bytes of one data message; two less than fit, for the loader's sake."""
+"""Bytes of one data message; two less than fit, to avoid a fault of the boot loader."""
 
 ENTER = Command("enter the boot loader", 0x3001, RegisterLayout(), acknowledged=False)
 READ_STATUS = Command(
@@ -48,28 +49,55 @@ LEAVE = Command(
 _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
 _BUSY = 0x08
 EVM_FLASH = 0x0020, 0x227E
-"""Manufacturer and device of the flash on the evaluation module, and the algorithm that writes it."""
+"""Manufacturer and device id of the flash on the evaluation module."""
 EVM_ALGORITHM = 0
+"""Number of the algorithm that writes it."""
 
 POLL_S = 0.01
 BUSY_LIMIT_S = 30.0
-"""Longer than any flash takes for one sector; the sources give no figure."""
+"""Time limit in s for one sector; TI's sources give no figure."""
 RESTART_LIMIT_S = 15.0
-"""The maker's SDK waits 10 s for the device to come back."""
+"""Time limit in s for the device to reappear; TI's SDK waits 10 s."""
 RESTART_POLL_S = 0.25
 
 Connect = Callable[[], Link]
-"""Opens the projector, whichever program it runs."""
+"""Opens a link to the projector, whichever program it runs."""
 
 
 class BootLoader:
-    """One conversation with the boot loader; offsets count from the first byte of the flash."""
+    """A link to the boot loader; offsets count from the first byte of the flash.
+
+    Every method may raise the errors of `Link.write` and `Link.read`, and `DeviceTimeoutError` where the
+    flash stays busy.
+
+    Parameters
+    ----------
+    link : Link
+        Link to a projector that runs its boot loader.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Attributes
+    ----------
+    link : Link
+        The link to the projector.
+    name : str
+        The projector's name, for errors.
+    """
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
         self.link, self._clock, self.name = link, clock, name
 
     def identify(self) -> None:
-        """Refuse a flash that is not the evaluation module's: `DeviceError`."""
+        """Check the type of the flash and select the algorithm that writes it.
+
+        Raises
+        ------
+        DeviceError
+            The flash is not that of the evaluation module.
+        """
         self._wait("identify")  # an interrupted upload may have left it busy
         found = self._number(_MANUFACTURER), self._number(_DEVICE)
         if found != EVM_FLASH:
@@ -82,7 +110,18 @@ class BootLoader:
         self.link.write(FLASH_TYPE, algorithm=EVM_ALGORITHM)
 
     def erase(self, sector: int) -> None:
-        """Set a sector to ones. Raises `SettingError` for the boot sector and beyond the last."""
+        """Erase a sector, which sets all its bits to one.
+
+        Parameters
+        ----------
+        sector : int
+            Number of the sector.
+
+        Raises
+        ------
+        SettingError
+            It is the boot loader's sector, or beyond the last one.
+        """
         self._check(sector * memory.SECTOR, memory.SECTOR)
         self.link.write(ADDRESS, value=sector * memory.SECTOR)
         self.link.write(ERASE)
@@ -91,7 +130,19 @@ class BootLoader:
     def write(self, offset: int, data: bytes) -> None:
         """Write to erased flash and compare checksums.
 
-        Raises `SettingError` for the boot sector and beyond the last, `DeviceError` when the sum is another.
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        data : bytes
+            The bytes to write.
+
+        Raises
+        ------
+        SettingError
+            The range touches the boot loader's sector or the end of the flash.
+        DeviceError
+            The checksum differs.
         """
         self._check(offset, len(data))
         self.link.write(ADDRESS, value=offset)
@@ -109,7 +160,20 @@ class BootLoader:
             )
 
     def checksum(self, offset: int, size: int) -> int:
-        """The sum of `size` bytes at `offset`, 32 bits of it."""
+        """Have the boot loader compute a checksum.
+
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        int
+            Sum of the bytes, modulo 2^32.
+        """
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=size)
         self.link.write(SUM)
@@ -117,11 +181,24 @@ class BootLoader:
         return self._number(_CHECKSUM)
 
     def read(self, offset: int, size: int) -> bytes:
-        """Read a few bytes, one by one."""
+        """Read a few bytes, one checksum for each.
+
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        bytes
+            The bytes.
+        """
         return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
 
     def leave(self) -> None:
-        """Have the projector start again, and let go of it."""
+        """Start the projector's program and close the link."""
         try:
             self.link.write(LEAVE, how=2)
         finally:
@@ -160,9 +237,28 @@ def _words(part: tuple[int, int]) -> str:
 
 @contextmanager
 def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoader]:
-    """The projector in its boot loader, wherever it was before; it starts again at the end.
+    """Enter the boot loader, and restart the projector's program at the end of the context.
 
-    Raises `DeviceError` when either program does not come back, or the flash is another.
+    It does not matter whether the projector runs its boot loader already.
+
+    Parameters
+    ----------
+    connect : callable
+        Opens a link to the projector, whichever program it runs.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Yields
+    ------
+    BootLoader
+        The boot loader, with a flash that was identified.
+
+    Raises
+    ------
+    DeviceError
+        The projector does not reappear with the other program, or its flash is of another type.
     """
     loader = BootLoader(_entered(connect, clock, name), clock, name)
     try:
@@ -188,7 +284,7 @@ def _entered(connect: Connect, clock: Clock, name: str) -> Link:
 
 
 def _runs_program(link: Link) -> bool:
-    """Whether the projector tells its version, which the loader does not know."""
+    """Tell whether the projector reports its version, a command that the boot loader does not have."""
     try:
         link.read(VERSION)
     except (ProtocolError, DeviceTimeoutError):
@@ -197,7 +293,7 @@ def _runs_program(link: Link) -> bool:
 
 
 def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
-    """Open the projector again once it has come back as the other program."""
+    """Open the projector again once it has reappeared running the other program."""
     deadline = clock.now() + RESTART_LIMIT_S
     while clock.now() < deadline:
         clock.sleep(RESTART_POLL_S)
