@@ -156,7 +156,7 @@ class Controller:
         """
         with suppress(
             DeviceTimeoutError, ProtocolError
-        ):  # known to fail while it wakes; the state is read below
+        ):  # its reply often fails while the projector wakes; the state is read below
             self.link.write(protocol.POWER, standby=0)
 
         def awake() -> bool:
@@ -164,7 +164,7 @@ class Controller:
                 return not self.is_standby()
             return False
 
-        self._until(awake, "wake", "still sleeps", WAKE_STEP_S, WAKE_S)
+        self._until(awake, "wake", "is still in standby", WAKE_STEP_S, WAKE_S)
 
     def enter_standby(self) -> None:
         """Switch the light off and enter standby, which is possible from video mode only.
@@ -244,7 +244,7 @@ class Controller:
         """
         with ExitStack() as both:
             both.callback(self._try_twice, self.stop)
-            both.callback(self._try_twice, self.leds_off)  # which comes first
+            both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first
 
     @contextmanager
     def dark_on_failure(self) -> Iterator[None]:
@@ -264,7 +264,7 @@ class Controller:
             try:
                 self.go_dark()
             except DeviceError as still_lit:
-                error.add_note(f"and it could not be made dark: {still_lit}")
+                error.add_note(f"and its light could not be switched off: {still_lit}")
             raise
 
     @staticmethod
@@ -337,7 +337,7 @@ class Controller:
         """
         if self._mode() == mode:
             return
-        if mode is DisplayMode.PATTERN:  # from a test pattern the USB link was lost on the way
+        if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
         self._until(
@@ -429,7 +429,7 @@ class Controller:
         self._until(
             lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
             "stop",
-            "the sequence goes on",
+            "the sequence still runs",
             STOP_STEP_S,
             STOP_S,
         )
@@ -542,7 +542,7 @@ class Controller:
         self._until(
             lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
             "play",
-            "the sequence goes on",
+            "the sequence still runs",
             END_STEP_S,
             END_S + program.duration_s,
         )
@@ -560,7 +560,7 @@ class Controller:
     def _configure(self, program: Program) -> None:
         counts = {
             "entries": len(program.entries),
-            "patterns": len(program.entries),  # run once, it ends after so many
+            "patterns": len(program.entries),  # a sequence that is not repeated ends after so many
             "images": max(1, len(program.images)),
             "repeat": int(program.repeat),
         }
@@ -596,7 +596,7 @@ class Controller:
             yield
             self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
         except BaseException:
-            with suppress(DeviceError):  # the first failure is what the operator must see
+            with suppress(DeviceError):  # the original failure is the one to report
                 self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
             raise
 

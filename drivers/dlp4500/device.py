@@ -101,9 +101,9 @@ class Options(Document):
     @model_validator(mode="after")
     def _one_place(self) -> Self:
         if self.flash is None and self.video is None:
-            raise ValueError("'flash' or 'video' is missing: where the patterns are")
+            raise ValueError("'flash' or 'video' is missing: the source of the patterns")
         if self.flash is not None and self.video is not None:
-            raise ValueError("'flash' and 'video' are both there: patterns are in one of them")
+            raise ValueError("'flash' and 'video' are both given: name one of them")
         return self
 
 
@@ -207,7 +207,7 @@ class Dlp4500(Projector):
 
     def _close(self) -> None:
         controller, self._controller = self._controller, None
-        with ExitStack() as ends:  # each whatever becomes of those before
+        with ExitStack() as ends:  # each is tried even if the others fail
             ends.callback(self._storage.close)
             if controller is not None:
                 ends.callback(controller.link.close)
@@ -226,7 +226,7 @@ class Dlp4500(Projector):
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]
         self._storage.load(self._board, shown)
-        self._board.go_dark()  # what is still on show gives pulses: an armed camera would take them
+        self._board.go_dark()  # a pattern still shown sends trigger pulses, which an armed camera would take
         return shown
 
     def _show(self, i: int) -> None:

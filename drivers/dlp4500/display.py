@@ -118,7 +118,7 @@ class SdlDisplay:
             )
             self._process.start()
         finally:
-            theirs.close()  # only theirs being open tells that the process lives
+            theirs.close()  # so that the pipe ends when the process does
         self.vsync_s = self._answer("open", START_S)
 
     def show(self, frame: VideoFrame) -> None:
@@ -145,7 +145,7 @@ class SdlDisplay:
         if self._connection is None or self._memory is None:
             raise DisconnectedError(self._name, "video", "its display is not open", "open it first")
         np.copyto(np.ndarray(self._shape, np.uint8, self._memory.buf), frame)
-        with suppress(OSError):  # what it said before it went is still to be read
+        with suppress(OSError):  # an answer sent before the process ended is still to be read
             self._connection.send(screen.SHOW)
         self._answer("video", SHOW_S)
 

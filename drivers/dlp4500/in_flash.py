@@ -65,7 +65,7 @@ class InFlash:
         self._load_us: dict[int, int] = {}
         self._played = self._forced_before = False
         board.set_display_mode(DisplayMode.PATTERN)
-        count = board.images_in_flash() or 256  # which the count cannot tell from 0
+        count = board.images_in_flash() or 256  # the count cannot distinguish 256 from 0
         last = max(pattern.image for pattern in self._index.patterns)
         if last >= count:
             raise ConfigError(f"{self._file}: 'image' is {last}: the projector has images 0 to {count - 1}")
@@ -154,7 +154,7 @@ class InFlash:
             raise SyncError(
                 self._name,
                 "play",
-                "an image was not loaded in time, and an old one was shown in its place",
+                "an image was not loaded in time, and an older one was shown in its place",
                 "expose longer, or put the patterns into fewer images",
             )
 
@@ -170,7 +170,7 @@ class InFlash:
             raise CapabilityError(
                 self._name,
                 "load",
-                f"the flash does not hold pattern {pattern.id}, {pattern.bit_depth} bits, as it is planned",
-                "build the plan's image and upload it",
+                f"the flash does not contain pattern {pattern.id}, {pattern.bit_depth} bits, of this plan",
+                "build the plan's firmware file and upload it",
             )
         return found.slot

@@ -108,10 +108,10 @@ class OnVideo:
             if slot.image != self._displayed_image:
                 self._display_image(slot.image)
             board.run(program)
-            self._clock.sleep(self._display.vsync_s)  # it begins with a frame
+            self._clock.sleep(self._display.vsync_s)  # the pattern begins with the next frame
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
-        """Show all patterns once, frame by frame: show the frame, run its patterns once and wait for their end.
+        """Show all patterns once, frame by frame, and wait for the end of each frame's patterns.
 
         Parameters
         ----------
@@ -133,14 +133,14 @@ class OnVideo:
             raise CapabilityError(
                 self._name,
                 "play",
-                "the video port has no dark between patterns, which a global reset needs",
+                "the video port has no dark time between patterns, which a global reset shutter needs",
                 "use flash, or a rolling shutter",
             )
         if exposure_us > self._frame_us:
             raise SettingError(
                 self._name,
                 "play",
-                f"{exposure_us} µs for a pattern, and frames of the video port last {self._frame_us} µs",
+                f"the exposure is {exposure_us} µs, and frames of the video port last {self._frame_us} µs",
                 "expose shorter, slow the display down, use flash, or use a stepped plan",
             )
         with board.dark_on_failure():
@@ -182,4 +182,5 @@ class OnVideo:
         self._displayed_image = image
 
     def _show_planes(self, image: Planes) -> None:
+        """Show an image, whose planes are green, red and blue, as a video frame."""
         self._display.show(np.ascontiguousarray(image[..., RGB]))

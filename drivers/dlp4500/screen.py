@@ -23,7 +23,7 @@ SHOW = "show"
 EVENTS_S = 0.02
 """Interval in s at which window events are processed while no command comes."""
 QUEUED_FRAMES = 3
-"""Frames that drivers and compositors may queue: once so many more are presented, a frame has been transmitted."""
+"""Frames that drivers and compositors may queue: a frame is transmitted once so many more were presented."""
 MEASURED_FRAMES = 10
 """Frames over which the refresh period is measured."""
 WHOLE_RATES_HZ = (24, 30, 60, 120)
@@ -33,11 +33,11 @@ LEAST_OF_PERIOD = 0.7
 HINTS = {
     b"SDL_NO_SIGNAL_HANDLERS": b"1",
     b"SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": b"0",  # the operator works on another display
-    b"SDL_WINDOWS_DPI_AWARENESS": b"permonitorv2",  # pixels are pixels
+    b"SDL_WINDOWS_DPI_AWARENESS": b"permonitorv2",  # no scaling by the desktop
     b"SDL_RENDER_SCALE_QUALITY": b"nearest",
 }
 """SDL's hints, set before it starts."""
-REMEDY = "see to the display's cable and settings"
+REMEDY = "check the display's cable and settings"
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def serve_screen(connection: Connection, memory_name: str, wanted: int | str, si
     size : tuple of int
         Width and height that the display must have, in px.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what an interruption means is decided by the other process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
     memory = SharedMemory(memory_name)
     assert memory.buf is not None
     with suppress(EOFError, OSError):
@@ -133,7 +133,7 @@ def open_screen(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
         There is no such display, or it cannot be used as required.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # where SDL comes from is no news
+        warnings.simplefilter("ignore")  # PySDL2 warns about which SDL library it uses
         import sdl2
     for hint, value in HINTS.items():
         sdl2.SDL_SetHint(hint, value)
@@ -197,7 +197,9 @@ class Screen:
             raise ScreenError(f"a frame cannot be shown ({sdl.SDL_GetError().decode()})")
         self._draw()
         if self._read_back() != frame:
-            raise ScreenError("other pixels are drawn than were given", "give it 24 bits per pixel, unscaled")
+            raise ScreenError(
+                "the drawn pixels differ from the frame", "set the display to 24 bits per pixel, unscaled"
+            )
         for _ in range(1 + QUEUED_FRAMES):
             self._present()
         self.process_events()

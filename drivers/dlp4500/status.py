@@ -8,8 +8,8 @@ from drivers.dlp4500.protocol import Values
 
 HARDWARE_FAULTS = {
     "reset_controller_error": "overlapping resets of the mirrors",
-    "forced_swap_error": "an image was not loaded in time and the one before it stayed",
-    "sequencer_aborted": "the sequencer gave up on an error",
+    "forced_swap_error": "an image was not loaded in time and an older one was shown",
+    "sequencer_aborted": "the sequencer aborted on an error",
     "sequencer_error": "an error of the sequencer",
 }
 """Faults by field of the hardware status."""
@@ -26,7 +26,7 @@ VALIDATION_ERRORS = {
 }
 """Reasons why a sequence cannot run, by field of the validation."""
 VALIDATION_WARNINGS = {
-    "trigger_overlap": "trigger output 1 is asked to stay high over inserted black",
+    "trigger_overlap": "trigger output 1 would stay high during inserted black",
     "black_missing": "no black before an externally triggered pattern",
     "gap_too_short": "the period is less than 230 µs longer than the exposure",
 }

@@ -159,7 +159,7 @@ def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, s
     if not found:
         wanted = f" with serial number {serial}" if serial is not None else ""
         raise DisconnectedError(
-            name, "open", f"no LightCrafter 4500{wanted} is connected", "see its power and USB cable"
+            name, "open", f"no LightCrafter 4500{wanted} is connected", "check its power and USB cable"
         )
     if len(found) > 1:
         raise DeviceError(
@@ -176,7 +176,7 @@ def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, s
             name,
             "open",
             f"the USB device cannot be opened ({error})",
-            "end what else uses it",
+            "close other programs that use it",
         ) from error
     return wire, found[0][1]
 
@@ -316,7 +316,7 @@ class Link:
         for _ in range(MOST_STALE):
             if not self._report("drain", 1):
                 return
-        raise self._protocol_error("drain", "reports keep coming that nobody asked for")
+        raise self._protocol_error("drain", "unexpected reports keep arriving")
 
     def _write(self, command: Command, data: bytes) -> None:
         self._exchange(command, data, REPLY_WANTED if command.acknowledged else 0)
@@ -326,7 +326,7 @@ class Link:
         reply = self._exchange(command, data, READ | REPLY_WANTED)
         assert reply is not None
         if not reply.payload:
-            raise self._protocol_error(command.name, "an empty answer")
+            raise self._protocol_error(command.name, "an empty reply")
         return reply.payload
 
     def _packed(self, command: Command, layout: RegisterLayout | RawBytes | None, values: Values) -> bytes:
@@ -348,7 +348,7 @@ class Link:
         reply = self._reply(command.name, flags, sequence)
         if reply.failed:
             raise ProtocolError(
-                self.name, command.name, "the projector refuses it", "see 'fpplab dlp4500 status'"
+                self.name, command.name, "the projector refused the command", "see 'fpplab dlp4500 status'"
             )
         return reply
 
@@ -371,7 +371,7 @@ class Link:
                 raise self._protocol_error(operation, str(error)) from error
             if self._answers(head, flags, sequence):
                 return message
-        raise self._protocol_error(operation, "answers to questions that were not asked")
+        raise self._protocol_error(operation, "only replies to other requests arrived")
 
     def _answers(self, head: Header, flags: int, sequence: int) -> bool:
         if not self._checks_echo:
@@ -389,14 +389,14 @@ class Link:
 
     def _next_report(self, operation: str, deadline: float) -> bytes:
         """Return the next report, or raise `DeviceTimeoutError` at the deadline."""
-        left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait for ever
+        left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait without a limit
         report = self._report(operation, left_ms)
         if not report:
             raise DeviceTimeoutError(
                 self.name,
                 operation,
-                f"no complete answer within {self._timeout_s:g} s",
-                "see the USB cable; switch the projector off and on",
+                f"no complete reply within {self._timeout_s:g} s",
+                "check the USB cable; switch the projector off and on",
             )
         return report
 
@@ -408,7 +408,10 @@ class Link:
 
     def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
-            self.name, operation, "the USB device is gone", "see its power and cable, and open it again"
+            self.name,
+            operation,
+            "the USB device was unplugged or switched off",
+            "check its power and cable, and open it again",
         )
 
     def _protocol_error(self, operation: str, found: str) -> ProtocolError:

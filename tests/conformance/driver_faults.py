@@ -128,7 +128,9 @@ DRIVER_OF_BASLER = [
 DRIVER_OF_GRBL = [
     Fault("grbl: an alarm is ignored", STAGE_WIRE, "case Alarm(code):", "case Alarm(code) if code < 0:"),
     Fault("grbl: a restart is ignored", STAGE_WIRE, "case Welcome():", "case Welcome(''):"),
-    Fault("grbl: a refusal is ignored", STAGE_WIRE, "if isinstance(answer, GrblError):", "if answer is None:"),
+    Fault(
+        "grbl: a refusal is ignored", STAGE_WIRE, "if isinstance(answer, GrblError):", "if answer is None:"
+    ),
     Fault(
         "grbl: noise is ignored",
         STAGE_WIRE,
@@ -270,7 +272,7 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: dark by stopping alone",
         DLP_CONTROLLER,
-        "            both.callback(self._try_twice, self.leds_off)  # which comes first\n",
+        "            both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first\n",
         "",
     ),
     Fault(
@@ -367,7 +369,7 @@ VIDEO_PORT_OF_DLP4500 = [
     Fault(
         "dlp4500: ordered is shown",
         DLP_VIDEO,
-        "            self._clock.sleep(self._display.vsync_s)  # it begins with a frame\n",
+        "            self._clock.sleep(self._display.vsync_s)  # the pattern begins with the next frame\n",
         "",
     ),
     Fault(

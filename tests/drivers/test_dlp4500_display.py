@@ -115,7 +115,7 @@ def test_pixels_that_are_drawn_otherwise_are_noticed(monkeypatch: pytest.MonkeyP
     with screen.open_screen(0, DUMMY) as opened:
         opened.show(noise(DUMMY).tobytes())
         monkeypatch.setattr(opened, "_draw", lambda: None)
-        with pytest.raises(screen.ScreenError, match="other pixels are drawn than were given"):
+        with pytest.raises(screen.ScreenError, match="the drawn pixels differ from the frame"):
             opened.show(bytes(opened.frame_bytes))
 
 

@@ -154,7 +154,7 @@ def test_a_fast_display_has_no_time_for_the_deep_patterns(bench: VideoBench) -> 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"flash": "patterns.yaml"}, "'flash' and 'video' are both there"),
+        ({"flash": "patterns.yaml"}, "'flash' and 'video' are both given"),
         ({"video": None}, "'flash' or 'video' is missing"),
         ({"video": {}}, "'video.display' is missing"),
         ({"video": {"display": -1}}, "'video.display' is -1"),
@@ -248,7 +248,7 @@ def test_an_exposure_beyond_a_frame_is_refused_with_the_remedy(bench: VideoBench
     projector.load(bench.patterns)
     with pytest.raises(
         SettingError,
-        match="play: 20000 µs for a pattern, and frames of the video port last 16666 µs; expose shorter",
+        match="play: the exposure is 20000 µs, and frames of the video port last 16666 µs; expose shorter",
     ):
         projector.play(0.02)
     assert projector.state is State.IDLE
@@ -257,7 +257,9 @@ def test_an_exposure_beyond_a_frame_is_refused_with_the_remedy(bench: VideoBench
 
 def test_dark_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
-    with pytest.raises(CapabilityError, match=r"no dark between patterns.*use flash, or a rolling shutter"):
+    with pytest.raises(
+        CapabilityError, match=r"no dark time between patterns.*use flash, or a rolling shutter"
+    ):
         projector.play(0.01, 0.001)
     assert projector.state is State.IDLE
     assert bench.pulsed() == []
@@ -265,7 +267,7 @@ def test_dark_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500)
 
 def test_darkness_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
-    with pytest.raises(CapabilityError, match="no dark between patterns"):
+    with pytest.raises(CapabilityError, match="no dark time between patterns"):
         projector.play(0.01, 0.001)
     assert bench.pulsed() == []
 

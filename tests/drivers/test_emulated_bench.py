@@ -322,7 +322,7 @@ def test_a_camera_that_is_unplugged(folder: Path) -> None:
     ("bench", "said"),
     [
         ({"firmware": "nowhere.bin"}, "cannot be read"),
-        ({"firmware": "patterns.yaml"}, "the projector refuses it"),
+        ({"firmware": "patterns.yaml"}, "the projector refused the command"),
         ({"faults": {"missed": [-1]}}, "missed"),
         ({"light": 3}, "unknown key 'light'"),
     ],

@@ -240,11 +240,11 @@ def test_patterns_that_the_projector_cannot_hold(maker, patterns, words):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "is no firmware"),
-        (b"\0" * 0x30000, "is no firmware"),
-        (maker_firmware()[: TABLE + 100], "is no firmware"),
-        (maker_firmware()[TABLE:], "is no firmware"),
-        (maker_firmware()[:0x100000], "block at 0xe0a40 … 0x15efc8, outside .* it is cut off"),
+        (b"", "is not a firmware"),
+        (b"\0" * 0x30000, "is not a firmware"),
+        (maker_firmware()[: TABLE + 100], "is not a firmware"),
+        (maker_firmware()[TABLE:], "is not a firmware"),
+        (maker_firmware()[:0x100000], "block at 0xe0a40 … 0x15efc8, outside .* it is truncated"),
         (maker_firmware({0: (0xF9000000, 99)}), "block at 0x0 … 0x63"),
         (maker_firmware({}), "lists no program"),
         (maker_firmware(end=0x2000001), "has 33554433 bytes, the flash 33554432"),
@@ -292,7 +292,7 @@ def test_the_command(maker, tmp_path):
     ("change", "code", "found"),
     [
         ({"--out": "out.img"}, 2, "must end in .bin"),
-        ({"--base": "plan.yaml"}, 4, "is no firmware"),
+        ({"--base": "plan.yaml"}, 4, "is not a firmware"),
         ({"--base": "none.bin"}, 2, "cannot be read"),
         ({"plan": "plan.yaml"}, 2, "'fringes[0].stripes' is 457"),
     ],

@@ -200,7 +200,7 @@ def test_what_was_written_before_an_interruption_stays():
     assert not bench.runs_program()
     bench.board.erased = []
     words = " ".join(bench.upload(BUILT))
-    assert "Of these 1 stay" in words
+    assert "Of these 1 are kept" in words
     assert bench.board.erased == [TABLE, HEAD]
     assert _has(bench, BUILT)
 
@@ -344,7 +344,7 @@ class Deaf(Bench):
 
 
 def test_a_projector_that_stays_in_its_program_is_reported():
-    with pytest.raises(StateError, match="does not come back in its boot loader within 15 s"):
+    with pytest.raises(StateError, match="does not reappear in its boot loader within 15 s"):
         Deaf().upload(BUILT)
 
 

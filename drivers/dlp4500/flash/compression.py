@@ -104,7 +104,7 @@ def encode_run_lengths(image: ImageBytes) -> bytes:
         The encoded image.
     """
     height, width, _ = image.shape
-    longest_row = 4 * width + 5  # each pixel a run of its own, the row's end and its filling
+    longest_row = 4 * width + 5  # each pixel a run of its own, the end of the row and its padding
     stored = np.zeros(height * longest_row + 17, np.uint8)
     return stored[: _encode(np.ascontiguousarray(image), stored)].tobytes()
 

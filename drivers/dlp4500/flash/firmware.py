@@ -155,7 +155,7 @@ class Firmware:
         """
         start = self.splash.offset
         if not self.content.startswith(_SPLASH_SIGNATURE, start):
-            raise DataError(f"{self.source}: has no images at {start:#x}, where its table says")
+            raise DataError(f"{self.source}: has no images at {start:#x}, their address in its flash table")
         return int.from_bytes(self.content[start + 8 : start + 12], "little")
 
     def with_patterns(self, patterns: Sequence[Pattern], source: Path) -> Firmware:
@@ -192,7 +192,7 @@ class Firmware:
         if start + len(splash) > memory.SIZE:
             raise ConfigError(
                 f"{len(patterns)} patterns take {len(splash)} bytes of flash and {memory.SIZE - start} are "
-                "free: show fewer, or such as compress (fringes along one axis)"
+                "free: use fewer, or patterns that compress well (fringes along one axis)"
             )
         content = bytearray(self.content[:start].ljust(start, bytes([memory.ERASED])))
         struct.pack_into("<I", content, SPLASH_ENTRY, memory.ADDRESS + start)
@@ -203,7 +203,7 @@ class Firmware:
         table_end = _BLOCKS + _BLOCK_COUNT * _BLOCK.size
         if len(self.content) < table_end or not self.content.startswith(_SIGNATURE, TABLE):
             raise DataError(
-                f"{self.source}: is no firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
+                f"{self.source}: is not a firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
             )
         if len(self.content) > memory.SIZE:
             raise DataError(f"{self.source}: has {len(self.content)} bytes, the flash {memory.SIZE}")
@@ -213,7 +213,7 @@ class Firmware:
             if block.offset < memory.SECTOR or block.end > len(self.content):
                 raise DataError(
                     f"{self.source}: its flash table has a block at {block.offset:#x} … {block.end:#x}, "
-                    f"outside {memory.SECTOR:#x} … {len(self.content):#x} of the file: it is cut off"
+                    f"outside {memory.SECTOR:#x} … {len(self.content):#x} of the file: it is truncated"
                 )
 
 

@@ -156,7 +156,7 @@ class BootLoader:
                 self.name,
                 "flash data",
                 f"the checksum of {len(data)} bytes at {offset:#x} is {found:#x}, not {wanted:#x}",
-                "give the same command again; it goes on from there",
+                "give the same command again; it continues from there",
             )
 
     def checksum(self, offset: int, size: int) -> int:
@@ -265,7 +265,7 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
         loader.identify()
         yield loader
     except BaseException:
-        with suppress(DeviceError):  # the first fault is the one to tell
+        with suppress(DeviceError):  # the original failure is the one to report
             loader.leave()
         raise
     loader.leave()
@@ -299,15 +299,15 @@ def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) ->
         clock.sleep(RESTART_POLL_S)
         try:
             link = connect()
-        except DeviceError:  # gone still, or there but not yet ready for use
+        except DeviceError:  # not reappeared yet, or not ready yet
             continue
-        with suppress(DisconnectedError):  # it was about to go
+        with suppress(DisconnectedError):  # it was about to restart
             if _runs_program(link) == into_program:
                 return link
         link.close()
     raise StateError(
         name,
         "restart",
-        f"does not come back {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
+        f"does not reappear {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
         "switch the projector off and on, and give the same command again",
     )

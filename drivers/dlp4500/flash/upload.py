@@ -1,4 +1,4 @@
-"""Upload of a built firmware file: only the sectors that differ are written, and an interrupted upload continues.
+"""Upload of a built firmware file: only the sectors that differ, continued after an interruption.
 
 The projector's program is never erased, except for what shares a sector with the flash table; a file that
 was built on another program is refused. While images are written, their first sector contains a progress
@@ -46,7 +46,7 @@ class UploadPlan:
 
     @property
     def sectors(self) -> list[int]:
-        """Sectors to erase and write, in this order; the first sector of the images, the last one, makes them valid."""
+        """Sectors to erase and write, in order; the first sector of the images is last, making them valid."""
         rest = [s for s in self.images[1:] if s not in (self.written or ())]
         return [*rest, *([TABLE_SECTOR] if self.table else []), self.images[0]]
 
@@ -58,14 +58,16 @@ class UploadPlan:
             f"Sectors {first} to {last} ({_range(first, last)}) with the images there now will be erased."
         ]
         if self.written is not None:
-            sentences.append(f"Of these {len(self.written)} stay: an earlier upload of this file wrote them.")
+            sentences.append(
+                f"Of these {len(self.written)} are kept: an earlier upload of this file wrote them."
+            )
         if self.table:
             sentences.append(
                 f"Sector {TABLE_SECTOR} ({_range(TABLE_SECTOR, TABLE_SECTOR)}) with the flash table will be "
                 "erased and written back: if power fails just then, only the boot loader starts until the "
                 "same command is given again."
             )
-        return [*sentences, "The boot loader and the rest of the program stay as they are."]
+        return [*sentences, "The boot loader and the rest of the program are not changed."]
 
 
 def check_firmware(firmware: Firmware) -> range:
@@ -171,7 +173,7 @@ def verify_image_count(firmware: Firmware, link: Link) -> None:
         The numbers differ.
     """
     found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
-    if found != wanted % MOST_IMAGES:  # 256 do not fit its byte
+    if found != wanted % MOST_IMAGES:  # the count is one byte, in which 256 is 0
         raise DeviceError(
             link.name,
             "upload",
@@ -230,7 +232,7 @@ def _check_program(firmware: Firmware, loader: BootLoader) -> None:
 
 
 def _table_differs(firmware: Firmware, loader: BootLoader) -> bool:
-    """Tell whether the sector of the flash table must be written; equal checksums alone may be a coincidence."""
+    """Tell whether the flash table's sector must be written; equal checksums alone may be a coincidence."""
     entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
     return loader.read(SPLASH_ENTRY, 4) != entry or not _is_same(
         firmware, loader, _part(firmware, TABLE_SECTOR)
