@@ -185,7 +185,7 @@ def test_steps_lost_towards_the_switch_are_seen_without_hard_limits() -> None:
         stage.move_to(100.0)
         bench.controller.drive.slip(-30.0)
         assert stage.move_to(50.0) == 50.0  # nothing tells yet
-        with pytest.raises(DeviceError, match=r"home switch is pressed, though .* steps were lost"):
+        with pytest.raises(DeviceError, match=r"home switch is pressed although .* steps were lost"):
             stage.move_to(0.0)
 
 
