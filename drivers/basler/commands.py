@@ -32,8 +32,8 @@ CameraSerialOption = Annotated[
 SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="A .pfs file.")]
 
 
-@camera.command()
-def save(
+@camera.command("save")
+def save_settings(
     file: SettingsFile, serial: CameraSerialOption = None, force: Force = False, json: Json = False
 ) -> None:
     """Save the camera's present settings to a .pfs file.
@@ -52,8 +52,8 @@ def save(
     console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
-@camera.command()
-def load(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
+@camera.command("load")
+def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
     """Load a .pfs file into a camera; the settings last until it is switched off.
 
     A file that does not fit the camera is refused; settings before the error may have been applied.

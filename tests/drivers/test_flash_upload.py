@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware
-from drivers.dlp4500.flash.loader import MOST_DATA, BootLoader, boot_loader_session
+from drivers.dlp4500.flash.loader import MOST_DATA, BootLoaderLink, boot_loader_session
 from drivers.dlp4500.flash.upload import check_firmware, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
@@ -249,7 +249,7 @@ def test_a_marked_sector_that_changed_is_written_again():
 def test_the_boot_sector_is_never_erased(sector):
     bench = Bench(MAKER)
     with pytest.raises(SettingError, match="boot sector"):
-        BootLoader(bench.link(), bench.clock, "projector").erase(sector)
+        BootLoaderLink(bench.link(), bench.clock, "projector").erase(sector)
     assert bench.board.messages == []
 
 
@@ -257,7 +257,7 @@ def test_the_boot_sector_is_never_erased(sector):
 def test_the_boot_sector_is_never_written(offset, size):
     bench = Bench(MAKER)
     with pytest.raises(SettingError, match="boot sector"):
-        BootLoader(bench.link(), bench.clock, "projector").write(offset, bytes(size))
+        BootLoaderLink(bench.link(), bench.clock, "projector").write(offset, bytes(size))
     assert bench.board.messages == []
 
 

@@ -64,7 +64,7 @@ Connect = Callable[[], Link]
 """Opens a link to the projector, whichever program it runs."""
 
 
-class BootLoader:
+class BootLoaderLink:
     """A link to the boot loader; offsets count from the first byte of the flash.
 
     Every method may raise the errors of `Link.write` and `Link.read`, and `DeviceTimeoutError` where the
@@ -236,7 +236,7 @@ def _words(part: tuple[int, int]) -> str:
 
 
 @contextmanager
-def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoader]:
+def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoaderLink]:
     """Enter the boot loader, and restart the projector's program at the end of the context.
 
     It does not matter whether the projector runs its boot loader already.
@@ -252,7 +252,7 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
 
     Yields
     ------
-    BootLoader
+    BootLoaderLink
         The boot loader, with a flash that was identified.
 
     Raises
@@ -260,7 +260,7 @@ def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[B
     DeviceError
         The projector does not reappear with the other program, or its flash is of another type.
     """
-    loader = BootLoader(_entered(connect, clock, name), clock, name)
+    loader = BootLoaderLink(_entered(connect, clock, name), clock, name)
     try:
         loader.identify()
         yield loader

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
-from drivers.dlp4500.flash.loader import BootLoader
+from drivers.dlp4500.flash.loader import BootLoaderLink
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DataError, DeviceError
@@ -97,14 +97,14 @@ def check_firmware(firmware: Firmware) -> range:
     return range(memory.sector_of(splash.offset), memory.sector_of(splash.end - 1) + 1)
 
 
-def plan_upload(firmware: Firmware, loader: BootLoader) -> UploadPlan:
+def plan_upload(firmware: Firmware, loader: BootLoaderLink) -> UploadPlan:
     """Determine the steps of an upload, without changing anything.
 
     Parameters
     ----------
     firmware : Firmware
         The file to upload.
-    loader : BootLoader
+    loader : BootLoaderLink
         The projector's boot loader.
 
     Returns
@@ -127,14 +127,14 @@ def plan_upload(firmware: Firmware, loader: BootLoader) -> UploadPlan:
     )
 
 
-def perform_upload(firmware: Firmware, loader: BootLoader, work: UploadPlan, report: Progress) -> None:
+def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan, report: Progress) -> None:
     """Erase, write and verify the sectors of a plan; after a failure a new plan continues where it was.
 
     Parameters
     ----------
     firmware : Firmware
         The file to upload.
-    loader : BootLoader
+    loader : BootLoaderLink
         The projector's boot loader.
     work : UploadPlan
         From `plan_upload`.
@@ -185,7 +185,7 @@ def verify_image_count(firmware: Firmware, link: Link) -> None:
 class _ProgressPage:
     """Progress of an upload, stored in the first sector of the images until these are complete."""
 
-    def __init__(self, firmware: Firmware, loader: BootLoader, images: range) -> None:
+    def __init__(self, firmware: Firmware, loader: BootLoaderLink, images: range) -> None:
         self._firmware, self._loader, self._images = firmware, loader, images
         self._offset = images[0] * memory.SECTOR
         self._digest = hashlib.sha256(firmware.content).digest()[:_SLOT]
@@ -217,7 +217,7 @@ class _ProgressPage:
         return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
 
 
-def _check_program(firmware: Firmware, loader: BootLoader) -> None:
+def _check_program(firmware: Firmware, loader: BootLoaderLink) -> None:
     """Refuse a projector with another program; the table's sector is left out, as it may be half written."""
     for block in firmware.blocks:
         start = max(block.offset, (TABLE_SECTOR + 1) * memory.SECTOR)
@@ -231,7 +231,7 @@ def _check_program(firmware: Firmware, loader: BootLoader) -> None:
             )
 
 
-def _table_differs(firmware: Firmware, loader: BootLoader) -> bool:
+def _table_differs(firmware: Firmware, loader: BootLoaderLink) -> bool:
     """Tell whether the flash table's sector must be written; equal checksums alone may be a coincidence."""
     entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
     return loader.read(SPLASH_ENTRY, 4) != entry or not _is_same(
@@ -239,7 +239,7 @@ def _table_differs(firmware: Firmware, loader: BootLoader) -> bool:
     )
 
 
-def _is_same(firmware: Firmware, loader: BootLoader, part: FlashBlock) -> bool:
+def _is_same(firmware: Firmware, loader: BootLoaderLink, part: FlashBlock) -> bool:
     """Tell whether the checksum of the projector's flash is that of the file."""
     wanted = memory.flash_checksum(firmware.content[part.offset : part.end])
     return loader.checksum(part.offset, part.size) == wanted
