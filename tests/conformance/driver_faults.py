@@ -153,8 +153,10 @@ DRIVER_OF_GRBL = [
     Fault(
         "grbl: unplugging is not understood",
         STAGE_WIRE,
-        "except OSError as error:\n            raise self._disconnected(operation) from error\n        self._r",
-        "except ZeroDivisionError as error:\n            raise self._disconnected(operation) from error\n        self._r",
+        "except OSError as error:\n"
+        "            raise self._disconnected(operation) from error\n        self._r",
+        "except ZeroDivisionError as error:\n"
+        "            raise self._disconnected(operation) from error\n        self._r",
     ),
     Fault(
         "grbl: planned is arrived",
@@ -272,7 +274,8 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: dark by stopping alone",
         DLP_CONTROLLER,
-        "            both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first\n",
+        "            both.callback(self._try_twice, self.leds_off)"
+        "  # callbacks run in reverse: this one first\n",
         "",
     ),
     Fault(
