@@ -1,4 +1,4 @@
-"""The time that a driver and the far end of its wire share: the computer's, or one that only tests move."""
+"""Clocks that a driver and an emulated device share: real time, or simulated time for tests."""
 
 from __future__ import annotations
 
@@ -7,37 +7,76 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds from an arbitrary beginning."""
+    """Source of time for drivers and emulators, in seconds from an arbitrary origin."""
 
     def now(self) -> float:
-        """The time."""
+        """Return the current time.
+
+        Returns
+        -------
+        float
+            Seconds from the clock's origin; never decreases.
+        """
 
     def sleep(self, seconds: float) -> None:
-        """Return that much later."""
+        """Block until the given time has passed on this clock.
+
+        Parameters
+        ----------
+        seconds : float
+            How long to wait, in s.
+        """
 
 
 class RealClock:
     """The computer's monotonic clock."""
 
     def now(self) -> float:
-        """The time."""
+        """Return the current time.
+
+        Returns
+        -------
+        float
+            `time.monotonic()` in s.
+        """
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Return that much later."""
+        """Block the calling thread.
+
+        Parameters
+        ----------
+        seconds : float
+            How long to wait, in s.
+        """
         time.sleep(seconds)
 
 
 class SteppedClock:
-    """A clock that goes on only when somebody sleeps: hours of a bench in a moment, and always the same."""
+    """Simulated clock that advances only when somebody sleeps on it.
+
+    Tests and the emulated bench run through it faster than real time and always give the same result.
+    """
 
     def __init__(self) -> None:
         self._now_s = 0.0
 
     def now(self) -> float:
-        """The time."""
+        """Return the current simulated time.
+
+        Returns
+        -------
+        float
+            Seconds since the clock was created.
+        """
         return self._now_s
 
     def sleep(self, seconds: float) -> None:
-        """Make it that much later."""
+        """Advance the simulated time at once.
+
+        Parameters
+        ----------
+        seconds : float
+            How far to advance, in s; a negative value counts as 0.
+        """
         self._now_s += max(0.0, seconds)

@@ -1,7 +1,7 @@
-"""What is plugged in: cameras by pylon, projectors by USB-HID, stages on serial ports; and what is missing.
+"""Discovery of connected devices: cameras through pylon, projectors through USB HID, stages on serial ports.
 
-Nothing is sent to a device. USB itself is asked through pyusb: how fast each device is connected, and whether
-one is there that its own library does not show. docs/hardware.md says how to give permissions.
+Nothing is sent to a device. USB itself is queried through pyusb: the speed of each connection, and whether a
+device is present that its own library does not list. docs/hardware.md explains how to grant permissions.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from fpplab.devices.discovery import FoundDevices
 DLP4500_VENDOR, DLP4500_PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350, the LightCrafter 4500's controller."""
 BASLER_VENDOR = 0x2676
+"""USB vendor id of Basler."""
 SERIAL_ADAPTERS = {
     (0x2341, 0x0043): "Arduino Uno",
     (0x2341, 0x0042): "Arduino Mega",
@@ -26,7 +27,7 @@ SERIAL_ADAPTERS = {
     (0x0403, 0x6015): "FTDI FT230X",
     (0x10C4, 0xEA60): "CP210x",
 }
-"""USB identities behind which GRBL is usually found."""
+"""USB identities (vendor, product) of serial adapters that GRBL controllers usually have."""
 SPEEDS = {
     1: "USB 1, 1.5 Mbit/s",
     2: "USB 1, 12 Mbit/s",
@@ -34,35 +35,60 @@ SPEEDS = {
     4: "USB 3, 5 Gbit/s",
     5: "USB 3, 10 Gbit/s",
 }
-"""By libusb's number."""
+"""Descriptions of libusb's speed numbers."""
 USB_3 = 4
-RULES = "copy the udev rules of docs/hardware.md, and plug it in anew"
+"""libusb's number of the slowest USB 3 speed."""
+RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
 
 
 @dataclass(frozen=True)
 class UsbDevice:
-    """One device on USB; `speed` is libusb's number, None where the system does not tell."""
+    """One device on USB.
+
+    Attributes
+    ----------
+    vendor : int
+        USB vendor id.
+    product : int
+        USB product id.
+    serial : str
+        Serial number; empty where the device has none or may not be opened.
+    location : str
+        Bus and address, such as "USB 1-4".
+    speed : int or None
+        libusb's speed number, see `SPEEDS`; None where the system does not report it.
+    is_accessible : bool
+        Whether this user may open the device node.
+    """
 
     vendor: int
     product: int
     serial: str
-    place: str
+    location: str
     speed: int | None
-    may_be_used: bool
+    is_accessible: bool
 
     @property
     def ids(self) -> tuple[int, int]:
-        """Vendor and product."""
+        """Vendor and product id."""
         return self.vendor, self.product
 
     @property
-    def named(self) -> str:
-        """Its serial number, or where it is plugged in."""
-        return self.serial or f"at {self.place}"
+    def label(self) -> str:
+        """Serial number, or the location of a device without one."""
+        return self.serial or f"at {self.location}"
 
 
 def find_devices() -> FoundDevices:
-    """Every camera, projector and possible stage that this computer sees, and what hides others."""
+    """List every camera, projector and possible stage that this computer sees.
+
+    A library that does not load is reported as missing; the other kinds of device are listed nevertheless.
+
+    Returns
+    -------
+    FoundDevices
+        The devices, and one sentence for each thing that is missing or hides a device, with its remedy.
+    """
     usb, missing = usb_devices()
     found = FoundDevices([], missing)
     for kind, search in (("cameras", cameras), ("projectors", projectors), ("stages", stages)):
@@ -79,7 +105,15 @@ def find_devices() -> FoundDevices:
 
 
 def usb_devices() -> tuple[list[UsbDevice], list[str]]:
-    """All that is on USB, or the reason why it cannot be listed."""
+    """List the devices on USB.
+
+    Returns
+    -------
+    list of UsbDevice
+        All devices that libusb sees; empty when they cannot be listed.
+    list of str
+        The reason why they cannot be listed; otherwise empty.
+    """
     try:
         import usb.core
     except ImportError:
@@ -110,7 +144,7 @@ def _serial(device: Any) -> str:
     try:
         return device.serial_number or ""
     except (ValueError, NotImplementedError, usb.core.USBError):
-        return ""  # it may not be opened, or has none
+        return ""  # no permission to open it, or no serial number
 
 
 def _may_use(node: Path) -> bool:
@@ -118,7 +152,23 @@ def _may_use(node: Path) -> bool:
 
 
 def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """Basler cameras, the SDK's emulated ones among them."""
+    """List Basler cameras, including pylon's emulated ones.
+
+    Parameters
+    ----------
+    usb : iterable of UsbDevice
+        From `usb_devices`; for the connection speed, and for cameras that pylon does not show.
+
+    Returns
+    -------
+    FoundDevices
+        The cameras that pylon lists, and what is missing: permissions, a USB driver, a USB 3 connection.
+
+    Raises
+    ------
+    ImportError
+        pypylon does not load.
+    """
     from pypylon import pylon
 
     seen = pylon.TlFactory.GetInstance().EnumerateDevices()
@@ -130,20 +180,39 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
         found.devices.append(DeviceInfo("camera", camera.GetModelName(), camera.GetSerialNumber(), link))
     serials = {device.serial for device in found.devices}
     for device in plugged:
-        if not device.may_be_used:
-            found.missing.append(f"camera {device.named}: this user may not open it; {RULES}")
+        if not device.is_accessible:
+            found.missing.append(f"camera {device.label}: this user may not open it; {RULES}")
         elif device.serial not in serials:
-            found.missing.append(f"camera {device.named}: pylon does not show it; install pylon's USB driver")
+            found.missing.append(f"camera {device.label}: pylon does not show it; install pylon's USB driver")
         if device.speed is not None and device.speed < USB_3:
             found.missing.append(
-                f"camera {device.named}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
+                f"camera {device.label}: connected by {SPEEDS.get(device.speed, 'an unknown speed')}; "
                 "use a USB 3 port and cable, or frames will be lost"
             )
     return found
 
 
 def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """LightCrafters 4500 on USB; the controller shows two interfaces, of which one takes commands."""
+    """List LightCrafter 4500 projectors on USB.
+
+    The controller presents several HID interfaces; only the one that takes commands is listed: number 0, or
+    -1 where the system reports no number.
+
+    Parameters
+    ----------
+    usb : iterable of UsbDevice
+        From `usb_devices`; for the connection speed, and for projectors that hidapi does not show.
+
+    Returns
+    -------
+    FoundDevices
+        The projectors that hidapi lists, and what is missing: permissions, a HID interface.
+
+    Raises
+    ------
+    ImportError
+        hidapi does not load.
+    """
     import hid
 
     plugged = [device for device in usb if device.ids == (DLP4500_VENDOR, DLP4500_PRODUCT)]
@@ -155,22 +224,39 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
             link = _link(f"USB {one['path'].decode()}", speed)
             found.devices.append(DeviceInfo("projector", one["product_string"] or "DLPC350", serial, link))
     for device in plugged:
-        if not device.may_be_used:
-            found.missing.append(f"projector {device.named}: this user may not open it; {RULES}")
+        if not device.is_accessible:
+            found.missing.append(f"projector {device.label}: this user may not open it; {RULES}")
     if len(plugged) > len(found.devices):
         found.missing.append(
-            "a projector is on USB, but not as the HID device it should be: unplug it and plug it in"
+            "a projector is on USB, but without its HID interface: unplug it and plug it in again"
         )
     return found
 
 
 def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
-    """Serial ports that a motion controller may sit on."""
+    """List serial ports that a motion controller may be connected to.
+
+    Ports without hardware behind them are left out. Whether a GRBL controller answers is not tested.
+
+    Parameters
+    ----------
+    usb : iterable of UsbDevice
+        From `usb_devices`; for serial adapters without a serial port.
+
+    Returns
+    -------
+    FoundDevices
+        The serial ports, and what is missing: permissions, a driver of the serial adapter.
+
+    Raises
+    ------
+    ImportError
+        pyserial does not load.
+    """
     from serial.tools import list_ports
 
-    ports = [
-        port for port in list_ports.comports() if port.hwid != "n/a"
-    ]  # nothing behind it, on the mainboard
+    # "n/a" is a port of the mainboard without hardware behind it
+    ports = [port for port in list_ports.comports() if port.hwid != "n/a"]
     found = FoundDevices([], [])
     for port in ports:
         ids = "" if port.vid is None else f" (USB {port.vid:04x}:{port.pid:04x})"
@@ -179,14 +265,14 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
         if not _may_use(Path(port.device)):
             found.missing.append(
                 f"stage on {port.device}: this user may not open it; add yourself to its group "
-                "(sudo usermod -aG dialout $USER), and log in anew"
+                "(sudo usermod -aG dialout $USER), and log in again"
             )
     served = {(port.vid, port.pid) for port in ports}
     for device in usb:
         if device.ids in SERIAL_ADAPTERS and device.ids not in served:
             name = SERIAL_ADAPTERS[device.ids]
             found.missing.append(
-                f"stage {device.named}: {name} is on USB without a serial port; install its driver"
+                f"stage {device.label}: {name} is on USB without a serial port; install its driver"
             )
     return found
 

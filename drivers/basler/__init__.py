@@ -1,7 +1,7 @@
-"""Basler cameras through pylon.
+"""Driver of Basler cameras, through pylon.
 
-What is proven of this package is proven on pylon's own camera emulator and on GenICam node maps, not on a
-camera; docs/hardware.md says what to look at when one is connected.
+It has been tested on pylon's own camera emulator and on GenICam node maps, not on a real camera;
+docs/hardware.md lists what to check when one is first connected.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["BaslerCamera"]
 
 
 def __getattr__(name: str) -> Any:
-    """The camera, once it is asked for: the command line knows this package's commands without pylon."""
+    """Import the camera class when it is first accessed, so that the command line starts without pylon."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from drivers.basler import camera

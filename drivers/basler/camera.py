@@ -1,7 +1,7 @@
 """A Basler camera behind the interface of `fpplab.devices`.
 
-`drivers.basler.options` describes its section in a rig file. Nothing here knows which camera it is: the node
-map is asked what there is.
+`drivers.basler.options` describes its section in a rig file. The driver is not specific to a model: the
+camera's GenICam node map is queried for the features that it has.
 """
 
 from __future__ import annotations
@@ -35,24 +35,27 @@ from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame
 
 NS_PER_S = 1e9
 READY_S = 5.0
-"""How long a camera may take to become ready for its first trigger."""
+"""Time limit in s for a camera to become ready for its first trigger."""
 SLICE_S = 0.2
-"""How often a wait looks up: for a camera that was unplugged, and for the operator's Ctrl-C."""
+"""Interval in s at which a wait checks for an unplugged camera and for the operator's Ctrl-C."""
 FIRST_BLOCK = {"BaslerGigE": 1}
 """BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
 NO_BLOCK_ID = (1 << 64) - 1
-"""What pylon reports as BlockID where the camera does not count."""
+"""BlockID that pylon reports for a camera that does not count its frames."""
 IN_USE = ("exclusively opened", "controlled by another application")
-"""What pylon says, over USB and Ethernet, of a camera that another program has."""
+"""Phrases in pylon's error messages for a camera that another program has open, over USB and Ethernet."""
 
 FORMATS: dict[int, tuple[str, ...]] = {8: ("Mono8",), 12: ("Mono12", "Mono12p"), 16: ("Mono16",)}
+"""GenICam pixel formats by bit depth, the preferred one first."""
 
 
 class BaslerCamera(Camera):
-    """A camera that pylon sees. `bench.pylon`, where the rig's bench has it, takes pylon's place.
+    """A camera that pylon lists.
 
-    Frames leave without a copy as long as buffers last (see `drivers.basler.frames`); `index` follows the
-    camera's own count. How a rolling shutter exposes its rows is in `caps.readout_s` and `caps.dark_s`.
+    An emulated bench may replace pylon's transport layers by its attribute `pylon`. Frames are delivered
+    without a copy as long as buffers last (see `drivers.basler.frames`); a frame's `index` follows the
+    camera's own count. `caps.readout_s` and `caps.dark_s` describe the row timing of a rolling shutter or a
+    global reset.
     """
 
     _camera: Any = None
@@ -62,9 +65,24 @@ class BaslerCamera(Camera):
         self._transport = getattr(bench, "pylon", None) or Pylon()
 
     def load_features(self, path: Path) -> None:
-        """Set all that a .pfs file holds; the camera must be configured again after it.
+        """Load all settings of a .pfs file; the camera must be configured again afterwards.
 
-        Raises `StateError` while frames are taken, `ConfigError` for a file that does not fit the camera.
+        Settings that would alter the raw sensor values (`drivers.basler.features.RAW`) are reset after
+        loading. A file that is refused may have been applied in part.
+
+        Parameters
+        ----------
+        path : Path
+            .pfs file, as saved by `save_features` or pylon Viewer.
+
+        Raises
+        ------
+        StateError
+            Frames are being taken, or the camera is not open.
+        ConfigError
+            The file cannot be read, or does not fit the camera.
+        DisconnectedError
+            The camera was unplugged.
         """
         self._need(State.IDLE, doing="load_features")
         text = config.read_text(path)
@@ -75,7 +93,20 @@ class BaslerCamera(Camera):
             self._known = self._read_caps()
 
     def save_features(self, path: Path) -> None:
-        """Write all settings of the camera as a .pfs file. Raises `StateError` while frames are taken."""
+        """Write all settings of the camera to a .pfs file.
+
+        Parameters
+        ----------
+        path : Path
+            File to write.
+
+        Raises
+        ------
+        StateError
+            Frames are being taken, or the camera is not open.
+        DisconnectedError
+            The camera was unplugged.
+        """
         self._need(State.IDLE, doing="save_features")
         with self._guard("save_features"):
             text = pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
@@ -121,25 +152,25 @@ class BaslerCamera(Camera):
         return self._known
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
-        self._forget()  # a refusal half way leaves neither the old settings nor the new
+        self._forget()  # settings that are refused may have been applied in part
         exposure_us = round(settings.exposure_s * US_PER_S, 6)
         self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
-        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", within=exposure_us)
+        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
         gain_db = 0.0
         if self._features.has(named.GAIN_DB):
-            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", within=1.0)
+            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", tolerance=1.0)
         self._known = self._read_caps()
         return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
 
     def _arm(self, n: int, trigger: Trigger) -> None:
         self._choose_trigger(trigger)
-        # Pulses do not wait for the host; triggers of its own do, and fresh memory costs time.
+        # Hardware triggers do not wait for the host, software triggers do; new buffers take time to allocate.
         waiting = n if trigger == "hardware" else SPARE
         self._pool = BufferPool(waiting, self._features.read(named.PAYLOAD_BYTES))
         self._trigger = trigger
         self._camera.MaxNumBuffer.SetValue(self._pool.size)
         self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
-        # Until it is ready, a pulse on the line would be lost without a word.
+        # A pulse that comes before the camera is ready would be lost without an error.
         self._await_ready(time.monotonic() + READY_S, "arm")
 
     def _read(self, timeout_s: float) -> Frame:
@@ -156,7 +187,7 @@ class BaslerCamera(Camera):
                 self.name,
                 "read",
                 f"frame {self._taken} is damaged: {said}",
-                "see to the cable and the USB controller, and take the frames again",
+                "check the cable and the USB controller, and take the frames again",
             )
         index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
         device_time_s = ticks / self._ticks_per_s if ticks else None
@@ -167,15 +198,15 @@ class BaslerCamera(Camera):
         self._camera.StopGrabbing()
 
     def _fault(self) -> None:
-        """A camera in fault is disarmed at once: a frame that comes late must find nobody waiting."""
+        """Disarm the camera at once, so that a late frame is not taken for the next one."""
         super()._fault()
         if self._camera is not None:
-            with suppress(genicam.GenericException):  # the fault itself is what the operator must see
+            with suppress(genicam.GenericException):  # the original fault is the one to report
                 self._camera.StopGrabbing()
 
     @contextmanager
     def _guard(self, operation: str) -> Iterator[None]:
-        """As every device's, with pylon's exceptions in the operator's words."""
+        """Translate pylon's exceptions into the device errors of fpplab."""
         with super()._guard(operation):
             try:
                 yield
@@ -199,16 +230,16 @@ class BaslerCamera(Camera):
 
     def _make_raw(self) -> None:
         for feature, value in named.RAW:
-            self._features.offer(feature, value)
+            self._features.write_if_possible(feature, value)
         for selector in self._features.choices(named.TRIGGER_SELECTOR):
-            self._features.offer(named.TRIGGER_SELECTOR, selector)
-            self._features.offer(named.TRIGGER_MODE, "Off")
+            self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
+            self._features.write_if_possible(named.TRIGGER_MODE, "Off")
 
     def _apply_options(self) -> None:
         options, write = self._options, self._features.write
         self._set_roi(options.roi)
         if options.black_level is not None:
-            write(named.BLACK_LEVEL, options.black_level, "open", within=0.5)
+            write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
         if options.shutter is not None and self._features.has(named.SHUTTER):
             names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
             write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
@@ -237,7 +268,7 @@ class BaslerCamera(Camera):
         )
 
     def _triggers(self) -> tuple[Trigger, ...]:
-        """None for a camera that cannot tell when it is ready: its first trigger might be lost."""
+        """List the supported triggers: none if the camera cannot tell when it is ready for its first one."""
         if not self._camera.CanWaitForFrameTriggerReady():
             return ()
         sources = self._features.choices(named.TRIGGER_SOURCE)
@@ -245,7 +276,7 @@ class BaslerCamera(Camera):
         return tuple(trigger for trigger, source in names.items() if source in sources)
 
     def _row_times_s(self) -> tuple[float, float]:
-        """How long rows begin one after another; and how long they only end so, as the readout goes."""
+        """Return the delay in s from the first to the last row's exposure, and that of their ends alone."""
         shutter = self._features.read(named.SHUTTER) or self._options.shutter
         if shutter in ("Global", "global"):
             return 0.0, 0.0
@@ -281,19 +312,22 @@ class BaslerCamera(Camera):
         features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
         if hardware:
             features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
-            features.offer(named.LINE_SELECTOR, line.line)
-            features.offer(named.LINE_MODE, "Input")
+            features.write_if_possible(named.LINE_SELECTOR, line.line)
+            features.write_if_possible(named.LINE_MODE, "Input")
         delay_us = line.delay_us if hardware else 0.0
         if delay_us or features.has(named.TRIGGER_DELAY_US):
-            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", within=1.0)
+            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
 
-    def _await_ready(self, deadline: float, doing: str) -> None:
-        """A trigger that comes before the camera is ready is dropped without a word."""
+    def _await_ready(self, deadline: float, operation: str) -> None:
+        """Wait until the camera is ready for a trigger; it drops an earlier one without an error."""
         while not self._camera.WaitForFrameTriggerReady(_slice_ms(deadline), pylon.TimeoutHandling_Return):
-            self._check_connected(doing)
+            self._check_connected(operation)
             if time.monotonic() >= deadline:
                 raise DeviceTimeoutError(
-                    self.name, doing, "it does not become ready for a trigger", "close it and open it again"
+                    self.name,
+                    operation,
+                    "the camera does not become ready for a trigger",
+                    "close it and open it again",
                 )
 
     def _retrieve(self, deadline: float, timeout_s: float) -> Any:
@@ -308,39 +342,39 @@ class BaslerCamera(Camera):
             if time.monotonic() >= deadline:
                 break
         self._check_connected("read")
-        remedy = "see to the trigger cable" if self._trigger == "hardware" else "allow it more time"
+        remedy = "check the trigger cable" if self._trigger == "hardware" else "allow more time"
         raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
 
     def _index(self, block_id: int) -> int:
-        """The frame's number since `arm`, by the camera's own count where it counts."""
+        """Return the frame's number since `arm`, by the camera's own count where it has one."""
         return self._taken if block_id == NO_BLOCK_ID else block_id - self._first_block
 
-    def _check_connected(self, doing: str) -> None:
+    def _check_connected(self, operation: str) -> None:
         if self._is_gone():
-            raise self._disconnected(doing)
+            raise self._disconnected(operation)
 
     def _is_gone(self) -> bool:
-        # pylon's notice of a removal is sometimes missed, so the bus is asked too.
+        # pylon sometimes misses a removal, so the list of connected cameras is checked too.
         return self._camera.IsCameraDeviceRemoved() or self._options.serial not in self._transport.cameras()
 
-    def _disconnected(self, doing: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
-            self.name, doing, "the camera was unplugged or switched off", "plug it in and open it again"
+            self.name, operation, "the camera was unplugged or switched off", "plug it in and open it again"
         )
 
 
 class CameraAsLeft(BaslerCamera):
-    """A camera that opening leaves as it is, but for its triggers: these pylon itself switches off."""
+    """A camera that opening leaves unchanged, except for the triggers, which pylon itself switches off."""
 
     def _make_raw(self) -> None:
-        """It keeps its gamma, and what else is not raw."""
+        """Leave gamma and other image processing as they are."""
 
     def _apply_options(self) -> None:
-        """It keeps its ROI."""
+        """Leave the region of interest as it is."""
 
 
 def _words(error: genicam.GenericException) -> str:
-    """What pylon says, without its kind and place in the source."""
+    """Return pylon's message without the exception's type and source location."""
     return str(error).split(" : ")[0].strip()
 
 

@@ -1,6 +1,6 @@
-"""`fpplab camera save|load`: the settings of a Basler camera, between the camera and a file.
+"""`fpplab camera save|load`: save the settings of a Basler camera to a file, and load them.
 
-Heavy modules are imported where they are used, so that `--help` is at once.
+Modules that load slowly are imported where they are used, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ camera = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
     rich_help_panel=INSTRUMENTS,
-    help="The settings of a Basler camera, between the camera and a file.",
+    help="Save and load the settings of a Basler camera.",
 )
 """`fpplab camera …`."""
 
@@ -32,13 +32,13 @@ CameraSerialOption = Annotated[
 SettingsFile = Annotated[Path, typer.Argument(metavar="FILE", help="A .pfs file.")]
 
 
-@camera.command()
-def save(
+@camera.command("save")
+def save_settings(
     file: SettingsFile, serial: CameraSerialOption = None, force: Force = False, json: Json = False
 ) -> None:
-    """Write the camera's settings, as it was left with, into a .pfs file.
+    """Save the camera's present settings to a .pfs file.
 
-    A rig file that names it as `features` of its camera has them loaded first, whenever the rig is opened.
+    A rig file that names the file as `features` of its camera loads it first, whenever the rig is opened.
 
     Example: `fpplab camera save camera.pfs`
     """
@@ -52,11 +52,11 @@ def save(
     console.answer({"settings": str(file), "model": info.model, "serial": info.serial}, json)
 
 
-@camera.command()
-def load(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
-    """Set a camera to what a .pfs file holds, until it is switched off.
+@camera.command("load")
+def load_settings(file: SettingsFile, serial: CameraSerialOption = None, json: Json = False) -> None:
+    """Load a .pfs file into a camera; the settings last until it is switched off.
 
-    A file that does not fit the camera is refused; half of it may be set by then.
+    A file that does not fit the camera is refused; settings before the error may have been applied.
 
     Example: `fpplab camera load camera.pfs`
     """
@@ -67,7 +67,7 @@ def load(file: SettingsFile, serial: CameraSerialOption = None, json: Json = Fal
 
 
 def _connected(serial: str | None) -> CameraAsLeft:
-    """The camera of that serial number, or the only one, not open yet. Raises `DeviceError`."""
+    """Return the camera of that serial number, or the only one, not open yet, or raise `DeviceError`."""
     from drivers.basler.camera import CameraAsLeft
     from drivers.basler.transport import Pylon
     from fpplab.core.errors import DeviceError, DisconnectedError
@@ -75,7 +75,7 @@ def _connected(serial: str | None) -> CameraAsLeft:
     if serial is None:
         serials = sorted(Pylon().cameras())
         if not serials:
-            raise DisconnectedError(NAME, "open", "no camera is connected", "see to its cable and power")
+            raise DisconnectedError(NAME, "open", "no camera is connected", "check its cable and power")
         if len(serials) > 1:
             named = f"name one of {', '.join(serials)} with --serial"
             raise DeviceError(NAME, "open", f"{len(serials)} cameras are connected", named)

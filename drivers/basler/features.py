@@ -1,7 +1,7 @@
-"""The features of a camera by their GenICam names: the node map is asked what there is.
+"""Camera features by their GenICam names, resolved in the camera's node map.
 
 Cameras differ by model and by the version of the Standard Features Naming Convention (SFNC). A feature is
-therefore a row of names, those of SFNC 2 first; the first that the camera has counts.
+therefore a tuple of names, those of SFNC 2 first; the first that the camera has is used.
 """
 
 from __future__ import annotations
@@ -44,45 +44,121 @@ RAW: tuple[tuple[FeatureNames, object], ...] = (
     (("DigitalShift",), 0),
     (("ChunkModeActive",), False),
 )
-"""What makes frames the sensor's raw integers, at the times of their triggers; a camera may lack any."""
+"""Settings for raw sensor values, exposed at the times of their triggers; a camera may lack any of them."""
 
 
 class Features:
-    """The features of one open camera.
+    """The GenICam features of one open camera.
 
-    device: its name in the rig file, for errors. camera: pylon's `InstantCamera`, which is asked for its node
-    map each time: of a camera that was unplugged it has none, whereas an old map goes on answering.
+    The node map is fetched anew for each access: an unplugged camera has none, whereas a stored node map goes
+    on answering.
+
+    Parameters
+    ----------
+    device : str
+        Name of the camera in the rig file, for errors.
+    camera : pylon.InstantCamera
+        The camera, open.
     """
 
     def __init__(self, device: str, camera: Any) -> None:
         self._device, self._camera = device, camera
 
     def has(self, feature: FeatureNames) -> bool:
-        """Whether the camera has it in its present mode."""
+        """Tell whether the camera has a feature in its present mode.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        bool
+            True where its node is valid.
+        """
         return bool(self._node(feature).IsValid())
 
     def read(self, feature: FeatureNames) -> Any:
-        """Its value, or None where the camera does not tell."""
+        """Read the value of a feature.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        int or float or bool or str or None
+            The value; None where the camera does not have the feature or it is not readable.
+        """
         node = self._node(feature)
         return node.GetValue() if node.IsReadable() else None
 
     def limits(self, feature: FeatureNames) -> tuple[float, float]:
-        """The least and the greatest that it takes now. Raises `CapabilityError` when it is not there."""
+        """Read the range that a numeric feature takes at present.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        tuple of float
+            Minimum and maximum, in the feature's own unit.
+
+        Raises
+        ------
+        CapabilityError
+            The camera does not have the feature, or it is not readable.
+        """
         node = self._node(feature)
         if not node.IsReadable():
             raise CapabilityError(self._device, "caps", f"the camera has no {feature[0]}")
         return float(node.GetMin()), float(node.GetMax())
 
     def choices(self, feature: FeatureNames) -> tuple[str, ...]:
-        """What a choice can be set to now; nothing where the camera has no such choice."""
+        """List the values that an enumeration can be set to at present.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        tuple of str
+            The settable values; empty where the camera has no such enumeration or it is not writable.
+        """
         node = self._node(feature)
         return tuple(node.GetSettableValues()) if node.IsWritable() else ()
 
-    def write(self, feature: FeatureNames, value: Any, doing: str, within: float = 0.0) -> Any:
-        """Set it and return what is read back.
+    def write(self, feature: FeatureNames, value: Any, operation: str, tolerance: float = 0.0) -> Any:
+        """Set a feature and read it back.
 
-        Raises `CapabilityError` where the camera has it not, `SettingError` for a value that it does not
-        take, and for one that reads back more than `within` off.
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+        value : int or float or bool or str
+            The value to set.
+        operation : str
+            What the device is doing, for errors.
+        tolerance : float
+            Largest accepted difference between `value` and the value that is read back.
+
+        Returns
+        -------
+        int or float or bool or str
+            The value that is read back.
+
+        Raises
+        ------
+        CapabilityError
+            The feature is missing or not writable, and does not have this value already.
+        SettingError
+            The camera does not take the value, or another value is read back.
         """
         node = self._node(feature)
         if not node.IsWritable():
@@ -90,24 +166,35 @@ class Features:
                 return value
             raise CapabilityError(
                 self._device,
-                doing,
+                operation,
                 f"{feature[0]} cannot be set to {value}",
                 "this camera has no such setting",
             )
         if refusal := _refusal(node, value):
             raise SettingError(
-                self._device, doing, f"{feature[0]} is {_shown(value)}", f"the camera takes {refusal}"
+                self._device, operation, f"{feature[0]} is {_shown(value)}", f"the camera takes {refusal}"
             )
         node.SetValue(value)
         back = node.GetValue()
-        if back != value and not (within and abs(back - value) <= within):
+        if back != value and not (tolerance and abs(back - value) <= tolerance):
             raise SettingError(
-                self._device, doing, f"{feature[0]} is {_shown(value)}", f"the camera reads {_shown(back)}"
+                self._device,
+                operation,
+                f"{feature[0]} is {_shown(value)}",
+                f"the camera reads {_shown(back)}",
             )
         return back
 
-    def offer(self, feature: FeatureNames, value: Any) -> None:
-        """Set it where the camera can, and leave alone what it has not."""
+    def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
+        """Set a feature where the camera takes the value; otherwise leave it unchanged.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+        value : int or float or bool or str
+            The value to set.
+        """
         node = self._node(feature)
         if node.IsWritable() and not _refusal(node, value):
             node.SetValue(value)
@@ -119,7 +206,7 @@ class Features:
 
 
 def _refusal(node: Any, value: Any) -> str:
-    """What the node takes instead, or nothing when it takes the value."""
+    """Describe what the node accepts, if it does not take the value; otherwise return an empty string."""
     if isinstance(node, pylon.EnumParameter):
         choices = node.GetSettableValues()
         return "" if value in choices else f"one of {', '.join(choices)}"

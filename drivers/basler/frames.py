@@ -1,8 +1,8 @@
-"""From pylon's buffers to arrays, without a copy where that is safe.
+"""Conversion of pylon's buffers to arrays, without a copy where that is safe.
 
-pylon does not fill a buffer again while its grab result lives, also when the camera has been stopped, closed
-or destroyed since. An array that keeps the grab result alive therefore owns its pixels. Buffers are few, so
-that not every frame can have one: where they run short the pixels are copied.
+pylon does not fill a buffer again while its grab result exists, even after the camera was stopped, closed or
+destroyed. An array that keeps the grab result alive therefore owns its pixels. The number of buffers is
+limited: where they run short the pixels are copied instead.
 """
 
 from __future__ import annotations
@@ -18,20 +18,47 @@ from pypylon import pylon
 from fpplab.core.conventions import Image
 
 POOL_BYTES = 1 << 30
-"""Memory that buffers may take, unless so few would fit that nothing could flow."""
+"""Memory limit of the buffers; exceeded only where fewer than the necessary minimum would fit."""
 SPARE = 4
-"""Buffers that always go round between camera and host, however many frames the owner keeps."""
+"""Buffers that are always kept for the transfer from the camera, however many frames the caller holds."""
 
 
 class BufferPool:
-    """Buffers for as many frames of `frame_bytes` as may wait for the host, and who holds them."""
+    """Number of grab buffers, and which of them are in use by arrays.
+
+    Parameters
+    ----------
+    waiting : int
+        Frames that may wait for the host.
+    frame_bytes : int
+        Size of one frame in bytes.
+
+    Attributes
+    ----------
+    size : int
+        Number of buffers that pylon is to allocate.
+    """
 
     def __init__(self, waiting: int, frame_bytes: int) -> None:
         self.size = min(waiting + SPARE, max(2 * SPARE, POOL_BYTES // frame_bytes))
         self._lent: WeakSet[_Lease] = WeakSet()
 
     def image(self, result: Any) -> Image:
-        """The pixels of a grab result [v, u], its receiver's alone: uint8, or uint16 beyond 8 bits."""
+        """Return the pixels of a grab result as an array that only the caller holds.
+
+        The array uses pylon's buffer while enough buffers remain for the transfer; otherwise, and for packed
+        formats, it is a copy.
+
+        Parameters
+        ----------
+        result : pylon.GrabResult
+            A grab that succeeded.
+
+        Returns
+        -------
+        ndarray
+            Image (height, width): uint8 for Mono8, otherwise uint16.
+        """
         if result.GetPixelType() == pylon.PixelType_Mono12p:
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
             return cast(Image, unpack12(packed, result.GetHeight(), result.GetWidth()))
@@ -43,7 +70,7 @@ class BufferPool:
 
 
 class _Lease:
-    """Keeps a grab result for as long as an array looks at its buffer."""
+    """Keeps a grab result alive for as long as an array uses its buffer."""
 
     def __init__(self, result: Any) -> None:
         self._view = _view(result)
@@ -52,7 +79,7 @@ class _Lease:
 
 
 def _view(result: Any) -> NDArray[Any]:
-    """The buffer as (height, width), valid while the grab result lives."""
+    """Return the buffer as an array (height, width), valid while the grab result exists."""
     height, width = result.GetHeight(), result.GetWidth()
     dtype = np.dtype(np.uint8 if result.GetPixelType() == pylon.PixelType_Mono8 else np.uint16)
     pitch = width * dtype.itemsize + result.GetPaddingX()
@@ -62,9 +89,25 @@ def _view(result: Any) -> NDArray[Any]:
 
 @numba.njit(cache=True, nogil=True)
 def unpack12(packed: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint16]:
-    """Pixels of 12 bits without gaps, least significant first (Mono12p of the GenICam PFNC), as uint16.
+    """Unpack 12-bit pixels without gaps, least significant bits first.
 
-    packed: at least ceil(1.5 height width) bytes. Three bytes hold two pixels; a last one may stand alone.
+    Three bytes hold two pixels; the last pixel of an odd number takes two bytes.
+
+    Parameters
+    ----------
+    packed : ndarray
+        uint8, at least ceil(1.5 height width) bytes.
+    height, width : int
+        Size of the image in px.
+
+    Returns
+    -------
+    ndarray
+        uint16 (height, width), values 0 to 4095.
+
+    References
+    ----------
+    GenICam Pixel Format Naming Convention (PFNC), Mono12p
     """
     out = np.empty(height * width, np.uint16)
     for pair in range(out.size // 2):

@@ -1,4 +1,4 @@
-"""Where cameras come from: pylon itself, or what stands in for it on an emulated bench."""
+"""Access to pylon's transport layers; an emulated bench substitutes its own."""
 
 from __future__ import annotations
 
@@ -8,16 +8,35 @@ from pypylon import pylon
 
 
 class Pylon:
-    """Every camera that pylon's transport layers see: USB3 Vision, GigE Vision, its own emulator."""
+    """Every camera that pylon's transport layers list: USB3 Vision, GigE Vision and its own emulator."""
 
     def cameras(self) -> dict[str, Any]:
-        """Pylon's `DeviceInfo` of each camera that is connected now, opened or not, by serial number."""
+        """List the cameras that are connected now, opened or not.
+
+        Returns
+        -------
+        dict of str to pylon.DeviceInfo
+            Pylon's description of each camera, by serial number.
+        """
         return {found.GetSerialNumber(): found for found in self._layer().EnumerateDevices()}
 
     def attach(self, info: Any) -> Any:
-        """The `InstantCamera` of one of `cameras`, not open yet.
+        """Create pylon's handle of a camera.
 
-        Raises pylon's own `GenericException` when it cannot be reached or another program has it.
+        Parameters
+        ----------
+        info : pylon.DeviceInfo
+            One of the values of `cameras`.
+
+        Returns
+        -------
+        pylon.InstantCamera
+            The camera, not open yet.
+
+        Raises
+        ------
+        pypylon.genicam.GenericException
+            The camera cannot be reached, or another program has it open.
         """
         return pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(info))
 

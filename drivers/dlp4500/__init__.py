@@ -1,7 +1,8 @@
-"""The DLP LightCrafter 4500 and its controller, the DLPC350, over USB HID.
+"""Driver of the DLP LightCrafter 4500 and its controller, the DLPC350, over USB HID.
 
-`framing` and `protocol` are the packets as pure functions, `transport` matches questions and answers,
-`sequence` knows planes and times, `controller` gives the orders, `device` is the projector of a rig.
+`framing` and `protocol` encode the packets as pure functions, `transport` matches replies to requests,
+`sequence` computes bit planes and timing, `controller` sends the commands, `device` is the projector of a
+rig.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ __all__ = ["Dlp4500"]
 
 
 def __getattr__(name: str) -> Any:
-    """The projector, once it is asked for: the command line knows this package's commands without it."""
+    """Import the projector class when it is first accessed, so that the command line starts without it."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from drivers.dlp4500 import device

@@ -1,6 +1,6 @@
-"""`fpplab dlp4500 status|power|led|test-pattern`: the projector by hand.
+"""`fpplab dlp4500 status|power|led|test-pattern`: control of the projector by hand.
 
-Proven on an emulated projector only.
+Tested on an emulated projector only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LedOption = Annotated[int, typer.Option(min=0, max=255, help="0 is off, 255 full
 
 
 class Power(StrEnum):
-    """What `power` can do."""
+    """Actions of the command `power`."""
 
     ON = "on"
     OFF = "off"
@@ -32,7 +32,7 @@ class Power(StrEnum):
 
 @contextmanager
 def _board(serial: str | None) -> Iterator[Controller]:
-    """The controller, for as long as a command takes."""
+    """Open the controller for the duration of a command."""
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
 
@@ -43,7 +43,7 @@ def _board(serial: str | None) -> Iterator[Controller]:
 
 @dlp4500.command()
 def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
-    """Say what the projector is doing and what is wrong with it.
+    """Show what the projector is doing and its faults.
 
     Example: `fpplab dlp4500 status`
     """
@@ -51,7 +51,7 @@ def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
         found = board.status()
         result = {
             "firmware": board.version(),
-            "tag": board.tag(),
+            "tag": board.firmware_tag(),
             "standby": board.is_standby(),
             "images": board.images_in_flash() if not board.is_standby() else None,
             "state": found.words,
@@ -66,7 +66,7 @@ def power(
     serial: ProjectorSerialOption = None,
     json: Json = False,
 ) -> None:
-    """Wake the projector, put it to standby, or restart it; it is dark in each case.
+    """Wake the projector, put it in standby, or restart it; its light is off in each case.
 
     Example: `fpplab dlp4500 power off`
     """
@@ -75,7 +75,7 @@ def power(
             board.wake()
             board.go_dark()
         elif state is Power.OFF:
-            board.sleep()
+            board.enter_standby()
         else:
             board.reset()
     console.answer({"power": state.value}, json)
@@ -93,13 +93,13 @@ def led(
     serial: ProjectorSerialOption = None,
     json: Json = False,
 ) -> None:
-    """Switch the LEDs on by hand; those that are not named go off.
+    """Switch the LEDs on by hand; LEDs that are not given are switched off.
 
     Example: `fpplab dlp4500 led --green 100`
     """
     levels = {"red": red, "green": green, "blue": blue}
     with _board(serial) as board:
-        board.light_leds(levels, inverted)
+        board.switch_on_leds(levels, inverted)
     console.answer(levels, json)
 
 

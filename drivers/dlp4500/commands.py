@@ -1,4 +1,4 @@
-"""`fpplab dlp4500 …`: the LightCrafter 4500 by itself."""
+"""`fpplab dlp4500`: commands for the LightCrafter 4500 itself."""
 
 from __future__ import annotations
 

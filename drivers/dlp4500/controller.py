@@ -1,9 +1,9 @@
-"""The controller in a bench's words: each order is given, waited for, and looked at.
+"""Control of the DLPC350: commands are sent, awaited, and their effect is verified.
 
-A sequence is stopped before anything is changed, validated before it starts, and looked at once it has
-started: a valid sequence is not yet a running one. Every wait has an end.
+A sequence is stopped before anything is changed, validated before it starts, and its status is read once it
+has started, because a valid sequence is not necessarily a running one. Every wait has a time limit.
 
-Source: TI's DLPC350 client, GUI and SDK, and what their users report. Nothing here has been near a board.
+Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -15,37 +15,67 @@ from drivers.clock import Clock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
-from drivers.dlp4500.status import Status, objections
+from drivers.dlp4500.status import Status, validation_messages
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
 LED_FULL = 255
+"""Level of an LED at full current."""
 TEST_PATTERN_FULL = 1023
+"""Full intensity of a test pattern's colour."""
 PARALLEL_24_BIT = {"source": 0, "width": 1}
+"""Input source: the parallel port, 24 bits wide."""
 INTERNAL_TEST_PATTERN = {"source": 1, "width": 1}
+"""Input source: the internal test pattern."""
 BOARD_CHANNEL_SWAP = {"swap": 4, "port": 0}
-"""The evaluation module's HDMI input."""
+"""Colour channels of the HDMI input of the evaluation module."""
 
 MODE_STEP_S, MODE_S = 0.1, 2.0
+"""Polling interval and time limit in s of a change of display mode; the pairs below are of the same form."""
 STOP_STEP_S, STOP_S = 0.01, 2.0
 VALIDATION_STEP_S, VALIDATION_S = 0.01, 2.0
 LOCK_STEP_S, LOCK_S = 0.1, 1.5
 END_STEP_S, END_S = 0.005, 1.0
 WAKE_STEP_S, WAKE_S = 0.1, 5.0
-"""How often to look and how long to wait, in s; waking is given as long as its slowest user gives it."""
+"""Waking has the longest limit that existing clients use."""
 SETTLING_S = 5.0
-"""What the GUI waits for after a reset before it opens the device again."""
+"""Time in s that TI's GUI waits after a reset before it opens the device again."""
 
 
 def delay_code(us: float) -> int:
-    """A trigger delay in µs in the controller's steps of 0.1072 µs."""
+    """Convert a trigger delay to the controller's unit.
+
+    Parameters
+    ----------
+    us : float
+        Delay in µs.
+
+    Returns
+    -------
+    int
+        Delay in steps of 0.1072 µs, offset by `protocol.ZERO_DELAY`.
+    """
     return protocol.ZERO_DELAY + round(us / protocol.DELAY_STEP_US)
 
 
 class Controller:
-    """The DLPC350 behind a link. name: the projector's, for errors.
+    """The DLPC350 behind a link.
 
-    Every method may raise what `Link.write` and `Link.read` do.
+    Every method that sends commands may raise the errors of `Link.write` and `Link.read`.
+
+    Parameters
+    ----------
+    link : Link
+        Open link to the controller.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Attributes
+    ----------
+    link : Link
+        The link to the controller.
     """
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
@@ -54,7 +84,13 @@ class Controller:
     # --- status and power
 
     def status(self) -> Status:
-        """What the three status commands say."""
+        """Read the three status commands.
+
+        Returns
+        -------
+        Status
+            Hardware, system and main status.
+        """
         link = self.link
         return Status(
             link.read(protocol.HARDWARE_STATUS),
@@ -63,29 +99,64 @@ class Controller:
         )
 
     def check_health(self) -> None:
-        """Raise `DeviceError` unless the controller came up and passed its memory test."""
+        """Check that the controller has initialised and passed its memory test.
+
+        Raises
+        ------
+        DeviceError
+            It has not.
+        """
         status = self.status()
         if not (status.hardware["initialised"] and status.system["memory_test_passed"]):
             raise DeviceError(self._name, "open", "; ".join(status.faults), "switch the projector off and on")
 
     def version(self, part: str = "application") -> str:
-        """Version of one of `protocol.PARTS`, as 4.4.0."""
+        """Read the version of a part of the firmware.
+
+        Parameters
+        ----------
+        part : str
+            One of `protocol.PARTS`.
+
+        Returns
+        -------
+        str
+            Such as "4.4.0".
+        """
         read = self.link.read(protocol.VERSION)
         return ".".join(str(read[f"{part}_{field}"]) for field in ("major", "minor", "patch"))
 
-    def tag(self) -> str:
-        """The name that the firmware was given."""
+    def firmware_tag(self) -> str:
+        """Read the firmware's name.
+
+        Returns
+        -------
+        str
+            Up to 32 ASCII characters.
+        """
         return self.link.read_bytes(protocol.FIRMWARE_TAG).split(b"\0")[0].decode("ascii", "replace")
 
     def is_standby(self) -> bool:
-        """Whether it sleeps."""
+        """Tell whether the projector is in standby.
+
+        Returns
+        -------
+        bool
+            True in standby.
+        """
         return bool(self.link.read(protocol.POWER)["standby"])
 
     def wake(self) -> None:
-        """Leave standby; `DeviceTimeoutError` when it does not within 5 s."""
+        """Leave standby and wait for it.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The projector is still in standby after 5 s.
+        """
         with suppress(
             DeviceTimeoutError, ProtocolError
-        ):  # known to fail while it wakes; the state is read below
+        ):  # its reply often fails while the projector wakes; the state is read below
             self.link.write(protocol.POWER, standby=0)
 
         def awake() -> bool:
@@ -93,17 +164,23 @@ class Controller:
                 return not self.is_standby()
             return False
 
-        self._until(awake, "wake", "still sleeps", WAKE_STEP_S, WAKE_S)
+        self._until(awake, "wake", "is still in standby", WAKE_STEP_S, WAKE_S)
 
-    def sleep(self) -> None:
-        """Go to standby, from video mode as it must be."""
+    def enter_standby(self) -> None:
+        """Switch the light off and enter standby, which is possible from video mode only.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The projector is still awake after 5 s.
+        """
         self.go_dark()
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.POWER, standby=1)
         self._until(self.is_standby, "standby", "is still awake", WAKE_STEP_S, WAKE_S)
 
     def reset(self) -> None:
-        """Restart the controller and let go of it: the USB device vanishes, and must be opened again."""
+        """Restart the controller and close the link: the USB device disappears and must be opened again."""
         self.go_dark()
         self.link.write(protocol.SOFTWARE_RESET)
         self.link.close()
@@ -112,9 +189,19 @@ class Controller:
     # --- light
 
     def set_led_levels(self, levels: Mapping[str, int], inverted: bool) -> None:
-        """Currents by colour, 0 (off) to 255 (full). inverted: the board takes 255 for off, 0 for full.
+        """Set the LED currents.
 
-        Raises `SettingError` for a level out of range.
+        Parameters
+        ----------
+        levels : mapping of str to int
+            Level by colour, 0 (off) to 255 (full).
+        inverted : bool
+            Whether the board takes 255 for off and 0 for full.
+
+        Raises
+        ------
+        SettingError
+            A level is out of range.
         """
         for colour in COLOURS:
             if not 0 <= levels[colour] <= LED_FULL:
@@ -126,37 +213,62 @@ class Controller:
             **{colour: LED_FULL - levels[colour] if inverted else levels[colour] for colour in COLOURS},
         )
 
-    def light_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
-        """LEDs on by hand at these currents, those at 0 off; arguments and errors as `set_led_levels`."""
+    def switch_on_leds(self, levels: Mapping[str, int], inverted: bool) -> None:
+        """Switch the LEDs on by hand, without a sequence; those at level 0 are off.
+
+        Parameters
+        ----------
+        levels : mapping of str to int
+            Level by colour, 0 (off) to 255 (full).
+        inverted : bool
+            Whether the board takes 255 for off and 0 for full.
+
+        Raises
+        ------
+        SettingError
+            A level is out of range.
+        """
         self.set_led_levels(levels, inverted)
         self.link.write(
             protocol.LED_ENABLE, sequenced=0, **{colour: int(levels[colour] > 0) for colour in COLOURS}
         )
 
     def leds_off(self) -> None:
-        """No LED on, whatever the sequencer does."""
+        """Switch all LEDs off, whatever the sequencer does."""
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=0)
 
     def go_dark(self) -> None:
-        """LEDs off, then the sequence stopped: each tried twice, the second whatever becomes of the first."""
+        """Switch the LEDs off, then stop the sequence.
+
+        Each is tried twice, and the sequence is stopped even if the LEDs could not be switched off.
+        """
         with ExitStack() as both:
-            both.callback(self._insist, self.stop)
-            both.callback(self._insist, self.leds_off)  # which comes first
+            both.callback(self._try_twice, self.stop)
+            both.callback(self._try_twice, self.leds_off)  # callbacks run in reverse: this one first
 
     @contextmanager
     def dark_on_failure(self) -> Iterator[None]:
-        """A failure within leaves the projector dark at once."""
+        """Switch the light off if the code in the context fails.
+
+        If the light cannot be switched off, a note is added to the original exception, which is raised in any
+        case.
+
+        Yields
+        ------
+        None
+            The context.
+        """
         try:
             yield
         except BaseException as error:
             try:
                 self.go_dark()
             except DeviceError as still_lit:
-                error.add_note(f"and it could not be made dark: {still_lit}")
+                error.add_note(f"and its light could not be switched off: {still_lit}")
             raise
 
     @staticmethod
-    def _insist(order: Callable[[], None]) -> None:
+    def _try_twice(order: Callable[[], None]) -> None:
         try:
             order()
         except (ProtocolError, DeviceTimeoutError):
@@ -164,13 +276,28 @@ class Controller:
 
     # --- input and triggers
 
-    def plain(self) -> None:
-        """Show images as they are, not flipped, inverted or frozen, whoever used the projector before."""
+    def reset_image_options(self) -> None:
+        """Reset the settings of earlier users: images are not flipped, inverted or frozen."""
         for command in (protocol.LONG_AXIS_FLIP, protocol.SHORT_AXIS_FLIP, protocol.FREEZE, protocol.INVERT):
             self.link.write(command, on=0)
 
     def set_trigger_out_1(self, inverted: bool, rising_us: float, falling_us: float) -> None:
-        """The output that is high as long as a pattern is on; delays of its edges, -20.05 to 2.79 µs."""
+        """Configure trigger output 1, which is active while a pattern is shown.
+
+        Parameters
+        ----------
+        inverted : bool
+            Whether the output is active low.
+        rising_us : float
+            Delay of the rising edge in µs, -20.05 to 2.79.
+        falling_us : float
+            Delay of the falling edge in µs, -20.05 to 2.79.
+
+        Raises
+        ------
+        SettingError
+            A delay is out of range.
+        """
         self.link.write(
             protocol.TRIGGER_OUT_1,
             inverted=int(inverted),
@@ -179,14 +306,38 @@ class Controller:
         )
 
     def set_trigger_out_2(self, inverted: bool, rising_us: float) -> None:
-        """The output that pulses once in a run; delay of its edge, -20.05 to 2.79 µs."""
+        """Configure trigger output 2, which pulses once in a run.
+
+        Parameters
+        ----------
+        inverted : bool
+            Whether the output is active low.
+        rising_us : float
+            Delay of the rising edge in µs, -20.05 to 2.79.
+
+        Raises
+        ------
+        SettingError
+            The delay is out of range.
+        """
         self.link.write(protocol.TRIGGER_OUT_2, inverted=int(inverted), rising=delay_code(rising_us))
 
-    def show_mode(self, mode: DisplayMode) -> None:
-        """Video or pattern mode; waits for the change."""
+    def set_display_mode(self, mode: DisplayMode) -> None:
+        """Change between video and pattern mode, and wait for the change.
+
+        Parameters
+        ----------
+        mode : DisplayMode
+            The mode to enter.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The mode is not entered within 2 s.
+        """
         if self._mode() == mode:
             return
-        if mode is DisplayMode.PATTERN:  # from a test pattern the USB link was lost on the way
+        if mode is DisplayMode.PATTERN:  # with a test pattern selected the USB link was lost on the way back
             self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.DISPLAY_MODE, mode=int(mode))
         self._until(
@@ -194,11 +345,16 @@ class Controller:
         )
 
     def select_video(self) -> None:
-        """Take 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
+        """Select 24-bit frames from the parallel port (HDMI), and wait until their signal is locked.
 
-        To be called before patterns from the video port are prepared. Raises `DeviceTimeoutError` without a signal.
+        To be called before patterns from the video port are prepared.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            There is no stable signal within 1.5 s.
         """
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **PARALLEL_24_BIT)
         self.link.write(protocol.PORT_CLOCK, clock=0)
         self.link.write(protocol.PIXEL_FORMAT, format=0)
@@ -206,9 +362,15 @@ class Controller:
         self._until(self.is_locked, "video", "no signal is locked on the video port", LOCK_STEP_S, LOCK_S)
 
     def show_test_pattern(self, name: str) -> None:
-        """One of `protocol.TEST_PATTERNS`, white on black, lit by the LEDs at their present currents."""
+        """Show an internal test pattern, white on black, lit by the LEDs at their present currents.
+
+        Parameters
+        ----------
+        name : str
+            One of `protocol.TEST_PATTERNS`.
+        """
         self.go_dark()
-        self.show_mode(DisplayMode.VIDEO)
+        self.set_display_mode(DisplayMode.VIDEO)
         self.link.write(protocol.INPUT_SOURCE, **INTERNAL_TEST_PATTERN)
         self.link.write(protocol.TEST_PATTERN, pattern=protocol.TEST_PATTERNS.index(name))
         white = dict.fromkeys(("front_red", "front_green", "front_blue"), TEST_PATTERN_FULL)
@@ -217,15 +379,38 @@ class Controller:
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
 
     def is_locked(self) -> bool:
-        """Whether the video port sees a stable signal."""
+        """Tell whether the video port has a stable signal.
+
+        Returns
+        -------
+        bool
+            True when the signal is locked.
+        """
         return self.link.read(protocol.VIDEO_SIGNAL)["lock"] == protocol.LOCKED
 
     def images_in_flash(self) -> int:
-        """How many images can be swapped in."""
+        """Read the number of images in flash.
+
+        Returns
+        -------
+        int
+            Number of images; 0 may also mean 256.
+        """
         return self.link.read(protocol.IMAGES_IN_FLASH)["count"]
 
-    def load_us(self, image: int) -> int:
-        """How long a flash image takes to load, in µs."""
+    def image_load_us(self, image: int) -> int:
+        """Measure the load time of a flash image.
+
+        Parameters
+        ----------
+        image : int
+            Its index.
+
+        Returns
+        -------
+        int
+            Load time in µs, rounded up.
+        """
         self.link.write(protocol.IMAGE_LOAD_TIMING, first=image, count=1)
         ticks = self.link.read(protocol.IMAGE_LOAD_TIMING)["ticks"]
         return -(-1000 * ticks // protocol.TICKS_PER_MS)
@@ -233,31 +418,56 @@ class Controller:
     # --- sequences
 
     def stop(self) -> None:
-        """Stop the sequence; the next start begins at its first pattern."""
+        """Stop the sequence and wait for it; the next start begins at its first pattern.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The sequence still runs after 2 s.
+        """
         self.link.write(protocol.SEQUENCE, run=Run.STOP)
         self._until(
             lambda: self.link.read(protocol.SEQUENCE)["run"] == Run.STOP,
             "stop",
-            "the sequence goes on",
+            "the sequence still runs",
             STOP_STEP_S,
             STOP_S,
         )
 
     def run(self, program: Program) -> None:
-        """Prepare and start.
+        """Prepare and start a sequence.
 
-        No light but from the start on: should the cable be lost before, nobody could put it out.
+        The LEDs stay off until the start: if the cable fails before, the light could not be switched off any
+        more.
+
+        Parameters
+        ----------
+        program : Program
+            The sequence.
+
+        Raises
+        ------
+        ProtocolError
+            The sequence is not valid, or does not run.
         """
         self.leds_off()
         self.prepare(program)
         self.start(program)
 
     def prepare(self, program: Program) -> None:
-        """Stop, tell everything about the sequence, and have it validated.
+        """Stop, configure a sequence and have the controller validate it.
 
-        Raises `ProtocolError` with the validation's words.
+        Parameters
+        ----------
+        program : Program
+            The sequence.
+
+        Raises
+        ------
+        ProtocolError
+            The sequence is not valid; the message contains the controller's objections.
         """
-        self.show_mode(DisplayMode.PATTERN)
+        self.set_display_mode(DisplayMode.PATTERN)
         self.stop()
         self.link.write(protocol.PATTERN_SOURCE, source=program.source)
         self._configure(program)
@@ -268,7 +478,15 @@ class Controller:
         self.validate()
 
     def validate(self) -> None:
-        """Have the controller look at the sequence; any objection, a warning too, is a `ProtocolError`."""
+        """Have the controller validate the configured sequence.
+
+        Raises
+        ------
+        ProtocolError
+            There is an error or a warning.
+        DeviceTimeoutError
+            The validation does not end within 2 s.
+        """
         self.link.write(protocol.VALIDATE)
         found = self.link.read(protocol.VALIDATE)
 
@@ -280,11 +498,22 @@ class Controller:
         if found["busy"]:
             self._clock.sleep(VALIDATION_STEP_S)
             self._until(done, "validation", "does not end", VALIDATION_STEP_S, VALIDATION_S)
-        if words := objections(found):
+        if words := validation_messages(found):
             raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
 
     def start(self, program: Program) -> None:
-        """Start what was prepared, lit, and see that it runs; `ProtocolError` when it does not."""
+        """Switch the LEDs on, start the prepared sequence and check that it runs.
+
+        Parameters
+        ----------
+        program : Program
+            The sequence that was prepared.
+
+        Raises
+        ------
+        ProtocolError
+            The sequence does not run.
+        """
         begun = self._clock.now()
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
         self.link.write(protocol.SEQUENCE, run=Run.START)
@@ -298,23 +527,40 @@ class Controller:
             )
 
     def await_end(self, program: Program) -> None:
-        """Wait until a run that is not repeated has ended; it may wait for a frame before it begins."""
+        """Wait until a sequence that is not repeated has ended; it may begin with a wait for a video frame.
+
+        Parameters
+        ----------
+        program : Program
+            The sequence that was started.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            The sequence still runs 1 s after its duration.
+        """
         self._until(
             lambda: not self.link.read(protocol.MAIN_STATUS)["running"],
             "play",
-            "the sequence goes on",
+            "the sequence still runs",
             END_STEP_S,
             END_S + program.duration_s,
         )
 
     def has_forced_swap(self) -> bool:
-        """Whether an image came too late once, and an old one was shown in its place."""
+        """Tell whether an image was loaded too late and an older one was shown in its place.
+
+        Returns
+        -------
+        bool
+            The forced-swap error of the hardware status.
+        """
         return bool(self.link.read(protocol.HARDWARE_STATUS)["forced_swap_error"])
 
     def _configure(self, program: Program) -> None:
         counts = {
             "entries": len(program.entries),
-            "patterns": len(program.entries),  # run once, it ends after so many
+            "patterns": len(program.entries),  # a sequence that is not repeated ends after so many
             "images": max(1, len(program.images)),
             "repeat": int(program.repeat),
         }
@@ -344,13 +590,13 @@ class Controller:
 
     @contextmanager
     def _mailbox(self, table: Mailbox) -> Iterator[None]:
-        """A table open for writing, closed again also when writing fails."""
+        """Open a table for writing, and close it also when writing fails."""
         self.link.write(protocol.MAILBOX, table=table)
         try:
             yield
             self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
         except BaseException:
-            with suppress(DeviceError):  # the first failure is what the operator must see
+            with suppress(DeviceError):  # the original failure is the one to report
                 self.link.write(protocol.MAILBOX, table=Mailbox.CLOSED)
             raise
 
@@ -360,7 +606,7 @@ class Controller:
     def _until(
         self, done: Callable[[], bool], operation: str, found: str, step_s: float, most_s: float
     ) -> None:
-        """Look every `step_s` until it is done; `DeviceTimeoutError` with what was `found` after `most_s`."""
+        """Poll every `step_s` until done, or raise `DeviceTimeoutError` with `found` after `most_s`."""
         for _ in range(round(most_s / step_s)):
             if done():
                 return

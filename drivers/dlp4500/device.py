@@ -6,7 +6,7 @@
       led_levels: {red: 104, green: 135, blue: 130}
       trigger_out_1: {rising_us: 0, falling_us: 0}
 
-Proven on an emulated wire only: no board has been driven with it yet.
+Tested with an emulated controller only, not yet on a board.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo
 from drivers.dlp4500.protocol import MOST_VARIABLE_ENTRIES
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, SIZE
-from drivers.dlp4500.transport import Hid, Link, connect, hidapi
+from drivers.dlp4500.transport import HidModule, Link, connect, load_hidapi
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice
@@ -39,107 +39,158 @@ Delay = Annotated[float, Field(ge=-20.0, le=2.7)]
 
 
 class LedLevels(Document):
-    """Brightness of each LED, 0 (off) to 255 (full); the board's own defaults."""
+    """Brightness of each LED, 0 (off) to 255 (full); by default that of the evaluation module."""
 
     red: LedLevel = 104
+    """Level of the red LED, 0 (off) to 255 (full)."""
     green: LedLevel = 135
+    """Level of the green LED, 0 (off) to 255 (full)."""
     blue: LedLevel = 130
+    """Level of the blue LED, 0 (off) to 255 (full)."""
 
 
 class TriggerOut(Document):
-    """A trigger output; the delay of its rising edge in µs."""
+    """A trigger output."""
 
     inverted: bool = False
+    """Whether the output is active low."""
     rising_us: Delay = 0.0
+    """Delay of the rising edge in µs."""
 
 
 class PatternTriggerOut(TriggerOut):
-    """The output that is high as long as a pattern is on: its falling edge has a delay as well."""
+    """Trigger output 1, which is active while a pattern is shown."""
 
     falling_us: Delay = 0.0
+    """Delay of the falling edge in µs."""
 
 
 class VideoPort(Document):
-    """What is plugged into the video port. display: number or name of the computer's display."""
+    """What is connected to the projector's video port."""
 
     display: Annotated[int, Field(ge=0)] | str
+    """Number or name of the computer's display."""
 
 
 class Options(Document):
-    """The projector's section in a rig file.
-
-    flash: the index of what is in flash; video: the display that sends patterns; one of both. serial: where
-    several are connected. leds: those that light the patterns. led_inverted: the board takes 255 for off, as
-    the evaluation module does. checks_echo: answers must bear the number of their question; to be turned off
-    for a board that does not do so.
-    """
+    """The projector's section in a rig file; either `flash` or `video` is needed."""
 
     flash: str | None = None
+    """Index file of the patterns in flash, as written by `fpplab dlp4500 build`."""
     video: VideoPort | None = None
+    """Display that sends the patterns to the video port."""
     serial: str | None = None
+    """Serial number; needed where several projectors are connected."""
     leds: Annotated[tuple[Literal["red", "green", "blue"], ...], Field(min_length=1)] = (
         "red",
         "green",
         "blue",
     )
+    """Colours of the LEDs that light the patterns."""
     led_levels: LedLevels = LedLevels()
+    """Brightness of each LED."""
     led_inverted: bool = True
+    """Whether the board takes 255 for off and 0 for full, as the evaluation module does."""
     trigger_out_1: PatternTriggerOut = PatternTriggerOut()
+    """Output that is active while a pattern is shown; it triggers the camera."""
     trigger_out_2: TriggerOut = TriggerOut()
+    """Output that pulses once in a run."""
     checks_echo: bool = True
+    """Whether replies must carry their request's sequence number; false for a board that does not echo it."""
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
         if self.flash is None and self.video is None:
-            raise ValueError("'flash' or 'video' is missing: where the patterns are")
+            raise ValueError("'flash' or 'video' is missing: the source of the patterns")
         if self.flash is not None and self.video is not None:
-            raise ValueError("'flash' and 'video' are both there: patterns are in one of them")
+            raise ValueError("'flash' and 'video' are both given: name one of them")
         return self
 
 
 class Storage(Protocol):
-    """Where the patterns are, and how they get onto the mirrors."""
+    """Source of the patterns: flash or video port.
+
+    `Dlp4500` calls these methods, with an open controller. All may raise the errors of `Controller`.
+    """
 
     @property
     def depths(self) -> set[int]:
-        """The bit depths that can be shown; known once open."""
+        """Bit depths that can be shown; known once open."""
 
     def open(self, board: Controller) -> None:
-        """Make ready, from the dark, and put the projector into pattern mode."""
+        """Prepare the source and enter pattern mode; the projector is dark before and after.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        """
 
     def close(self) -> None:
-        """Let go of it; legal at any time, any number of times."""
+        """Release the source; may be called at any time, any number of times."""
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Take patterns as they will be shown, or refuse them and keep those before."""
+        """Take the patterns to show, or refuse them and keep the previous ones.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        patterns : sequence of Pattern
+            Patterns with the grey levels that the mirrors show.
+        """
 
     def show(self, board: Controller, i: int) -> None:
-        """Show one until told otherwise."""
+        """Show one pattern until told otherwise.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        i : int
+            Index of the pattern.
+        """
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
-        """Show all once, with darkness behind each; returns once that has begun, or is over."""
+        """Show all patterns once; may return once that has begun or after it has ended.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        exposure_us : int
+            Exposure of each pattern in µs.
+        dark_us : int
+            Dark time after each pattern in µs.
+        """
 
     def check_played(self, board: Controller) -> None:
-        """After the end: raise `SyncError` unless all was shown that was to be."""
+        """Check after the end that all patterns were shown as intended; raise `SyncError` otherwise.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        """
 
 
 class Dlp4500(Projector):
-    """A LightCrafter 4500 that shows what is in its flash, or what a display sends it.
+    """A LightCrafter 4500 that shows patterns from its flash or from a display at its video port.
 
-    It opens the device through hidapi and the display through SDL, or what the rig's bench gives as `hid`,
-    `display` and `clock`.
+    The device is opened through hidapi and the display through SDL, unless the rig's bench provides `hid`,
+    `display` or `clock`.
     """
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._options = config.validate(options, Options, self.name)
-        self._hid: Hid | None = getattr(bench, "hid", None)
+        self._hid: HidModule | None = getattr(bench, "hid", None)
         self._clock: Clock = getattr(bench, "clock", None) or RealClock()
         self._storage = self._make_storage(getattr(bench, "display", None))
         self._controller: Controller | None = None
 
     def _open(self) -> None:
         options = self._options
-        wire, self._serial = connect(self._hid or hidapi(self.name), self.name, options.serial)
+        wire, self._serial = connect(self._hid or load_hidapi(self.name), self.name, options.serial)
         link = Link(wire, self._clock, self.name, options.checks_echo)
         self._controller = controller = Controller(link, self._clock, self.name)
         link.drain()
@@ -148,7 +199,7 @@ class Dlp4500(Projector):
         controller.check_health()
         controller.go_dark()
         self._storage.open(controller)
-        controller.plain()
+        controller.reset_image_options()
         controller.set_led_levels(options.led_levels.model_dump(), options.led_inverted)
         first, second = options.trigger_out_1, options.trigger_out_2
         controller.set_trigger_out_1(first.inverted, first.rising_us, first.falling_us)
@@ -156,7 +207,7 @@ class Dlp4500(Projector):
 
     def _close(self) -> None:
         controller, self._controller = self._controller, None
-        with ExitStack() as ends:  # each whatever becomes of those before
+        with ExitStack() as ends:  # each is tried even if the others fail
             ends.callback(self._storage.close)
             if controller is not None:
                 ends.callback(controller.link.close)
@@ -165,7 +216,7 @@ class Dlp4500(Projector):
     def _info(self) -> DeviceInfo:
         board = self._board
         with board.dark_on_failure():
-            model = f"DLP LightCrafter 4500, firmware {board.version()} {board.tag()}"
+            model = f"DLP LightCrafter 4500, firmware {board.version()} {board.firmware_tag()}"
         return DeviceInfo("projector", model.strip(), self._serial, "USB HID")
 
     def _caps(self) -> ProjectorCaps:
@@ -175,7 +226,7 @@ class Dlp4500(Projector):
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]
         self._storage.load(self._board, shown)
-        self._board.go_dark()  # what is still on show gives pulses: an armed camera would take them
+        self._board.go_dark()  # a pattern still shown sends trigger pulses, which an armed camera would take
         return shown
 
     def _show(self, i: int) -> None:
@@ -189,7 +240,7 @@ class Dlp4500(Projector):
         self._storage.check_played(self._board)
 
     def _make_storage(self, display: Display | None) -> Storage:
-        """The flash by its index, or the video port by the bench's display or the rig file's."""
+        """Create the source of the patterns: flash, or the display given by the bench or the rig file."""
         options = self._options
         if options.video is None:
             assert options.flash is not None

@@ -1,6 +1,6 @@
-"""The video port: a display of this computer on which one frame at a time stands still.
+"""The video port: a display of this computer that holds one frame at a time.
 
-Proven with SDL's dummy display and under a virtual X server only: no projector has shown a frame of it yet.
+Tested with SDL's dummy display and a virtual X server only, not yet with a projector.
 """
 
 from __future__ import annotations
@@ -20,39 +20,62 @@ from drivers.dlp4500.sequence import SIZE
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
-"""How long the process may take to open the display, to put a frame up, and to end."""
+"""Time limits in s for the process to open the display, to show a frame, and to end."""
 
 VideoFrame = NDArray[np.uint8]
-"""(height, width, 3): red, green, blue."""
+"""uint8 (height, width, 3): red, green, blue."""
 
 
 class Display(Protocol):
-    """What the projector's video port is connected to.
+    """The display that the projector's video port is connected to.
 
-    vsync_s: period of its frames in s, known once open.
+    Attributes
+    ----------
+    vsync_s : float
+        Period of the video frames in s; known once open.
     """
 
     vsync_s: float
 
     def open(self) -> None:
-        """Take the display, and show black. Raises `DeviceError` when that cannot be."""
+        """Open the display and show black, or raise `DeviceError` when that is not possible."""
 
     def show(self, frame: VideoFrame) -> None:
-        """Put up one frame, uint8 (1140, 912, 3); returns when it is certainly on the wire, and stays.
+        """Show one frame, which stays until the next; return when it is certainly transmitted.
 
-        Raises `DeviceError`.
+        Parameters
+        ----------
+        frame : ndarray
+            uint8 (1140, 912, 3): red, green, blue.
+
+        Raises
+        ------
+        DeviceError
+            The frame cannot be shown.
         """
 
     def close(self) -> None:
-        """Let go of it; legal at any time, any number of times."""
+        """Close the display; may be called at any time, any number of times."""
 
 
 class SdlDisplay:
-    """A display through SDL: full screen, pixel by pixel, in a process of its own.
+    """A full-screen window on a display through SDL, in a process of its own.
 
-    SDL must have a process's main thread. Frames go to it over shared memory.
+    SDL needs the main thread of a process. Frames are passed to it in shared memory.
 
-    name: the projector's, for errors. wanted: index or name of the display. size: what it must have.
+    Parameters
+    ----------
+    name : str
+        The projector's name, for errors.
+    wanted : int or str
+        Index or name of the display.
+    size : tuple of int
+        Width and height that the display must have, in px.
+
+    Attributes
+    ----------
+    vsync_s : float
+        Period of the video frames in s; known once open.
     """
 
     def __init__(self, name: str, wanted: int | str, size: tuple[int, int] = SIZE) -> None:
@@ -65,14 +88,21 @@ class SdlDisplay:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process, or None when there is none."""
+        """Process id; None while there is no process."""
         return self._process.pid if self._process is not None else None
 
     def open(self) -> None:
         """Start the process and wait for the display.
 
-        Raises `DeviceError` when there is no such display, or it has another size (with a list of those there
-        are), or cannot be locked to; `DisconnectedError` and `DeviceTimeoutError` for the process.
+        Raises
+        ------
+        DeviceError
+            There is no such display, it has another size (the message lists those present), or drawing does
+            not follow its refresh rate.
+        DisconnectedError
+            The process has died.
+        DeviceTimeoutError
+            The process does not answer.
         """
         self.close()
         height, width, _ = self._shape
@@ -88,26 +118,39 @@ class SdlDisplay:
             )
             self._process.start()
         finally:
-            theirs.close()  # only theirs being open tells that the process lives
+            theirs.close()  # so that the pipe ends when the process does
         self.vsync_s = self._answer("open", START_S)
 
     def show(self, frame: VideoFrame) -> None:
-        """Put up one frame, uint8 (height, width, 3); returns when it is on the wire.
+        """Show one frame; return when it is transmitted. After an error of the device the display is closed.
 
-        Raises `DeviceError` when it does not look as it should, `DisconnectedError` when the process has
-        died, `DeviceTimeoutError` when it hangs; after any of them the display is closed.
+        Parameters
+        ----------
+        frame : ndarray
+            uint8 (height, width, 3): red, green, blue.
+
+        Raises
+        ------
+        ValueError
+            The frame has another shape or dtype.
+        DeviceError
+            The frame is not drawn as given.
+        DisconnectedError
+            The display is not open, or the process has died.
+        DeviceTimeoutError
+            The process does not answer.
         """
         if frame.shape != self._shape or frame.dtype != np.uint8:
             raise ValueError(f"a frame is uint8 {self._shape}, not {frame.dtype} {frame.shape}")
         if self._connection is None or self._memory is None:
             raise DisconnectedError(self._name, "video", "its display is not open", "open it first")
         np.copyto(np.ndarray(self._shape, np.uint8, self._memory.buf), frame)
-        with suppress(OSError):  # what it said before it went is still to be read
+        with suppress(OSError):  # an answer sent before the process ended is still to be read
             self._connection.send(screen.SHOW)
         self._answer("video", SHOW_S)
 
     def close(self) -> None:
-        """Let go of the display and end the process."""
+        """Close the display and end the process; may be called at any time, any number of times."""
         if self._connection is not None:
             self._connection.close()  # which ends the process
         if self._process is not None and self._process.pid is not None:
@@ -121,29 +164,32 @@ class SdlDisplay:
             self._memory.unlink()
         self._process = self._connection = self._memory = None
 
-    def _answer(self, doing: str, timeout_s: float) -> float:
-        """Wait for the process; anything but its answer, an interruption too, ends it."""
+    def _answer(self, operation: str, timeout_s: float) -> float:
+        """Wait for the process's answer; any failure, including an interruption, ends the process."""
         assert self._connection is not None
         try:
             if not self._connection.poll(timeout_s):
                 raise DeviceTimeoutError(
-                    self._name, doing, f"its display did not answer within {timeout_s:g} s", "try it again"
+                    self._name,
+                    operation,
+                    f"its display did not answer within {timeout_s:g} s",
+                    "try it again",
                 )
             answer = self._connection.recv()
-            if isinstance(answer, screen.Failure):
-                raise DeviceError(self._name, doing, answer.found, answer.remedy)
+            if isinstance(answer, screen.ScreenFailure):
+                raise DeviceError(self._name, operation, answer.found, answer.remedy)
             return float(answer)
         except (OSError, EOFError) as error:
-            raise self._dead(doing) from error
+            raise self._dead(operation) from error
         except BaseException:
             self.close()
             raise
 
-    def _dead(self, doing: str) -> DisconnectedError:
+    def _dead(self, operation: str) -> DisconnectedError:
         assert self._process is not None
         self._process.join(STOP_S)
         code = self._process.exitcode
         self.close()
         return DisconnectedError(
-            self._name, doing, f"the process of its display has died (exit code {code})", "open it again"
+            self._name, operation, f"the process of its display has died (exit code {code})", "open it again"
         )

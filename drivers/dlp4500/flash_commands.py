@@ -1,6 +1,6 @@
-"""`fpplab dlp4500 build|upload|…`: what is in the projector's flash.
+"""`fpplab dlp4500 build|upload`: patterns in the projector's flash.
 
-Heavy modules are imported where they are used, so that `--help` is at once.
+Modules that load slowly are imported where they are used, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ def build(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Build a firmware file that holds a plan's patterns, for the projector to show by itself.
+    """Build a firmware file that contains a plan's patterns, for the projector to show from flash.
 
-    Three patterns of 8 bits go into each image, in green, red and blue, for the diamond lattice of
-    the mirrors and through the plan's response; the greys of `fpplab gamma` and `fpplab check` follow them.
-    The images of BASE are left out, its program stays as it is.
-    Beside OUT is left the index, a .yaml, that says which pattern is where: the rig file names it as `flash`.
+    Three patterns of 8 bits go into each image, in green, red and blue, sampled on the diamond lattice of the
+    mirrors and corrected with the plan's response; the grey levels of `fpplab gamma` and `fpplab check`
+    follow. The images of BASE are replaced, its program is not changed. An index, a .yaml file beside OUT,
+    lists where each pattern is: the rig file names it as `flash`.
 
     Example: `fpplab dlp4500 build plan_paper.yaml --base DLPR350PROM.bin --out patterns.bin`
     """
-    from drivers.dlp4500.flash.firmware import Firmware, arranged
+    from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
     from drivers.dlp4500.index import FlashIndex
     from drivers.dlp4500.sequence import SIZE
     from fpplab.acquisition.sync_check import marker
@@ -59,7 +59,7 @@ def build(
         greys = sorted({*chosen.greys.shown, *marker().tolist()})
         patterns = [*make_patterns(chosen, SIZE, Lattice.DIAMOND), *uniform_patterns(greys, SIZE)]
         built = firmware.with_patterns(patterns, out)
-        listed = FlashIndex.of(patterns, arranged(patterns))
+        listed = FlashIndex.of(patterns, arrange_patterns(patterns))
     write_atomic(out, lambda stream: stream.write(built.content))
     write_text(index, config.dump(listed))
     result = {
@@ -80,32 +80,32 @@ def upload(
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
 ) -> None:
-    """Write the patterns of a built firmware file into the projector.
+    """Write the patterns of a built firmware file into the projector's flash.
 
-    Says what will be erased and asks. Only sectors of images and, when these move, the one of the flash table
-    are written, never the boot loader; each is compared by checksum. After an interruption give the same
-    command again: it goes on.
+    Lists what will be erased and asks. Only the sectors of the images are written and, when these move, the
+    one of the flash table, never the boot loader; each is compared by checksum. After an interruption, give
+    the same command again: it continues.
 
-    Proven on an emulated projector only: have the maker's own tool and firmware at hand.
+    Tested on an emulated projector only: have TI's own tool and firmware at hand.
 
     Example: `fpplab dlp4500 upload patterns.bin`
     """
     from drivers.clock import RealClock
     from drivers.dlp4500.flash.firmware import Firmware
-    from drivers.dlp4500.flash.loader import programming
-    from drivers.dlp4500.flash.upload import check_firmware, perform, prepare, verify_image_count
+    from drivers.dlp4500.flash.loader import boot_loader_session
+    from drivers.dlp4500.flash.upload import check_firmware, perform_upload, plan_upload, verify_image_count
 
     built = Firmware.load(firmware)
     check_firmware(built)
     with console.stopwatch() as seconds:
-        with programming(lambda: connect_projector(serial), RealClock(), NAME) as loader:
-            work = prepare(built, loader)
-            for sentence in work.words:
+        with boot_loader_session(lambda: connect_projector(serial), RealClock(), NAME) as loader:
+            work = plan_upload(built, loader)
+            for sentence in work.summary:
                 console.say(sentence)
             if not (yes or _agreed()):
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
-                perform(built, loader, work, report)
+                perform_upload(built, loader, work, report)
         with closing(connect_projector(serial)) as link:
             verify_image_count(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)

@@ -1,11 +1,11 @@
-"""Messages of the DLPC350 and the 64-byte USB reports that carry them, in either direction.
+"""Messages of the DLPC350 and the 64-byte USB reports that carry them, in both directions.
 
-A message is a header (flags, sequence, length u16 little-endian) and a payload. The first report holds the
-header and up to 60 bytes of payload, every further one 64 bytes of payload and no header. What follows the
-payload in the last report is padding. A request's payload is the command, u16 little-endian, and its data; a
-reply's payload is data alone: the command is not echoed.
+A message is a header (flags, sequence number, length as u16 little-endian) and a payload. The first report
+holds the header and up to 60 bytes of payload, every further one 64 bytes of payload and no header. Bytes
+after the payload in the last report are padding. A request's payload is the command, u16 little-endian, and
+its data; a reply's payload is data alone: the command is not echoed.
 
-Source: TI's DLPC350 client (API 4.0) and its recorded packets. Nothing here has been near a board.
+Source: TI's DLPC350 client (API 4.0) and its recorded packets. Not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -16,19 +16,32 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 REPORT_BYTES = 64
+"""Size of every USB report."""
 HEADER_BYTES = 4
+"""Size of a message's header."""
 FIRST_BYTES = REPORT_BYTES - HEADER_BYTES
+"""Payload bytes in the first report of a message."""
 MOST_PAYLOAD = 512 - HEADER_BYTES
-"""The client's message buffer holds 512 bytes."""
+"""Longest payload: the client's message buffer holds 512 bytes."""
 
 READ, REPLY_WANTED, ERROR = 0x80, 0x40, 0x20
-"""Flags. The error bit comes from the device alone."""
+"""Flags of a header. The error bit is set by the device only."""
 DESTINATION = 0x07
-"""Bits of the flags that say whom the message is for; 0, the projector's control, is the only one used."""
+"""Mask of the flags that select the addressee; 0, the projector's control, is the only one used."""
 
 
 class Header(NamedTuple):
-    """The first four bytes of a message; `length` counts the payload."""
+    """The first four bytes of a message.
+
+    Attributes
+    ----------
+    flags : int
+        Combination of `READ`, `REPLY_WANTED` and `ERROR`.
+    sequence : int
+        Sequence number, 0 to 255.
+    length : int
+        Bytes of payload.
+    """
 
     flags: int
     sequence: int
@@ -37,7 +50,17 @@ class Header(NamedTuple):
 
 @dataclass(frozen=True)
 class UsbMessage:
-    """One request or one reply."""
+    """One request or one reply.
+
+    Attributes
+    ----------
+    flags : int
+        Combination of `READ`, `REPLY_WANTED` and `ERROR`.
+    sequence : int
+        Sequence number, 0 to 255.
+    payload : bytes
+        Up to 508 bytes: command and data of a request, data of a reply.
+    """
 
     flags: int
     sequence: int
@@ -45,13 +68,21 @@ class UsbMessage:
 
     @property
     def failed(self) -> bool:
-        """Whether the device says that it did not do what was asked."""
+        """Whether the device reports that it did not execute the request."""
         return bool(self.flags & ERROR)
 
     def reports(self) -> list[bytes]:
-        """The reports that carry it, each 64 bytes, padded with zeros.
+        """Split the message into USB reports.
 
-        Raises `ValueError` for a payload beyond 508 bytes.
+        Returns
+        -------
+        list of bytes
+            Reports of 64 bytes each, the last one padded with zeros.
+
+        Raises
+        ------
+        ValueError
+            The payload has more than 508 bytes.
         """
         if len(self.payload) > MOST_PAYLOAD:
             raise ValueError(f"a payload of {len(self.payload)} bytes: at most {MOST_PAYLOAD}")
@@ -62,15 +93,45 @@ class UsbMessage:
         ]
 
 
-def request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
-    """A request: `command` and its data."""
+def make_request(command: int, data: bytes, sequence: int, flags: int) -> UsbMessage:
+    """Build a request.
+
+    Parameters
+    ----------
+    command : int
+        Number of the command, 16 bits.
+    data : bytes
+        Data of the command.
+    sequence : int
+        Sequence number, 0 to 255.
+    flags : int
+        Combination of `READ` and `REPLY_WANTED`.
+
+    Returns
+    -------
+    UsbMessage
+        The request.
+    """
     return UsbMessage(flags, sequence, struct.pack("<H", command) + data)
 
 
-def header(report: bytes) -> Header:
-    """The header in a message's first report.
+def parse_header(report: bytes) -> Header:
+    """Parse the header in the first report of a message.
 
-    Raises `ValueError` for a report that is not 64 bytes, and for a length that no message has.
+    Parameters
+    ----------
+    report : bytes
+        The report, 64 bytes.
+
+    Returns
+    -------
+    Header
+        Its header.
+
+    Raises
+    ------
+    ValueError
+        The report does not have 64 bytes, or the length exceeds that of any message.
     """
     if len(report) != REPORT_BYTES:
         raise ValueError(f"a report of {len(report)} bytes: {REPORT_BYTES}")
@@ -80,17 +141,41 @@ def header(report: bytes) -> Header:
     return found
 
 
-def further_reports(length: int) -> int:
-    """How many reports follow the first one of a message whose payload has `length` bytes."""
+def continuation_reports(length: int) -> int:
+    """Count the reports that follow the first one of a message.
+
+    Parameters
+    ----------
+    length : int
+        Bytes of the message's payload.
+
+    Returns
+    -------
+    int
+        Number of further reports.
+    """
     return max(0, -(-(length - FIRST_BYTES) // REPORT_BYTES))
 
 
-def joined(reports: Sequence[bytes]) -> UsbMessage:
-    """The message that `reports`, all of it and no more, carry.
+def join_reports(reports: Sequence[bytes]) -> UsbMessage:
+    """Reassemble a message from its reports.
 
-    Raises `ValueError` when their number or size is not what the header says.
+    Parameters
+    ----------
+    reports : sequence of bytes
+        All reports of one message, in order.
+
+    Returns
+    -------
+    UsbMessage
+        The message.
+
+    Raises
+    ------
+    ValueError
+        Number or size of the reports does not agree with the header.
     """
-    flags, sequence, length = header(reports[0])
-    if len(reports) != 1 + further_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
+    flags, sequence, length = parse_header(reports[0])
+    if len(reports) != 1 + continuation_reports(length) or any(len(r) != REPORT_BYTES for r in reports):
         raise ValueError(f"{len(reports)} reports for a payload of {length} bytes")
     return UsbMessage(flags, sequence, b"".join(reports)[HEADER_BYTES : HEADER_BYTES + length])

@@ -1,4 +1,4 @@
-"""Patterns that are in the projector's flash."""
+"""Patterns in the projector's flash."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.dlp4500.sequence import (
     Program,
     Slot,
     flash_program,
-    still,
+    still_program,
 )
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, ConfigError, SettingError, SyncError
@@ -22,9 +22,21 @@ from fpplab.patterns.fringes import Pattern
 
 
 class InFlash:
-    """What the flash holds by its index file.
+    """Storage of patterns in flash, found by an index file.
 
-    name: the projector's, for errors. leds: those that light the patterns.
+    Parameters
+    ----------
+    name : str
+        The projector's name, for errors.
+    index_file : str
+        Index of the patterns in flash, see `drivers.dlp4500.index`.
+    leds : tuple of str
+        Colours of the LEDs that light the patterns.
+
+    Raises
+    ------
+    ConfigError
+        The index cannot be read.
     """
 
     def __init__(self, name: str, index_file: str, leds: tuple[str, ...]) -> None:
@@ -33,45 +45,91 @@ class InFlash:
 
     @property
     def depths(self) -> set[int]:
-        """The bit depths that there are."""
+        """Bit depths of the patterns in the index."""
         return self._index.depths
 
     def open(self, board: Controller) -> None:
-        """Raises `ConfigError` when the index names images that the flash has not."""
+        """Enter pattern mode and compare the index with the number of images in flash.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+
+        Raises
+        ------
+        ConfigError
+            The index names images that are not in flash.
+        """
         self._slots: list[Slot] = []
         self._load_us: dict[int, int] = {}
         self._played = self._forced_before = False
-        board.show_mode(DisplayMode.PATTERN)
-        count = board.images_in_flash() or 256  # which the count cannot tell from 0
+        board.set_display_mode(DisplayMode.PATTERN)
+        count = board.images_in_flash() or 256  # the count cannot distinguish 256 from 0
         last = max(pattern.image for pattern in self._index.patterns)
         if last >= count:
             raise ConfigError(f"{self._file}: 'image' is {last}: the projector has images 0 to {count - 1}")
 
     def close(self) -> None:
-        """The flash keeps what it holds."""
+        """Do nothing: flash keeps its contents."""
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Find each pattern.
+        """Find each pattern in flash, and measure the load times where more than two images are needed.
 
-        Raises `CapabilityError` for one that is not there, `SettingError` for too many.
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        patterns : sequence of Pattern
+            Patterns with the grey levels that the mirrors show.
+
+        Raises
+        ------
+        CapabilityError
+            A pattern is not in flash.
+        SettingError
+            There are too many patterns or images.
         """
         slots = [self._find(pattern) for pattern in patterns]
         changes = 1 + sum(a.image != b.image for a, b in pairwise(slots))
         if changes > PRELOADED_IMAGES:
             with board.dark_on_failure():
                 for image in {slot.image for slot in slots} - set(self._load_us):
-                    self._load_us[image] = board.load_us(image)
+                    self._load_us[image] = board.image_load_us(image)
         self._program(slots, max(LEAST_EXPOSURE_US[slot.bits] for slot in slots))
         self._slots = slots
 
     def show(self, board: Controller, i: int) -> None:
-        """One pattern, again and again."""
+        """Show one pattern until told otherwise.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        i : int
+            Index of the pattern.
+        """
         slot = self._slots[i]
         with board.dark_on_failure():
-            board.run(still(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
+            board.run(still_program(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
-        """All patterns, one after the other, once."""
+        """Start a run of all patterns; returns once it has begun.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        exposure_us : int
+            Exposure of each pattern in µs.
+        dark_us : int
+            Dark time after each pattern in µs.
+
+        Raises
+        ------
+        SettingError
+            The exposure is out of range.
+        """
         program = self._program(self._slots, exposure_us, dark_us)
         with board.dark_on_failure():
             self._forced_before = board.has_forced_swap()
@@ -79,13 +137,24 @@ class InFlash:
         self._played = True
 
     def check_played(self, board: Controller) -> None:
-        """Raise `SyncError` when an image came too late in what was played."""
+        """Check that every image was loaded in time.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+
+        Raises
+        ------
+        SyncError
+            An older image was shown in place of one that was loaded too late.
+        """
         played, self._played = self._played, False
         if played and not self._forced_before and board.has_forced_swap():
             raise SyncError(
                 self._name,
                 "play",
-                "an image was not loaded in time, and an old one was shown in its place",
+                "an image was not loaded in time, and an older one was shown in its place",
                 "expose longer, or put the patterns into fewer images",
             )
 
@@ -101,7 +170,7 @@ class InFlash:
             raise CapabilityError(
                 self._name,
                 "load",
-                f"the flash does not hold pattern {pattern.id}, {pattern.bit_depth} bits, as it is planned",
-                "build the plan's image and upload it",
+                f"the flash does not contain pattern {pattern.id}, {pattern.bit_depth} bits, of this plan",
+                "build the plan's firmware file and upload it",
             )
         return found.slot

@@ -1,10 +1,10 @@
-"""Which pattern is where in the projector's flash.
+"""Index of the patterns in the projector's flash.
 
     patterns:
       - {id: x1-00, image: 0, number: 0, bits: 8, sha256: 6f0c...}
 
-A pattern is known by what it shows, not by its name alone: the checksum is of its grey levels as the
-projector shows them. So a plan whose patterns are not the ones in flash is refused, never shown wrong.
+A pattern is identified by its contents, not by its name alone: the checksum is that of its grey levels as
+the projector shows them. A plan whose patterns are not those in flash is therefore refused.
 """
 
 from __future__ import annotations
@@ -24,33 +24,75 @@ from fpplab.patterns.fringes import Pattern, quantise
 
 
 def shown_image(pattern: Pattern) -> NDArray[np.uint8]:
-    """The grey levels that mirrors make of a pattern at its depth, uint8 (height, width), scale 0 … 255."""
+    """Compute the grey levels that the mirrors show of a pattern at its bit depth.
+
+    Parameters
+    ----------
+    pattern : Pattern
+        The pattern.
+
+    Returns
+    -------
+    ndarray
+        uint8 (height, width), scale 0 to 255.
+    """
     levels = quantise(np.arange(256) / 255.0, pattern.bit_depth)
     return np.asarray(levels[pattern.image], np.uint8)
 
 
 def index_checksum(image: NDArray[np.uint8]) -> str:
-    """SHA-256 of grey levels, row by row."""
+    """Compute the checksum by which a pattern is identified.
+
+    Parameters
+    ----------
+    image : ndarray
+        Grey levels, uint8 (height, width).
+
+    Returns
+    -------
+    str
+        SHA-256 of the grey levels row by row, in hexadecimal.
+    """
     return hashlib.sha256(image.tobytes()).hexdigest()
 
 
 class FlashPattern(Document):
-    """One pattern in flash: image and number say where, sha256 what (see `index_checksum`)."""
+    """One pattern in flash: its location and its checksum."""
 
     id: str
+    """Name of the pattern in its plan."""
     image: Annotated[int, Field(ge=0, lt=MOST_VARIABLE_IMAGES)]
+    """Index of the flash image."""
     number: Annotated[int, Field(ge=0, le=23)]
+    """Pattern number within the image."""
     bits: Annotated[int, Field(ge=1, le=8)] = 8
+    """Bit depth."""
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """Checksum of the grey levels that the mirrors show."""
 
     @property
     def slot(self) -> Slot:
-        """Where it is."""
+        """Location of the pattern."""
         return Slot(self.image, self.number, self.bits)
 
     @classmethod
     def of(cls, pattern: Pattern, image: int, number: int) -> FlashPattern:
-        """The entry of a pattern that is put there."""
+        """Create the entry of a pattern.
+
+        Parameters
+        ----------
+        pattern : Pattern
+            The pattern.
+        image : int
+            Index of the flash image.
+        number : int
+            Pattern number within the image.
+
+        Returns
+        -------
+        FlashPattern
+            The entry.
+        """
         return cls(
             id=pattern.id,
             image=image,
@@ -61,22 +103,51 @@ class FlashPattern(Document):
 
 
 class FlashIndex(Document):
-    """Everything that is in flash."""
+    """All patterns in flash."""
 
     patterns: Annotated[tuple[FlashPattern, ...], Field(min_length=1)]
+    """The patterns, in the order of their images."""
 
     @classmethod
     def of(cls, patterns: Sequence[Pattern], slots: Sequence[Slot]) -> FlashIndex:
-        """The index of patterns that are put into these places."""
+        """Create the index of patterns.
+
+        Parameters
+        ----------
+        patterns : sequence of Pattern
+            The patterns.
+        slots : sequence of Slot
+            Their locations, in the same order.
+
+        Returns
+        -------
+        FlashIndex
+            The index.
+        """
         places = zip(patterns, slots, strict=True)
         return cls(patterns=tuple(FlashPattern.of(p, at.image, at.number) for p, at in places))
 
     @property
     def depths(self) -> set[int]:
-        """The bit depths that there are."""
+        """Bit depths of the patterns."""
         return {pattern.bits for pattern in self.patterns}
 
     def find(self, name: str, bits: int, sha256: str) -> FlashPattern | None:
-        """The pattern that shows this, the one of that name among equals; None where there is none."""
+        """Find a pattern by its contents.
+
+        Parameters
+        ----------
+        name : str
+            Name of the pattern; decides among several with the same contents.
+        bits : int
+            Bit depth.
+        sha256 : str
+            Checksum, see `index_checksum`.
+
+        Returns
+        -------
+        FlashPattern or None
+            The entry; None where flash holds no such pattern.
+        """
         alike = [p for p in self.patterns if (p.bits, p.sha256) == (bits, sha256)]
         return next((p for p in alike if p.id == name), alike[0] if alike else None)

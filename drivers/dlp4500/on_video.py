@@ -1,7 +1,7 @@
 """Patterns that a display of the computer sends to the projector's video port.
 
-The display holds one frame still, and the projector takes what it needs from it. So neither has to keep up
-with the other: whatever delays a frame, no pattern is shown in place of another.
+The display holds one frame, and the projector takes the patterns from it. Neither has to keep up with the
+other: whatever delays a frame, no pattern is shown in place of another.
 """
 
 from __future__ import annotations
@@ -14,77 +14,133 @@ import numpy as np
 from drivers.clock import Clock
 from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.display import Display
-from drivers.dlp4500.packing import Planes, in_frames, packed
+from drivers.dlp4500.packing import Planes, assign_slots, pack_images
 from drivers.dlp4500.protocol import DisplayMode
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, numbers, video_program
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, pattern_numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
-"""Of a pixel's colours, where planes have green, red, blue."""
-MOST_IN_FRAME = len(numbers(1))
+"""Colour plane of each channel of a video frame; planes are in the order green, red, blue."""
+MOST_IN_FRAME = len(pattern_numbers(1))
+"""Patterns of one bit in a frame."""
 
 
 class OnVideo:
-    """What the computer has in memory.
+    """Storage of patterns in the computer's memory, sent over the video port.
 
-    name: the projector's, for errors. leds: those that light the patterns.
+    Parameters
+    ----------
+    name : str
+        The projector's name, for errors.
+    display : Display
+        The display that the video port is connected to.
+    clock : Clock
+        For waits.
+    leds : tuple of str
+        Colours of the LEDs that light the patterns.
     """
 
     def __init__(self, name: str, display: Display, clock: Clock, leds: tuple[str, ...]) -> None:
         self._name, self._display, self._clock, self._leds = name, display, clock, leds
         self._patterns: Sequence[Pattern] = ()
         self._slots: list[Slot] = []
-        self._up: int | None = None
+        self._displayed_image: int | None = None
         """The frame that the display holds."""
 
     @property
     def depths(self) -> set[int]:
-        """The bit depths of which a frame is long enough for one pattern."""
+        """Bit depths of which at least one pattern fits into a frame."""
         return {bits for bits, least_us in LEAST_EXPOSURE_US.items() if least_us <= self._frame_us}
 
     def open(self, board: Controller) -> None:
-        """Take the display, and follow its signal. Raises what `Display.open` and `select_video` do."""
+        """Open the display, and have the projector synchronise to its signal before pattern mode.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+
+        Raises
+        ------
+        DeviceError
+            The display cannot be used, or there is no stable signal (see `Display.open`,
+            `Controller.select_video`).
+        """
         self._display.open()
         board.select_video()
-        board.show_mode(DisplayMode.PATTERN)
+        board.set_display_mode(DisplayMode.PATTERN)
         self.load(board, ())
 
     def close(self) -> None:
-        """Let go of the display."""
+        """Close the display."""
         self._display.close()
 
     def load(self, board: Controller, patterns: Sequence[Pattern]) -> None:
-        """Say which pattern will be in which frame."""
-        self._patterns, self._slots, self._up = patterns, in_frames(patterns, MOST_IN_FRAME), None
+        """Assign the patterns to frames.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        patterns : sequence of Pattern
+            Patterns with the grey levels that the mirrors show.
+        """
+        self._patterns, self._slots, self._displayed_image = (
+            patterns,
+            assign_slots(patterns, MOST_IN_FRAME),
+            None,
+        )
 
     def show(self, board: Controller, i: int) -> None:
-        """One pattern in every frame, as long as it lasts."""
+        """Show one pattern in every frame, for the whole frame.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        i : int
+            Index of the pattern.
+        """
         slot = self._slots[i]
         program = video_program([slot], self._frame_us, self._frame_us, self._leds, repeat=True)
         with board.dark_on_failure():
-            if slot.image != self._up:
-                self._put_up(slot.image)
+            if slot.image != self._displayed_image:
+                self._display_image(slot.image)
             board.run(program)
-            self._clock.sleep(self._display.vsync_s)  # it begins with a frame
+            self._clock.sleep(self._display.vsync_s)  # the pattern begins with the next frame
 
     def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
-        """All patterns, frame by frame: put it up, show once what is in it, wait until that has ended.
+        """Show all patterns once, frame by frame, and wait for the end of each frame's patterns.
 
-        Raises `SettingError` for an exposure longer than a frame, `CapabilityError` for darkness.
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        exposure_us : int
+            Exposure of each pattern in µs.
+        dark_us : int
+            Dark time after each pattern in µs; only 0 is possible.
+
+        Raises
+        ------
+        SettingError
+            The exposure is longer than a frame.
+        CapabilityError
+            Dark time is asked for.
         """
         if dark_us:
             raise CapabilityError(
                 self._name,
                 "play",
-                "the video port has no dark between patterns, which a global reset needs",
+                "the video port has no dark time between patterns, which a global reset shutter needs",
                 "use flash, or a rolling shutter",
             )
         if exposure_us > self._frame_us:
             raise SettingError(
                 self._name,
                 "play",
-                f"{exposure_us} µs for a pattern, and frames of the video port last {self._frame_us} µs",
+                f"the exposure is {exposure_us} µs, and frames of the video port last {self._frame_us} µs",
                 "expose shorter, slow the display down, use flash, or use a stepped plan",
             )
         with board.dark_on_failure():
@@ -92,17 +148,23 @@ class OnVideo:
             self._play_frames(board, exposure_us)
 
     def check_played(self, board: Controller) -> None:
-        """Every frame was waited for already."""
+        """Do nothing: `play` has waited for the end of every frame.
+
+        Parameters
+        ----------
+        board : Controller
+            The projector's controller.
+        """
 
     @property
     def _frame_us(self) -> int:
         return int(self._display.vsync_s * 1e6)
 
     def _play_frames(self, board: Controller, exposure_us: int) -> None:
-        slots = in_frames(self._patterns, self._frame_us // exposure_us)
+        slots = assign_slots(self._patterns, self._frame_us // exposure_us)
         groups = [list(group) for _, group in groupby(slots, lambda slot: slot.image)]
-        self._up, prepared = None, None
-        for frame, group in zip(packed(self._patterns, slots), groups, strict=True):
+        self._displayed_image, prepared = None, None
+        for frame, group in zip(pack_images(self._patterns, slots), groups, strict=True):
             board.leds_off()
             self._show_planes(frame)
             program = video_program(group, exposure_us, self._frame_us, self._leds)
@@ -112,12 +174,13 @@ class OnVideo:
             board.start(program)
             board.await_end(program)
 
-    def _put_up(self, image: int) -> None:
-        self._up = None
+    def _display_image(self, image: int) -> None:
+        self._displayed_image = None
         there = [i for i, slot in enumerate(self._slots) if slot.image == image]
         chosen = slice(there[0], there[-1] + 1)
-        self._show_planes(next(packed(self._patterns[chosen], self._slots[chosen])))
-        self._up = image
+        self._show_planes(next(pack_images(self._patterns[chosen], self._slots[chosen])))
+        self._displayed_image = image
 
     def _show_planes(self, image: Planes) -> None:
+        """Show an image, whose planes are green, red and blue, as a video frame."""
         self._display.show(np.ascontiguousarray(image[..., RGB]))

@@ -1,4 +1,4 @@
-"""Patterns into the 24 bit planes of an image, for flash and for the video port alike."""
+"""Packing of patterns into the 24 bit planes of an image, for flash and video port."""
 
 from __future__ import annotations
 
@@ -9,28 +9,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.dlp4500.index import shown_image
-from drivers.dlp4500.sequence import SIZE, Slot, numbers, planes
+from drivers.dlp4500.sequence import SIZE, Slot, bit_planes, pattern_numbers
 from fpplab.patterns.fringes import Pattern
 
 Planes = NDArray[np.uint8]
-"""(1140, 912, 3): the planes of green, of red and of blue, in the order of their numbers."""
+"""uint8 (1140, 912, 3): the bit planes of green, red and blue, in the order of their numbers."""
 
 
-def in_frames(patterns: Sequence[Pattern], most: int) -> list[Slot]:
-    """Where each pattern goes: in its order, to a frame as many of one depth as it holds, and `most`."""
+def assign_slots(patterns: Sequence[Pattern], most: int) -> list[Slot]:
+    """Assign patterns to frames in their order, as many of equal bit depth to a frame as it holds.
+
+    Parameters
+    ----------
+    patterns : sequence of Pattern
+        The patterns.
+    most : int
+        Largest number of patterns in a frame.
+
+    Returns
+    -------
+    list of Slot
+        Location of each pattern.
+    """
     slots: list[Slot] = []
     for pattern in patterns:
         image, number, bits = -1, 0, pattern.bit_depth
         if slots:
             image, number = slots[-1].image, slots[-1].number + 1
-        if not slots or bits != slots[-1].bits or number == min(most, len(numbers(bits))):
+        if not slots or bits != slots[-1].bits or number == min(most, len(pattern_numbers(bits))):
             image, number = image + 1, 0
         slots.append(Slot(image, number, bits))
     return slots
 
 
-def packed(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Planes]:
-    """The images in their order, each pattern in the planes of its slot, black where there is none."""
+def pack_images(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Planes]:
+    """Pack patterns into images.
+
+    Parameters
+    ----------
+    patterns : sequence of Pattern
+        The patterns.
+    slots : sequence of Slot
+        Their locations, in the same order and by image.
+
+    Yields
+    ------
+    ndarray
+        One image after the other, see `Planes`; unused bit planes are black.
+    """
     width, height = SIZE
     placed = zip(patterns, slots, strict=True)
     for _, group in groupby(placed, key=lambda pair: pair[1].image):
@@ -41,8 +67,8 @@ def packed(patterns: Sequence[Pattern], slots: Sequence[Slot]) -> Iterator[Plane
 
 
 def _put(image: Planes, levels: NDArray[np.uint8], slot: Slot) -> None:
-    """Write grey levels into the planes of one colour, or of two neighbours."""
-    wanted = planes(slot.bits, slot.number)
+    """Write grey levels into the bit planes of one colour, or of two adjacent ones."""
+    wanted = bit_planes(slot.bits, slot.number)
     colour, shift = divmod(wanted.start, 8)
     full = (1 << slot.bits) - 1
     bits = np.rint(np.arange(256) * (full / 255.0)).astype(np.uint16) << shift

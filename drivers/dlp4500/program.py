@@ -1,4 +1,4 @@
-"""The program `fpplab dlp4500`, to which the files of commands add theirs, and what they have in common."""
+"""The command group `fpplab dlp4500`, which the modules of commands extend, and what these share."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ dlp4500 = typer.Typer(
 """`fpplab dlp4500 …`."""
 
 NAME = "projector"
+"""The projector's name in errors."""
 
 ProjectorSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
@@ -45,6 +46,6 @@ def connect_projector(serial: str | None) -> Link:
         There is none, or several and none is named.
     """
     from drivers.clock import RealClock
-    from drivers.dlp4500.transport import Link, connect, hidapi
+    from drivers.dlp4500.transport import Link, connect, load_hidapi
 
-    return Link(connect(hidapi(NAME), NAME, serial)[0], RealClock(), NAME)
+    return Link(connect(load_hidapi(NAME), NAME, serial)[0], RealClock(), NAME)

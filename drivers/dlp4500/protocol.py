@@ -1,10 +1,10 @@
-"""Every command that runs a bench: its number, and the fields of its data as pure functions.
+"""The commands of the DLPC350 that a projector needs: their numbers, and their data as bit fields.
 
-A `RegisterLayout` is fields of bits, lowest first, which is at once the order of bits in a byte and of bytes in a
-number: everything multi-byte is little-endian. Values are checked when packed and when unpacked, so that
-neither a wrong call nor a wrong answer passes.
+A `RegisterLayout` lists bit fields, lowest first, which is at once the order of bits in a byte and of bytes
+in a number: everything multi-byte is little-endian. Values are checked both when packed and when unpacked,
+so that neither a wrong call nor a wrong reply goes unnoticed.
 
-Source: TI's DLPC350 client (API 4.0), GUI and SDK. Nothing here has been near a board.
+Source: TI's DLPC350 client (API 4.0), GUI and SDK. Not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -18,22 +18,48 @@ Values = dict[str, int]
 
 @dataclass(frozen=True)
 class RegisterField:
-    """One number. allowed: its values, by default all that the bits hold. minus: taken off on the wire.
+    """One number in a register.
 
-    Without a name it is reserved: zero when packed, ignored when unpacked.
+    Attributes
+    ----------
+    name : str
+        Name of the value; empty for reserved bits, which are zero when packed and ignored when unpacked.
+    bits : int
+        Width in bits.
+    allowed : sequence of int
+        Allowed values; empty for all that the bits hold.
+    offset : int
+        Subtracted from the value when it is packed, added when it is unpacked.
     """
 
     name: str
     bits: int
     allowed: Sequence[int] = ()
-    minus: int = 0
+    offset: int = 0
 
     def values(self) -> Sequence[int]:
-        """What it may be."""
-        return self.allowed or range(self.minus, (1 << self.bits) + self.minus)
+        """List the allowed values.
+
+        Returns
+        -------
+        sequence of int
+            `allowed`, or the range that the bits hold.
+        """
+        return self.allowed or range(self.offset, (1 << self.bits) + self.offset)
 
     def check(self, value: int) -> None:
-        """Raise `ValueError` for what it may not be."""
+        """Check that a value is allowed.
+
+        Parameters
+        ----------
+        value : int
+            The value.
+
+        Raises
+        ------
+        ValueError
+            It is not allowed.
+        """
         allowed = self.values()
         if value not in allowed:
             words = f"{allowed[0]} to {allowed[-1]}" if isinstance(allowed, range) else f"one of {allowed}"
@@ -42,13 +68,19 @@ class RegisterField:
 
 @dataclass(frozen=True)
 class RegisterLayout:
-    """Fields, from the lowest bit of the first byte on."""
+    """Bit fields, from the lowest bit of the first byte on.
+
+    Attributes
+    ----------
+    fields : tuple of RegisterField
+        The fields, reserved ones included.
+    """
 
     fields: tuple[RegisterField, ...] = ()
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size in bytes."""
         return sum(field.bits for field in self.fields) // 8
 
     @property
@@ -57,7 +89,23 @@ class RegisterLayout:
         return [field for field in self.fields if field.name]
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """The bytes of `values`, which must name each field; `ValueError` otherwise or out of range."""
+        """Encode values.
+
+        Parameters
+        ----------
+        values : mapping of str to int
+            A value for each field that is not reserved.
+
+        Returns
+        -------
+        bytes
+            The encoded fields, `size` bytes.
+
+        Raises
+        ------
+        ValueError
+            A field is missing, unknown or out of range.
+        """
         names = {field.name for field in self.named}
         if names != set(values):
             raise ValueError(f"the fields are {sorted(names)}, given are {sorted(values)}")
@@ -65,44 +113,92 @@ class RegisterLayout:
         for field in self.fields:
             if field.name:
                 field.check(values[field.name])
-                word |= (values[field.name] - field.minus) << at
+                word |= (values[field.name] - field.offset) << at
             at += field.bits
         return word.to_bytes(self.size, "little")
 
     def unpack(self, data: bytes) -> Values:
-        """The values in `data`; `ValueError` when it has another size or a field is out of range."""
+        """Decode values.
+
+        Parameters
+        ----------
+        data : bytes
+            The encoded fields.
+
+        Returns
+        -------
+        dict of str to int
+            A value for each field that is not reserved.
+
+        Raises
+        ------
+        ValueError
+            The size is wrong, or a field is out of range.
+        """
         if len(data) != self.size:
             raise ValueError(f"{len(data)} bytes of data: {self.size}")
         word, found = int.from_bytes(data, "little"), {}
         for field in self.fields:
             if field.name:
-                found[field.name] = (word & ((1 << field.bits) - 1)) + field.minus
+                found[field.name] = (word & ((1 << field.bits) - 1)) + field.offset
                 field.check(found[field.name])
             word >>= field.bits
         return found
 
 
 @dataclass(frozen=True)
-class Raw:
-    """Bytes that only their reader can tell apart, `least` to `most` of them."""
+class RawBytes:
+    """Data without a bit-field layout.
+
+    Attributes
+    ----------
+    least : int
+        Smallest number of bytes.
+    most : int
+        Largest number of bytes.
+    """
 
     least: int
     most: int
 
     def check(self, data: bytes) -> None:
-        """Raise `ValueError` for another number of bytes."""
+        """Check the number of bytes.
+
+        Parameters
+        ----------
+        data : bytes
+            The data.
+
+        Raises
+        ------
+        ValueError
+            Their number is out of range.
+        """
         if not self.least <= len(data) <= self.most:
             raise ValueError(f"{len(data)} bytes of data: {self.least} to {self.most}")
 
 
-Layout = RegisterLayout | Raw
+Layout = RegisterLayout | RawBytes
 
 
 @dataclass(frozen=True)
 class Command:
-    """written, returned: the data of a write and of the reply to a read; None where there is no such thing.
+    """One command of the controller.
 
-    selector: what a read request carries. acknowledged: whether a write asks for a reply.
+    Attributes
+    ----------
+    name : str
+        Name of the command, for errors.
+    number : int
+        Number of the command, 16 bits.
+    written : RegisterLayout or RawBytes or None
+        Data of a write; None for a command that can only be read.
+    returned : RegisterLayout or RawBytes or None
+        Data of the reply to a read; None for a command that can only be written.
+    selector : RegisterLayout
+        Data of a read request.
+    acknowledged : bool
+        Whether a write asks for a reply.
     """
 
     name: str
@@ -136,19 +232,19 @@ def _words(*names: str) -> RegisterLayout:
 _TABLE: dict[int, Command] = {}
 
 
-def _known(command: Command) -> Command:
+def _declare(command: Command) -> Command:
     _TABLE[command.number] = command
     return command
 
 
 def _register(name: str, number: int, record: Layout) -> Command:
-    """What can be written and read back in the same layout."""
-    return _known(Command(name, number, record, record))
+    """Declare a command that is written and read back in the same layout."""
+    return _declare(Command(name, number, record, record))
 
 
-def _told(name: str, number: int, layout: Layout) -> Command:
-    """What can only be read."""
-    return _known(Command(name, number, None, layout))
+def _read_only(name: str, number: int, layout: Layout) -> Command:
+    """Declare a command that can only be read."""
+    return _declare(Command(name, number, None, layout))
 
 
 class DisplayMode(IntEnum):
@@ -159,7 +255,7 @@ class DisplayMode(IntEnum):
 
 
 class Run(IntEnum):
-    """States of the sequencer, and the orders to be in them."""
+    """States of the sequencer, and the commands to enter them."""
 
     STOP = 0
     PAUSE = 1
@@ -167,14 +263,14 @@ class Run(IntEnum):
 
 
 class Source(IntEnum):
-    """Where patterns come from."""
+    """Source of the patterns."""
 
     VIDEO = 0
     FLASH = 3
 
 
 class TriggerMode(IntEnum):
-    """What advances a sequence."""
+    """What starts the next pattern of a sequence."""
 
     VSYNC = 0
     INTERNAL = 1
@@ -184,7 +280,7 @@ class TriggerMode(IntEnum):
 
 
 class Mailbox(IntEnum):
-    """Which table is open for writing."""
+    """Table that is open for writing."""
 
     CLOSED = 0
     IMAGES = 1
@@ -202,11 +298,13 @@ class PatternTrigger(IntEnum):
 
 
 MOST_ENTRIES, MOST_IMAGES = 128, 64
+"""Largest tables of the modes with one exposure for all patterns."""
 MOST_VARIABLE_ENTRIES, MOST_VARIABLE_IMAGES = 1824, 256
+"""Largest tables of the modes with an exposure for each pattern."""
 
 # --- status, identity, power
 
-HARDWARE_STATUS = _told(
+HARDWARE_STATUS = _read_only(
     "hardware status",
     0x1A0A,
     _record(
@@ -219,8 +317,8 @@ HARDWARE_STATUS = _told(
         RegisterField("sequencer_error", 1),
     ),
 )
-SYSTEM_STATUS = _told("system status", 0x1A0B, _flag("memory_test_passed"))
-MAIN_STATUS = _told(
+SYSTEM_STATUS = _read_only("system status", 0x1A0B, _flag("memory_test_passed"))
+MAIN_STATUS = _read_only(
     "main status",
     0x1A0C,
     _record(
@@ -232,7 +330,8 @@ MAIN_STATUS = _told(
     ),
 )
 PARTS = ("application", "api", "software_config", "sequence_config")
-VERSION = _told(
+"""Parts of the firmware that have a version."""
+VERSION = _read_only(
     "version",
     0x0205,
     RegisterLayout(
@@ -247,9 +346,9 @@ VERSION = _told(
         )
     ),
 )
-FIRMWARE_TAG = _told("firmware tag", 0x1AFF, Raw(1, 32))
-IMAGES_IN_FLASH = _told("images in flash", 0x1A42, _bytes("count"))
-POWER = _known(
+FIRMWARE_TAG = _read_only("firmware tag", 0x1AFF, RawBytes(1, 32))
+IMAGES_IN_FLASH = _read_only("images in flash", 0x1A42, _bytes("count"))
+POWER = _declare(
     Command(
         "power",
         0x0200,
@@ -257,8 +356,8 @@ POWER = _known(
         _record(RegisterField("standby", 2), _gap(6)),
     )
 )
-SOFTWARE_RESET = _known(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
-MEMORY = _known(
+SOFTWARE_RESET = _declare(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
+MEMORY = _declare(
     Command(
         "memory",
         0x1A16,
@@ -314,6 +413,7 @@ TEST_PATTERNS = (
     "colour-bars",
     "step-bars",
 )
+"""Names of the test patterns, in the order of their numbers."""
 TEST_PATTERN = _register(
     "test pattern", 0x1203, _record(RegisterField("pattern", 8, range(len(TEST_PATTERNS))))
 )
@@ -329,11 +429,12 @@ TEST_PATTERN_COLOURS = _register(
     ),
 )
 LOAD_IMAGE = _register("load flash image", 0x1A39, _bytes("index"))
-IMAGE_LOAD_TIMING = _known(
+IMAGE_LOAD_TIMING = _declare(
     Command("image load timing", 0x1A3A, _bytes("first", "count"), _record(RegisterField("ticks", 32)))
 )
 TICKS_PER_MS = 18667
-VIDEO_SIGNAL = _told(
+"""Unit of the image load time."""
+VIDEO_SIGNAL = _read_only(
     "video signal",
     0x071C,
     RegisterLayout(
@@ -358,6 +459,7 @@ VIDEO_SIGNAL = _told(
     ),
 )
 LOCKED = 2
+"""Value of `lock` in the video signal for a stable signal."""
 GAMMA = _register("gamma", 0x1A0E, _record(RegisterField("table", 1), _gap(6), RegisterField("on", 1)))
 
 # --- LEDs
@@ -378,7 +480,9 @@ LED_DELAYS = {
 # --- triggers
 
 ZERO_DELAY, MOST_TRIGGER_DELAY = 0xBB, 0xD5
+"""Codes of a trigger delay of zero, and of the longest one."""
 DELAY_STEP_US = 0.1072
+"""Step of a trigger delay in µs."""
 TRIGGER_OUT_1 = _register(
     "trigger output 1",
     0x1A1D,
@@ -411,19 +515,19 @@ PATTERN_CONFIG = _register(
     "pattern configuration",
     0x1A31,
     _record(
-        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), minus=1),
+        RegisterField("entries", 8, range(1, MOST_ENTRIES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
-        RegisterField("patterns", 8, range(1, 257), minus=1),
-        RegisterField("images", 8, range(1, MOST_IMAGES + 1), minus=1),
+        RegisterField("patterns", 8, range(1, 257), offset=1),
+        RegisterField("images", 8, range(1, MOST_IMAGES + 1), offset=1),
     ),
 )
 VARIABLE_CONFIG = _register(
     "variable-exposure configuration",
     0x1A40,
     _record(
-        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), minus=1),
-        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), minus=1),
+        RegisterField("entries", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("patterns", 16, range(1, MOST_VARIABLE_ENTRIES + 1), offset=1),
+        RegisterField("images", 8, range(1, MOST_VARIABLE_IMAGES + 1), offset=1),
         RegisterField("repeat", 8, range(2)),
     ),
 )
@@ -431,7 +535,7 @@ MAILBOX_ADDRESS = _register(
     "mailbox address", 0x1A32, _record(RegisterField("address", 8, range(MOST_ENTRIES)))
 )
 MAILBOX = _register("mailbox", 0x1A33, _record(RegisterField("table", 8, range(4))))
-MAILBOX_DATA = _register("mailbox data", 0x1A34, Raw(1, 3 * MOST_ENTRIES))
+MAILBOX_DATA = _register("mailbox data", 0x1A34, RawBytes(1, 3 * MOST_ENTRIES))
 VARIABLE_ADDRESS = _register(
     "variable-exposure address", 0x1A3F, _record(RegisterField("address", 16, range(MOST_VARIABLE_ENTRIES)))
 )
@@ -451,7 +555,8 @@ _ENTRY_BITS = (
 ENTRY = RegisterLayout(_ENTRY_BITS)
 """One entry of the pattern table, 3 bytes.
 
-Unlike a command's, the fields take whatever the bits hold: what is wrong with them the validation says.
+Unlike the fields of a command, these take any value that their bits hold: wrong ones are reported by the
+validation.
 """
 VARIABLE_DATA = _register(
     "variable-exposure data",
@@ -467,7 +572,7 @@ VALIDATION = _record(
     _gap(2),
     RegisterField("busy", 1),
 )
-VALIDATE = _known(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
+VALIDATE = _declare(Command("validation", 0x1A1A, _record(_gap(8)), VALIDATION))
 
 COMMANDS: Mapping[int, Command] = _TABLE
-"""By number."""
+"""All commands by number."""

@@ -1,6 +1,6 @@
-"""The process that has a display through SDL: frames come in shared memory, orders over a pipe.
+"""The process that drives a display through SDL: frames come in shared memory, commands over a pipe.
 
-It ends when the other end of the pipe is closed, however that came about.
+It ends when the other end of the pipe is closed, for whatever reason.
 """
 
 from __future__ import annotations
@@ -19,51 +19,91 @@ from statistics import median
 from typing import Any
 
 SHOW = "show"
+"""Command to show the frame in shared memory."""
 EVENTS_S = 0.02
-"""How often the window system is listened to while nothing is asked."""
+"""Interval in s at which window events are processed while no command comes."""
 QUEUED_FRAMES = 3
-"""As many as drivers and compositors hold back: what was presented before so many others is on the wire."""
+"""Frames that drivers and compositors may queue: a frame is transmitted once so many more were presented."""
 MEASURED_FRAMES = 10
+"""Frames over which the refresh period is measured."""
 WHOLE_RATES_HZ = (24, 30, 60, 120)
+"""Refresh rates whose television variants, 59.94 Hz for 60 Hz, are reported as the whole number below."""
 LEAST_OF_PERIOD = 0.7
-"""Frames that follow each other faster than this are not locked to the display."""
+"""Share of the refresh period below which frames are not synchronised to the display."""
 HINTS = {
     b"SDL_NO_SIGNAL_HANDLERS": b"1",
     b"SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": b"0",  # the operator works on another display
-    b"SDL_WINDOWS_DPI_AWARENESS": b"permonitorv2",  # pixels are pixels
+    b"SDL_WINDOWS_DPI_AWARENESS": b"permonitorv2",  # no scaling by the desktop
     b"SDL_RENDER_SCALE_QUALITY": b"nearest",
 }
-REMEDY = "see to the display's cable and settings"
+"""SDL's hints, set before it starts."""
+REMEDY = "check the display's cable and settings"
 
 
 @dataclass(frozen=True)
-class Failure:
-    """What the process could not do: what was found, and what can be done."""
+class ScreenFailure:
+    """Description of a failure, to be sent to the driver's process.
+
+    Attributes
+    ----------
+    found : str
+        What is wrong.
+    remedy : str
+        What the operator can do.
+    """
 
     found: str
     remedy: str
 
 
 class ScreenError(Exception):
-    """The display is not, or no longer, as it must be: `failure` tells."""
+    """The display is not, or no longer, usable as required.
+
+    Parameters
+    ----------
+    found : str
+        What is wrong.
+    remedy : str
+        What the operator can do.
+
+    Attributes
+    ----------
+    failure : ScreenFailure
+        Both, to be sent to the driver's process.
+    """
 
     def __init__(self, found: str, remedy: str = REMEDY) -> None:
         super().__init__(found)
-        self.failure = Failure(found, remedy)
+        self.failure = ScreenFailure(found, remedy)
 
 
 def serve_screen(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
-    """Have the display until the connection ends; answers are its period in s, or a `Failure`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what an interruption means is decided by the other process
+    """Drive the display until the connection is closed.
+
+    After opening, and after each frame shown, the refresh period in s is sent; a `ScreenFailure` is sent
+    instead if the display fails.
+
+    Parameters
+    ----------
+    connection : Connection
+        Receives the commands, sends the answers.
+    memory_name : str
+        Name of the shared memory that holds the frame: red, green, blue of each pixel, row by row.
+    wanted : int or str
+        Index or name of the display.
+    size : tuple of int
+        Width and height that the display must have, in px.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
     memory = SharedMemory(memory_name)
     assert memory.buf is not None
     with suppress(EOFError, OSError):
         try:
-            with opened(wanted, size) as screen:
+            with open_screen(wanted, size) as screen:
                 connection.send(screen.vsync_s)
                 while True:
                     while not connection.poll(EVENTS_S):
-                        screen.attend()
+                        screen.process_events()
                     connection.recv()
                     screen.show(bytes(memory.buf[: screen.frame_bytes]))
                     connection.send(screen.vsync_s)
@@ -72,10 +112,28 @@ def serve_screen(connection: Connection, memory_name: str, wanted: int | str, si
 
 
 @contextmanager
-def opened(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
-    """The display, black, for as long as it is needed. Raises `ScreenError`."""
+def open_screen(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
+    """Open a display and show black; the display is released at the end of the context.
+
+    Parameters
+    ----------
+    wanted : int or str
+        Index or name of the display.
+    size : tuple of int
+        Width and height that the display must have, in px.
+
+    Yields
+    ------
+    Screen
+        The open display.
+
+    Raises
+    ------
+    ScreenError
+        There is no such display, or it cannot be used as required.
+    """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # where SDL comes from is no news
+        warnings.simplefilter("ignore")  # PySDL2 warns about which SDL library it uses
         import sdl2
     for hint, value in HINTS.items():
         sdl2.SDL_SetHint(hint, value)
@@ -90,13 +148,30 @@ def opened(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
 
 
 class Screen:
-    """A window over a whole display. frame_bytes: of a frame. vsync_s: period of the display."""
+    """A window that covers a whole display.
+
+    Parameters
+    ----------
+    sdl : module
+        The module `sdl2`, initialised.
+    wanted : int or str
+        Index or name of the display.
+    size : tuple of int
+        Width and height that the display must have, in px.
+
+    Attributes
+    ----------
+    frame_bytes : int
+        Bytes of a frame.
+    vsync_s : float
+        Refresh period of the display in s.
+    """
 
     def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int]) -> None:
         self._sdl, self._size = sdl, size
         self.frame_bytes = 3 * size[0] * size[1]
-        self._index = index = self._found(wanted)
-        self._renderer, self._window = self._make(index)
+        self._index = index = self._display_index(wanted)
+        self._renderer, self._window = self._create_window(index)
         sdl.SDL_ShowCursor(sdl.SDL_DISABLE)
         self._texture = sdl.SDL_CreateTexture(
             self._renderer, sdl.SDL_PIXELFORMAT_RGB24, sdl.SDL_TEXTUREACCESS_STREAMING, *size
@@ -105,19 +180,38 @@ class Screen:
         self.vsync_s = self._locked_period_s(self._mode(index).refresh_rate)
 
     def show(self, frame: bytes) -> None:
-        """Put a frame up and wait until it is on the wire; bytes R, G, B of each pixel, row by row."""
+        """Show a frame and wait until it is transmitted.
+
+        Parameters
+        ----------
+        frame : bytes
+            Red, green and blue of each pixel, row by row.
+
+        Raises
+        ------
+        ScreenError
+            The frame cannot be drawn, other pixels are read back, or the window is no longer in place.
+        """
         sdl = self._sdl
         if sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
             raise ScreenError(f"a frame cannot be shown ({sdl.SDL_GetError().decode()})")
         self._draw()
-        if self._drawn() != frame:
-            raise ScreenError("other pixels are drawn than were given", "give it 24 bits per pixel, unscaled")
+        if self._read_back() != frame:
+            raise ScreenError(
+                "the drawn pixels differ from the frame", "set the display to 24 bits per pixel, unscaled"
+            )
         for _ in range(1 + QUEUED_FRAMES):
             self._present()
-        self.attend()
+        self.process_events()
 
-    def attend(self) -> None:
-        """Hear what the window system has to say. Raises `ScreenError` when the frame is off."""
+    def process_events(self) -> None:
+        """Process window events and check that the frame is still visible.
+
+        Raises
+        ------
+        ScreenError
+            The window was closed, hidden, moved or resized.
+        """
         sdl, event = self._sdl, self._sdl.SDL_Event()
         while sdl.SDL_PollEvent(byref(event)):
             if event.type == sdl.SDL_QUIT:
@@ -127,10 +221,10 @@ class Screen:
         hidden = sdl.SDL_WINDOW_HIDDEN | sdl.SDL_WINDOW_MINIMIZED
         if sdl.SDL_GetWindowFlags(self._window) & hidden:
             raise ScreenError("its window was hidden", "leave the projector's display alone")
-        self._check_place()
+        self._check_placement()
 
-    def _found(self, wanted: int | str) -> int:
-        """The display that is meant. Raises `ScreenError` unless there is one, and of the right size."""
+    def _display_index(self, wanted: int | str) -> int:
+        """Return the display's index, or raise `ScreenError` unless exactly one of the right size matches."""
         sdl = self._sdl
         count = sdl.SDL_GetNumVideoDisplays()
         names = [(sdl.SDL_GetDisplayName(i) or b"").decode() for i in range(count)]
@@ -153,7 +247,7 @@ class Screen:
         self._sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
         return mode
 
-    def _make(self, index: int) -> tuple[Any, Any]:
+    def _create_window(self, index: int) -> tuple[Any, Any]:
         sdl = self._sdl
         at = sdl.SDL_WINDOWPOS_UNDEFINED_MASK | index
         flags = sdl.SDL_WINDOW_FULLSCREEN_DESKTOP | sdl.SDL_WINDOW_ALLOW_HIGHDPI
@@ -163,7 +257,7 @@ class Screen:
             raise ScreenError(f"the display cannot be filled ({sdl.SDL_GetError().decode()})")
         return renderer, window
 
-    def _check_place(self) -> None:
+    def _check_placement(self) -> None:
         if self._sdl.SDL_GetWindowDisplayIndex(self._window) != self._index:
             raise ScreenError("its window is on another display", "leave the projector's display alone")
         width, height = c_int(), c_int()
@@ -175,7 +269,7 @@ class Screen:
     def _draw(self) -> None:
         self._sdl.SDL_RenderCopy(self._renderer, self._texture, None, None)
 
-    def _drawn(self) -> bytes:
+    def _read_back(self) -> bytes:
         pixels = create_string_buffer(self.frame_bytes)
         form, pitch = self._sdl.SDL_PIXELFORMAT_RGB24, 3 * self._size[0]
         self._sdl.SDL_RenderReadPixels(self._renderer, None, form, pixels, pitch)
@@ -185,26 +279,37 @@ class Screen:
         self._draw()
         self._sdl.SDL_RenderPresent(self._renderer)
 
-    def _locked_period_s(self, told_hz: int) -> float:
-        """Period of the frames: as the display tells, if they follow it; measured where it tells nothing.
+    def _locked_period_s(self, reported_hz: int) -> float:
+        """Return the refresh period: as the display reports it, if frames follow it; else as measured.
 
-        Raises `ScreenError` when frames come faster than it shows them.
+        Raises `ScreenError` when frames are presented faster than the display shows them.
         """
         times = []
         for _ in range(1 + MEASURED_FRAMES):
             self._present()
             times.append(time.perf_counter())
         measured_s = median(b - a for a, b in pairwise(times))
-        if not told_hz:
+        if not reported_hz:
             return measured_s
-        if measured_s < LEAST_OF_PERIOD / told_hz:
+        if measured_s < LEAST_OF_PERIOD / reported_hz:
             raise ScreenError(
-                f"frames come every {1e3 * measured_s:.1f} ms on a display of {told_hz} Hz",
+                f"frames come every {1e3 * measured_s:.1f} ms on a display of {reported_hz} Hz",
                 "switch on vertical synchronisation in the graphics driver",
             )
-        return period_s(told_hz)
+        return vsync_period_s(reported_hz)
 
 
-def period_s(told_hz: int) -> float:
-    """Period of a display: rates of television, 59.94 Hz and the like, are told as the whole number below."""
-    return 1.0 / (told_hz + (told_hz + 1 in WHOLE_RATES_HZ))
+def vsync_period_s(reported_hz: int) -> float:
+    """Compute the refresh period from a reported rate, correcting television rates such as 59.94 Hz.
+
+    Parameters
+    ----------
+    reported_hz : int
+        Refresh rate in Hz as the display reports it: television rates as the whole number below.
+
+    Returns
+    -------
+    float
+        Refresh period in s.
+    """
+    return 1.0 / (reported_hz + (reported_hz + 1 in WHOLE_RATES_HZ))

@@ -1,10 +1,10 @@
-"""Pattern sequences: which bit planes a pattern is, how long it must stay, and the tables that say so.
+"""Pattern sequences: bit planes, exposure limits, and the controller's pattern and image tables.
 
-A flash image or video frame holds 24 bit planes, the eight of green, of red and of blue. A pattern is a
-number of neighbouring planes. The controller keeps two images; a third one is loaded while patterns
-of the second are shown, and must be there when its turn comes.
+A flash image or video frame holds 24 bit planes, eight each of green, red and blue. A pattern consists of
+adjacent bit planes. The controller buffers two images; a third one is loaded while patterns of the second
+are shown, and loading must be complete when its first pattern is due.
 
-Source: TI's DLPC350 client, GUI and SDK. Nothing here has been near a board.
+Source: TI's DLPC350 client, GUI and SDK. Not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -27,15 +27,19 @@ from drivers.dlp4500.protocol import (
 )
 
 SIZE = (912, 1140)
-"""Mirrors, (width, height)."""
+"""Number of micromirrors (width, height)."""
 
 LEAST_EXPOSURE_US = {1: 235, 2: 700, 3: 1570, 4: 1700, 5: 2000, 6: 2500, 7: 4500, 8: 8333}
-"""By bit depth."""
+"""Shortest exposure in µs by bit depth."""
 MOST_EXPOSURE_US = 200_000_000
-"""The SDK's limit."""
+"""Longest exposure in µs, the SDK's limit."""
 LEAST_GAP_US = 231
-"""Of a period beyond its exposure, if it is longer at all: the sources say more than, or at least, 230."""
+"""Smallest difference in µs of a period and a shorter exposure.
+
+TI's sources say more than, or at least, 230 µs.
+"""
 PRELOADED_IMAGES = 2
+"""Images that the controller buffers."""
 SOLID = 24
 """Pattern number of solid black at depth 1; inverted it is white."""
 
@@ -49,22 +53,54 @@ _STARTS = {
     7: range(1, 24, 8),
     8: range(0, 24, 8),
 }
-"""By bit depth: the lowest plane of each pattern number."""
+"""Lowest bit plane of each pattern number, by bit depth."""
 
 
-def numbers(depth: int) -> range:
-    """The pattern numbers of a depth. Raises `ValueError` for one that there is not."""
+def pattern_numbers(depth: int) -> range:
+    """List the pattern numbers of a bit depth.
+
+    Parameters
+    ----------
+    depth : int
+        Bit depth, 1 to 8.
+
+    Returns
+    -------
+    range
+        The numbers, from 0 on.
+
+    Raises
+    ------
+    ValueError
+        There is no such depth.
+    """
     if depth not in _STARTS:
         raise ValueError(f"depth is {depth}: 1 to 8")
     return range(len(_STARTS[depth]))
 
 
-def planes(depth: int, number: int) -> range:
-    """The bit planes of pattern `number`, least significant first; 0 … 7 green, 8 … 15 red, 16 … 23 blue.
+def bit_planes(depth: int, number: int) -> range:
+    """List the bit planes of a pattern.
 
-    Empty for solid black. Raises `ValueError` for a depth or number that there is not.
+    Parameters
+    ----------
+    depth : int
+        Bit depth, 1 to 8.
+    number : int
+        Pattern number.
+
+    Returns
+    -------
+    range
+        Bit planes, least significant first: 0 to 7 are green, 8 to 15 red, 16 to 23 blue. Empty for solid
+        black.
+
+    Raises
+    ------
+    ValueError
+        There is no such depth or number.
     """
-    numbered = numbers(depth)
+    numbered = pattern_numbers(depth)
     if depth == 1 and number == SOLID:
         return range(0)
     if number not in numbered:
@@ -75,7 +111,17 @@ def planes(depth: int, number: int) -> range:
 
 @dataclass(frozen=True)
 class Slot:
-    """Where a pattern is: the image (flash index or video frame) and the pattern's number and depth in it."""
+    """Location of a pattern in flash or in the video frames.
+
+    Attributes
+    ----------
+    image : int
+        Index of the flash image or of the video frame.
+    number : int
+        Pattern number within it.
+    bits : int
+        Bit depth.
+    """
 
     image: int
     number: int
@@ -84,7 +130,27 @@ class Slot:
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the pattern table, in the protocol's terms; `leds` are names of colours."""
+    """One entry of the pattern table, in the terms of the protocol.
+
+    Attributes
+    ----------
+    pattern : int
+        Pattern number within the image.
+    depth : int
+        Bit depth.
+    leds : tuple of str
+        Colours of the LEDs that are on.
+    trigger : PatternTrigger
+        What starts the pattern.
+    invert : bool
+        Whether the pattern is inverted.
+    black_after : bool
+        Whether black is inserted after the exposure.
+    swap : bool
+        Whether the next image is swapped in before the pattern.
+    share_trigger : bool
+        Whether the pattern shares the pulse on trigger output 1 with the previous one.
+    """
 
     pattern: int
     depth: int
@@ -96,7 +162,13 @@ class Entry:
     share_trigger: bool = False
 
     def values(self) -> Values:
-        """The fields of `protocol.ENTRY`."""
+        """Convert the entry to register fields.
+
+        Returns
+        -------
+        dict of str to int
+            The fields of `protocol.ENTRY`.
+        """
         lit = {colour: int(colour in self.leds) for colour in COLOURS}
         return lit | {
             "trigger": int(self.trigger),
@@ -111,10 +183,22 @@ class Entry:
 
 @dataclass(frozen=True)
 class Program:
-    """A sequence: the entries shown in turn, the images swapped in, and the time for each pattern.
+    """A pattern sequence with its images and timing.
 
-    images: one flash index for each entry with `swap`, in the order shown; empty for the video port.
-    repeat: again from the beginning until stopped, or once.
+    Attributes
+    ----------
+    source : Source
+        Flash or video port.
+    entries : tuple of Entry
+        The patterns in the order shown.
+    images : tuple of int
+        One flash index for each entry with `swap`, in the order shown; empty for the video port.
+    exposure_us : int
+        Exposure of each pattern in µs.
+    period_us : int
+        Time from pattern to pattern in µs.
+    repeat : bool
+        Whether the sequence repeats until it is stopped.
     """
 
     source: Source
@@ -126,27 +210,40 @@ class Program:
 
     @property
     def variable(self) -> bool:
-        """Whether it needs the long tables of the variable-exposure modes."""
+        """Whether the sequence needs the longer tables of the variable-exposure modes."""
         return len(self.entries) > MOST_ENTRIES or len(self.images) > MOST_IMAGES
 
     @property
     def trigger_mode(self) -> TriggerMode:
-        """What advances it."""
+        """What starts the next pattern."""
         if self.source is Source.VIDEO:
             return TriggerMode.VSYNC_VARIABLE if self.variable else TriggerMode.VSYNC
         return TriggerMode.INTERNAL_VARIABLE if self.variable else TriggerMode.INTERNAL
 
     @property
     def duration_s(self) -> float:
-        """Of one run."""
+        """Duration of one run in s."""
         return len(self.entries) * self.period_us * 1e-6
 
     def pattern_table(self) -> bytes:
-        """The entries as the mailbox takes them, 3 bytes each."""
+        """Encode the pattern table.
+
+        Returns
+        -------
+        bytes
+            Data for the mailbox, 3 bytes for each entry.
+        """
         return b"".join(ENTRY.pack(entry.values()) for entry in self.entries)
 
     def image_table(self) -> bytes:
-        """The images as the mailbox takes them: the device reads a table of two from its end."""
+        """Encode the image table.
+
+        Returns
+        -------
+        bytes
+            Data for the mailbox, one byte for each image; a table of two is reversed, as the device reads it
+            from its end.
+        """
         return bytes(reversed(self.images) if len(self.images) == 2 else self.images)
 
 
@@ -158,24 +255,51 @@ def flash_program(
     load_us: Mapping[int, int] | None = None,
     dark_us: int = 0,
 ) -> Program:
-    """Patterns from flash, shown in the order of `slots`, each with a pulse on trigger output 1.
+    """Build a sequence of patterns in flash, each with a pulse on trigger output 1.
 
-    load_us: how long each flash image takes to load; needed as soon as more than two are swapped in. Where
-    one would come too late all periods are prolonged, so that dark follows each pattern. dark_us: how much
-    must follow it in any case.
-    Raises `ValueError` for an exposure or number out of range.
+    Where an image would be loaded too late, all periods are extended, so that dark time follows each pattern.
+
+    Parameters
+    ----------
+    slots : sequence of Slot
+        Locations of the patterns, in the order shown.
+    exposure_us : int
+        Exposure of each pattern in µs.
+    leds : tuple of str
+        Colours of the LEDs that are on.
+    repeat : bool
+        Whether the sequence repeats until it is stopped.
+    load_us : mapping of int to int or None
+        Load time in µs of each flash image, by index; needed where images are swapped in more than twice.
+    dark_us : int
+        Dark time in µs that must follow each pattern.
+
+    Returns
+    -------
+    Program
+        The checked sequence.
+
+    Raises
+    ------
+    ValueError
+        An exposure or a pattern number is out of range, or there are too many patterns or images.
     """
     entries: list[Entry] = []
     images: list[int] = []
     for slot in slots:
-        planes(slot.bits, slot.number)
+        bit_planes(slot.bits, slot.number)
         swap = not images or slot.image != images[-1]
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
     least = max(exposure_us + dark_us, _least_period_us(slots, load_us or {}, repeat))
     program = Program(
-        Source.FLASH, tuple(entries), tuple(images), exposure_us, period_us(exposure_us, least), repeat
+        Source.FLASH,
+        tuple(entries),
+        tuple(images),
+        exposure_us,
+        shortest_period_us(exposure_us, least),
+        repeat,
     )
     check_sequence(program)
     return program
@@ -188,10 +312,32 @@ def video_program(
     leds: tuple[str, ...] = COLOURS,
     repeat: bool = False,
 ) -> Program:
-    """Patterns from the video port; `slots` name consecutive frames by their `image`.
+    """Build a sequence of patterns from the video port.
 
-    The first pattern of a frame waits for the frame; the exposures of a frame must fit into `vsync_us`.
-    Raises `ValueError` when they do not, or an exposure or number is out of range.
+    The first pattern of a frame waits for the frame.
+
+    Parameters
+    ----------
+    slots : sequence of Slot
+        Locations of the patterns, in the order shown; `image` numbers consecutive frames.
+    exposure_us : int
+        Exposure of each pattern in µs.
+    vsync_us : int
+        Period of the video frames in µs.
+    leds : tuple of str
+        Colours of the LEDs that are on.
+    repeat : bool
+        Whether the sequence repeats until it is stopped.
+
+    Returns
+    -------
+    Program
+        The checked sequence.
+
+    Raises
+    ------
+    ValueError
+        The exposures of a frame exceed `vsync_us`, or an exposure or a pattern number is out of range.
     """
     entries = []
     for _, group in groupby(slots, key=lambda slot: slot.image):
@@ -201,7 +347,7 @@ def video_program(
                 f"{len(frame)} exposures of {exposure_us} µs in a frame: at most {vsync_us} µs together"
             )
         for k, slot in enumerate(frame):
-            planes(slot.bits, slot.number)
+            bit_planes(slot.bits, slot.number)
             trigger = PatternTrigger.NONE if k else PatternTrigger.RISING
             entries.append(Entry(slot.number, slot.bits, leds, trigger, swap=k == 0))
     program = Program(Source.VIDEO, tuple(entries), (), exposure_us, exposure_us, repeat)
@@ -209,13 +355,37 @@ def video_program(
     return program
 
 
-def period_us(exposure_us: int, least_us: int = 0) -> int:
-    """The shortest period for an exposure: as long as it, or longer by more than 230 µs."""
+def shortest_period_us(exposure_us: int, least_us: int = 0) -> int:
+    """Compute the shortest period that the controller accepts for an exposure.
+
+    Parameters
+    ----------
+    exposure_us : int
+        Exposure in µs.
+    least_us : int
+        Lower limit of the period in µs.
+
+    Returns
+    -------
+    int
+        Period in µs: equal to the exposure, or longer by more than 230 µs.
+    """
     return exposure_us if least_us <= exposure_us else max(least_us, exposure_us + LEAST_GAP_US)
 
 
 def check_sequence(program: Program) -> None:
-    """Raise `ValueError` for what the controller cannot show as it is meant."""
+    """Check that the controller can show a sequence as intended.
+
+    Parameters
+    ----------
+    program : Program
+        The sequence.
+
+    Raises
+    ------
+    ValueError
+        The number of patterns or images, the exposure, the period or the use of the triggers is not valid.
+    """
     entries, exposure, period = program.entries, program.exposure_us, program.period_us
     if not 1 <= len(entries) <= MOST_VARIABLE_ENTRIES:
         raise ValueError(f"{len(entries)} patterns: 1 to {MOST_VARIABLE_ENTRIES}")
@@ -237,7 +407,7 @@ def check_sequence(program: Program) -> None:
 
 
 def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
-    """Patterns that share one pulse share one exposure."""
+    """Check the exposure of patterns that share one pulse, and with it one exposure."""
     starts = [i for i, entry in enumerate(entries) if not entry.share_trigger]
     for start, end in zip(starts, [*starts[1:], len(entries)], strict=True):
         group = entries[start:end]
@@ -249,7 +419,7 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
 
 
 def _least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool) -> int:
-    """How long each pattern must take for every image to be there when it is swapped in."""
+    """Compute the shortest period at which every image is loaded when it is swapped in."""
     shown = [(image, len(list(group))) for image, group in groupby(slot.image for slot in slots)]
     if len(shown) <= PRELOADED_IMAGES:
         return 0
@@ -258,6 +428,26 @@ def _least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: 
     return max(waits)
 
 
-def still(slot: Slot, exposure_us: int, leds: tuple[str, ...] = COLOURS) -> Program:
-    """One pattern, on show until it is stopped."""
+def still_program(slot: Slot, exposure_us: int, leds: tuple[str, ...] = COLOURS) -> Program:
+    """Build a sequence that shows one pattern until it is stopped.
+
+    Parameters
+    ----------
+    slot : Slot
+        Location of the pattern.
+    exposure_us : int
+        Exposure in µs, repeated without a gap.
+    leds : tuple of str
+        Colours of the LEDs that are on.
+
+    Returns
+    -------
+    Program
+        The checked sequence.
+
+    Raises
+    ------
+    ValueError
+        The exposure or the pattern number is out of range.
+    """
     return flash_program([slot], exposure_us, leds, repeat=True)

@@ -1,4 +1,4 @@
-"""The controller's status bits in words."""
+"""Descriptions of the controller's status bits."""
 
 from __future__ import annotations
 
@@ -8,30 +8,44 @@ from drivers.dlp4500.protocol import Values
 
 HARDWARE_FAULTS = {
     "reset_controller_error": "overlapping resets of the mirrors",
-    "forced_swap_error": "an image was not loaded in time and the one before it stayed",
-    "sequencer_aborted": "the sequencer gave up on an error",
+    "forced_swap_error": "an image was not loaded in time and an older one was shown",
+    "sequencer_aborted": "the sequencer aborted on an error",
     "sequencer_error": "an error of the sequencer",
 }
+"""Faults by field of the hardware status."""
 MAIN_WORDS = {
     "parked": ("mirrors parked", "mirrors not parked"),
     "running": ("sequence running", "sequence stopped"),
     "frozen": ("frame buffer frozen", "frame buffer free"),
     "gamma": ("gamma correction on", "gamma correction off"),
 }
+"""Descriptions of the set and the cleared bit, by field of the main status."""
 VALIDATION_ERRORS = {
     "exposure_invalid": "exposure or period is not valid",
     "pattern_invalid": "a pattern number or an image is not valid",
 }
+"""Reasons why a sequence cannot run, by field of the validation."""
 VALIDATION_WARNINGS = {
-    "trigger_overlap": "trigger output 1 is asked to stay high over inserted black",
+    "trigger_overlap": "trigger output 1 would stay high during inserted black",
     "black_missing": "no black before an externally triggered pattern",
     "gap_too_short": "the period is less than 230 µs longer than the exposure",
 }
+"""Reasons why a sequence may not run as intended, by field of the validation."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """Fields of the three status commands, as the protocol names them."""
+    """Replies to the three status commands.
+
+    Attributes
+    ----------
+    hardware : dict of str to int
+        Fields of `protocol.HARDWARE_STATUS`.
+    system : dict of str to int
+        Fields of `protocol.SYSTEM_STATUS`.
+    main : dict of str to int
+        Fields of `protocol.MAIN_STATUS`.
+    """
 
     hardware: Values
     system: Values
@@ -39,18 +53,29 @@ class Status:
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong, in words; nothing on a healthy projector."""
+        """Descriptions of all faults; empty for a healthy projector."""
         found = [] if self.hardware["initialised"] else ["the controller did not initialise"]
         found += [words for name, words in HARDWARE_FAULTS.items() if self.hardware[name]]
         return found if self.system["memory_test_passed"] else [*found, "the memory test failed"]
 
     @property
     def words(self) -> list[str]:
-        """What it is doing, then what is wrong."""
+        """Descriptions of what the projector is doing, followed by its faults."""
         return [words[0 if self.main[name] else 1] for name, words in MAIN_WORDS.items()] + self.faults
 
 
-def objections(validation: Values) -> list[str]:
-    """What a finished validation has against a sequence, warnings included."""
+def validation_messages(validation: Values) -> list[str]:
+    """Describe the errors and warnings of a finished validation.
+
+    Parameters
+    ----------
+    validation : dict of str to int
+        Fields of `protocol.VALIDATION`.
+
+    Returns
+    -------
+    list of str
+        One description for each error and warning; empty for a valid sequence.
+    """
     known = VALIDATION_ERRORS | VALIDATION_WARNINGS
     return [words for name, words in known.items() if validation[name]]

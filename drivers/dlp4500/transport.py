@@ -1,9 +1,9 @@
-"""Requests and their own replies over a USB HID device, as hidapi's `hid.device` drives it.
+"""Requests and their replies over a USB HID device, through hidapi's `hid.device`.
 
-Every request carries another sequence number than the ones before it, so that a reply which comes late or
-twice is told apart and thrown away. Silence, a short report and a set error bit are errors; nothing is sent
-twice. That a board echoes number and flags is an assumption (its sibling's guide says so): `checks_echo`
-turns the comparison off, and then whatever waits is thrown away before each request.
+Consecutive requests carry different sequence numbers, so that a late or duplicate reply is recognised and
+discarded. A missing reply, a short report and a set error bit are errors; nothing is sent twice. That a board
+echoes sequence number and flags is an assumption, supported by the guide of its sibling: `checks_echo=False`
+disables the comparison, and then all waiting reports are discarded before each request.
 """
 
 from __future__ import annotations
@@ -13,57 +13,143 @@ from typing import Any, Protocol
 from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
-from drivers.dlp4500.protocol import Command, Raw, RegisterLayout, Values
+from drivers.dlp4500.protocol import Command, RawBytes, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
 
 VENDOR, PRODUCT = 0x0451, 0x6401
+"""USB identity of the DLPC350."""
 INTERFACE = 0
-"""Of several HID interfaces the one that takes commands."""
+"""The HID interface that takes commands, where the device has several."""
 TIMEOUT_S = 2.0
-"""As long as the maker's client waits for a reply."""
+"""Time limit in s for a reply, as in TI's client."""
 MOST_STALE = 64
-"""Reports thrown away before the device is said to talk nonsense."""
+"""Number of unexpected reports that are discarded before the exchange is given up."""
 
 
-class Wire(Protocol):
-    """An open HID device: hidapi's `hid.device`."""
+class HidDevice(Protocol):
+    """An open HID device, as hidapi's `hid.device`; an emulator implements the same methods."""
 
     def write(self, buff: bytes) -> int:
-        """Send a report number and a report; -1 when that fails."""
+        """Send one report.
+
+        Parameters
+        ----------
+        buff : bytes
+            Report number, which is 0, and the report of 64 bytes.
+
+        Returns
+        -------
+        int
+            Bytes written; -1 when that fails.
+        """
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """The next report, or nothing after the time-out; `OSError` when the device is gone."""
+        """Receive one report.
+
+        Parameters
+        ----------
+        max_length : int
+            Bytes to read at most.
+        timeout_ms : int
+            Time limit in ms; 0 waits for ever.
+
+        Returns
+        -------
+        list of int
+            The report without its number; empty after the time-out.
+
+        Raises
+        ------
+        OSError
+            The device was unplugged.
+        """
 
     def close(self) -> None:
-        """Let go."""
+        """Close the device."""
 
 
-class Hid(Protocol):
-    """What is used of the module `hid`."""
+class HidModule(Protocol):
+    """The functions of hidapi's module `hid` that the driver uses."""
 
     def enumerate(self, vendor_id: int, product_id: int) -> list[dict[str, Any]]:
-        """The interfaces that are plugged in."""
+        """List the HID interfaces that are plugged in.
+
+        Parameters
+        ----------
+        vendor_id : int
+            USB vendor id.
+        product_id : int
+            USB product id.
+
+        Returns
+        -------
+        list of dict
+            One for each interface, with the keys `path`, `serial_number` and `interface_number`.
+        """
 
     def device(self) -> Any:
-        """A `Wire` with `open_path`, not open yet."""
+        """Create a device handle.
+
+        Returns
+        -------
+        HidDevice
+            Not open yet, with the additional method `open_path`.
+        """
 
 
-def hidapi(name: str) -> Hid:
-    """The library that talks to USB. Raises `DeviceError` when it does not load."""
+def load_hidapi(name: str) -> HidModule:
+    """Import hidapi.
+
+    Parameters
+    ----------
+    name : str
+        The projector's name, for errors.
+
+    Returns
+    -------
+    HidModule
+        The module `hid`.
+
+    Raises
+    ------
+    DeviceError
+        The library does not load.
+    """
     try:
         import hid
     except ImportError as error:
         raise DeviceError(
             name, "open", f"hidapi does not load ({error})", "install the package libusb-1.0-0"
         ) from error
-    found: Hid = hid
+    found: HidModule = hid
     return found
 
 
-def connect(hid: Hid, name: str, serial: str | None) -> tuple[Wire, str]:
-    """Open the one LightCrafter 4500 of that serial number, or the only one without; and that number.
+def connect(hid: HidModule, name: str, serial: str | None) -> tuple[HidDevice, str]:
+    """Open a LightCrafter 4500.
 
-    Raises `DisconnectedError` when it is not there, `DeviceError` when there are several or it does not open.
+    Parameters
+    ----------
+    hid : HidModule
+        From `load_hidapi`, or an emulator.
+    name : str
+        The projector's name, for errors.
+    serial : str or None
+        Its serial number; None for the only projector that is connected.
+
+    Returns
+    -------
+    HidDevice
+        The open device.
+    str
+        Its serial number; empty where it has none.
+
+    Raises
+    ------
+    DisconnectedError
+        There is no such projector.
+    DeviceError
+        Several projectors match, or the device cannot be opened.
     """
     found = [
         (d["path"], d["serial_number"] or "")
@@ -73,7 +159,7 @@ def connect(hid: Hid, name: str, serial: str | None) -> tuple[Wire, str]:
     if not found:
         wanted = f" with serial number {serial}" if serial is not None else ""
         raise DisconnectedError(
-            name, "open", f"no LightCrafter 4500{wanted} is connected", "see its power and USB cable"
+            name, "open", f"no LightCrafter 4500{wanted} is connected", "check its power and USB cable"
         )
     if len(found) > 1:
         raise DeviceError(
@@ -90,83 +176,160 @@ def connect(hid: Hid, name: str, serial: str | None) -> tuple[Wire, str]:
             name,
             "open",
             f"the USB device cannot be opened ({error})",
-            "end what else uses it",
+            "close other programs that use it",
         ) from error
     return wire, found[0][1]
 
 
 class Link:
-    """One conversation with the controller.
+    """Exchange of requests and replies with the controller.
 
-    name: the device's, for its errors. requests: how many have been sent.
+    Parameters
+    ----------
+    wire : HidDevice
+        The open HID device.
+    clock : Clock
+        For the time limits.
+    name : str
+        The projector's name, for errors.
+    checks_echo : bool
+        Whether a reply must carry the sequence number and flags of its request.
+    timeout_s : float
+        Time limit in s for a reply.
+
+    Attributes
+    ----------
+    name : str
+        The projector's name, for errors.
+    requests : int
+        How many requests have been sent.
     """
 
     def __init__(
-        self, wire: Wire, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
+        self, wire: HidDevice, clock: Clock, name: str, checks_echo: bool = True, timeout_s: float = TIMEOUT_S
     ) -> None:
         self._wire, self._clock, self.name = wire, clock, name
         self._checks_echo, self._timeout_s = checks_echo, timeout_s
         self.requests = 0
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         self._wire.close()
 
     def write(self, command: Command, **values: int) -> None:
-        """Order something by a command of fields.
+        """Write a command whose data are bit fields.
 
-        Raises `SettingError` for a value out of range, before anything is sent; `ProtocolError` when the
-        device refuses, `DeviceTimeoutError` when it does not answer, `DisconnectedError` when it is gone.
+        Parameters
+        ----------
+        command : Command
+            Its `written` must be a `RegisterLayout`.
+        **values : int
+            A value for each field.
+
+        Raises
+        ------
+        SettingError
+            A value is out of range; nothing was sent.
+        ProtocolError
+            The device refused the command.
+        DeviceTimeoutError
+            The device did not answer.
+        DisconnectedError
+            The device was unplugged.
         """
-        self._order(command, self._packed(command, command.written, values))
+        self._write(command, self._packed(command, command.written, values))
 
     def write_bytes(self, command: Command, data: bytes) -> None:
-        """Order something by a command of bytes; errors as `write`."""
-        assert isinstance(command.written, Raw)
+        """Write a command whose data are plain bytes; raises the same errors as `write`.
+
+        Parameters
+        ----------
+        command : Command
+            Its `written` must be `RawBytes`.
+        data : bytes
+            The data.
+
+        Raises
+        ------
+        SettingError
+            The number of bytes is out of range; nothing was sent.
+        """
+        assert isinstance(command.written, RawBytes)
         try:
             command.written.check(data)
         except ValueError as error:
             raise SettingError(self.name, command.name, str(error)) from error
-        self._order(command, data)
+        self._write(command, data)
 
     def read(self, command: Command, **selector: int) -> Values:
-        """Ask for the fields of a command; errors as `write`, and `ProtocolError` for impossible values."""
-        data = self._asked(command, selector)
+        """Read a command whose reply consists of bit fields; raises the same errors as `write`.
+
+        Parameters
+        ----------
+        command : Command
+            Its `returned` must be a `RegisterLayout`.
+        **selector : int
+            A value for each field of the command's selector.
+
+        Returns
+        -------
+        dict of str to int
+            The fields of the reply.
+
+        Raises
+        ------
+        ProtocolError
+            The reply has the wrong size, or a field is out of range.
+        """
+        data = self._query(command, selector)
         try:
             assert isinstance(command.returned, RegisterLayout)
             return command.returned.unpack(data)
         except ValueError as error:
-            raise self._nonsense(command.name, str(error)) from error
+            raise self._protocol_error(command.name, str(error)) from error
 
     def read_bytes(self, command: Command, **selector: int) -> bytes:
-        """Ask for the bytes of a command; errors as `read`."""
-        data = self._asked(command, selector)
+        """Read a command whose reply is plain bytes; raises the same errors as `read`.
+
+        Parameters
+        ----------
+        command : Command
+            Its `returned` must be `RawBytes`.
+        **selector : int
+            A value for each field of the command's selector.
+
+        Returns
+        -------
+        bytes
+            The data of the reply.
+        """
+        data = self._query(command, selector)
         try:
-            assert isinstance(command.returned, Raw)
+            assert isinstance(command.returned, RawBytes)
             command.returned.check(data)
         except ValueError as error:
-            raise self._nonsense(command.name, str(error)) from error
+            raise self._protocol_error(command.name, str(error)) from error
         return data
 
     def drain(self) -> None:
-        """Throw away whatever waits to be read."""
+        """Discard all reports that wait to be read, or raise `ProtocolError` if they do not end."""
         for _ in range(MOST_STALE):
             if not self._report("drain", 1):
                 return
-        raise self._nonsense("drain", "reports keep coming that nobody asked for")
+        raise self._protocol_error("drain", "unexpected reports keep arriving")
 
-    def _order(self, command: Command, data: bytes) -> None:
+    def _write(self, command: Command, data: bytes) -> None:
         self._exchange(command, data, REPLY_WANTED if command.acknowledged else 0)
 
-    def _asked(self, command: Command, selector: Values) -> bytes:
+    def _query(self, command: Command, selector: Values) -> bytes:
         data = self._packed(command, command.selector, selector)
         reply = self._exchange(command, data, READ | REPLY_WANTED)
         assert reply is not None
         if not reply.payload:
-            raise self._nonsense(command.name, "an empty answer")
+            raise self._protocol_error(command.name, "an empty reply")
         return reply.payload
 
-    def _packed(self, command: Command, layout: RegisterLayout | Raw | None, values: Values) -> bytes:
+    def _packed(self, command: Command, layout: RegisterLayout | RawBytes | None, values: Values) -> bytes:
         assert isinstance(layout, RegisterLayout)
         try:
             return layout.pack(values)
@@ -178,14 +341,14 @@ class Link:
             self.drain()
         sequence = self.requests % 256
         self.requests += 1
-        for report in framing.request(command.number, data, sequence, flags).reports():
+        for report in framing.make_request(command.number, data, sequence, flags).reports():
             self._send(command.name, report)
         if not flags & REPLY_WANTED:
             return None
         reply = self._reply(command.name, flags, sequence)
         if reply.failed:
             raise ProtocolError(
-                self.name, command.name, "the projector refuses it", "see 'fpplab dlp4500 status'"
+                self.name, command.name, "the projector refused the command", "see 'fpplab dlp4500 status'"
             )
         return reply
 
@@ -193,45 +356,47 @@ class Link:
         try:
             sent = self._wire.write(b"\0" + report)
         except OSError as error:
-            raise self._gone(operation) from error
+            raise self._disconnected(operation) from error
         if sent < 0:
-            raise self._gone(operation)
+            raise self._disconnected(operation)
 
     def _reply(self, operation: str, flags: int, sequence: int) -> UsbMessage:
         deadline = self._clock.now() + self._timeout_s
         for _ in range(MOST_STALE):
-            report = self._awaited(operation, deadline)
+            report = self._next_report(operation, deadline)
             try:
-                head = framing.header(report)
-                message = self._whole(operation, head, report, deadline)
+                head = framing.parse_header(report)
+                message = self._complete_reply(operation, head, report, deadline)
             except ValueError as error:
-                raise self._nonsense(operation, str(error)) from error
+                raise self._protocol_error(operation, str(error)) from error
             if self._answers(head, flags, sequence):
                 return message
-        raise self._nonsense(operation, "answers to questions that were not asked")
+        raise self._protocol_error(operation, "only replies to other requests arrived")
 
     def _answers(self, head: Header, flags: int, sequence: int) -> bool:
         if not self._checks_echo:
             return True
         return head.sequence == sequence and head.flags & ~framing.ERROR == flags
 
-    def _whole(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
-        """The answer that `first` begins; acknowledgements and refusals are one report, whatever they say."""
+    def _complete_reply(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
+        """Receive the rest of a reply; acknowledgements and refusals are always one report."""
         if not head.flags & READ or head.flags & framing.ERROR:
             return UsbMessage(head.flags, head.sequence)
-        rest = [self._awaited(operation, deadline) for _ in range(framing.further_reports(head.length))]
-        return framing.joined([first, *rest])
+        rest = [
+            self._next_report(operation, deadline) for _ in range(framing.continuation_reports(head.length))
+        ]
+        return framing.join_reports([first, *rest])
 
-    def _awaited(self, operation: str, deadline: float) -> bytes:
-        """The next report before the deadline."""
-        left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait for ever
+    def _next_report(self, operation: str, deadline: float) -> bytes:
+        """Return the next report, or raise `DeviceTimeoutError` at the deadline."""
+        left_ms = max(1, round(1e3 * (deadline - self._clock.now())))  # 0 would wait without a limit
         report = self._report(operation, left_ms)
         if not report:
             raise DeviceTimeoutError(
                 self.name,
                 operation,
-                f"no complete answer within {self._timeout_s:g} s",
-                "see the USB cable; switch the projector off and on",
+                f"no complete reply within {self._timeout_s:g} s",
+                "check the USB cable; switch the projector off and on",
             )
         return report
 
@@ -239,12 +404,15 @@ class Link:
         try:
             return bytes(self._wire.read(framing.REPORT_BYTES, timeout_ms))
         except OSError as error:
-            raise self._gone(operation) from error
+            raise self._disconnected(operation) from error
 
-    def _gone(self, operation: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
-            self.name, operation, "the USB device is gone", "see its power and cable, and open it again"
+            self.name,
+            operation,
+            "the USB device was unplugged or switched off",
+            "check its power and cable, and open it again",
         )
 
-    def _nonsense(self, operation: str, found: str) -> ProtocolError:
+    def _protocol_error(self, operation: str, found: str) -> ProtocolError:
         return ProtocolError(self.name, operation, found, "switch the projector off and on")

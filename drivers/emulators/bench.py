@@ -24,7 +24,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from drivers.dlp4500.sequence import numbers
+from drivers.dlp4500.sequence import pattern_numbers
 from drivers.emulators.bench_camera import BenchPylon
 from drivers.emulators.dlpc350 import (
     Dlpc350,
@@ -227,7 +227,7 @@ class EmulatedBench:
             return
         stored = any(light.content is image for image in self.controller.images)
         for content in self.controller.images if stored else [light.content]:
-            for number in numbers(light.depth):
+            for number in pattern_numbers(light.depth):
                 alike = ProjectedLight(
                     content, light.depth, number, light.inverted, light.levels, light.image
                 )

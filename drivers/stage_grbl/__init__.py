@@ -1,6 +1,7 @@
-"""A linear stage behind a GRBL 1.1 controller, over a serial port.
+"""Driver of a linear stage behind a GRBL 1.1 controller on a serial port.
 
-lines: what the controller says; wire: sending, and which answer belongs to it; device: the stage itself.
+`lines` parses the controller's messages, `wire` sends commands and matches their answers, `device` is the
+stage itself.
 """
 
 from __future__ import annotations

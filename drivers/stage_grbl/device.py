@@ -2,16 +2,16 @@
 
 stage: {backend: "drivers.stage_grbl:GrblStage", port: /dev/ttyACM0, axis: X}
 
-The stage's zero is where homing ends, and its millimetres count away from the home switch, whichever way the
-controller's own axis points. Moves go by machine coordinates (G53), so that no work offset of another program
-shifts them.
+The stage's zero is the position where homing ends, and its coordinate increases away from the home switch,
+whichever way the controller's own axis points. Moves use machine coordinates (G53), so that a work offset
+left by another program has no effect.
 
-GRBL counts the steps that it sends and has no scale: it cannot know that a motor has stalled or slipped. What
-it can tell is told: alarms and restarts, a move that ends elsewhere than asked, a stage that was moved by
-something else, and a home switch that is pressed where it should be free. For the rest, home again and see
-whether the measurement repeats.
+GRBL counts the steps that it sends and has no position encoder: it cannot know that a motor has stalled or
+slipped. What it can detect is reported: alarms and restarts, a move that ends elsewhere than asked, a stage
+that was moved by something else, and a home switch that is pressed where it should be free. For the rest,
+home again and check whether the measurement repeats.
 
-Proven on an emulated controller over a pseudo-terminal alone.
+Tested on an emulated controller over a pseudo-terminal only.
 """
 
 from __future__ import annotations
@@ -32,44 +32,80 @@ from fpplab.devices import DeviceInfo, Stage, StageCaps
 
 POLL_S = 0.05
 HOME, AFTER_MOTION = "$H", "G4P0"
-"""The second, a pause of no length, is answered when all motion has ended, a move once it is planned."""
-OFFSET_WITHIN = 30
-"""GRBL tells the work offset at least once in so many reports."""
+"""Lines to home, and to wait for the end of all motion.
+
+`G4P0` is a pause of zero length, which is answered when all motion has ended; a move is answered as soon as
+it is planned.
+"""
+REPORTS_PER_OFFSET = 30
+"""GRBL sends the work coordinate offset at least once in this many reports."""
 DIGIT_MM, DIGIT_INCH = 0.001, 0.0001
-"""The last digit of a position that it tells."""
-MEDDLED = "close other programs that move the stage, then close, open and home it again"
+"""Last digit of a reported position, in mm or inches."""
+OTHER_PROGRAM_REMEDY = "close other programs that move the stage, then close, open and home it again"
 
 
 class StageOptions(Document):
-    """The stage's section in a rig file.
-
-    port: the serial port; left out, the rig's bench brings one as `stage_port`. axis: the controller's.
-    """
+    """The stage's section in a rig file."""
 
     port: str | None = None
+    """Serial port, such as /dev/ttyACM0 or COM3; without it, the rig's bench provides one as `stage_port`."""
     axis: Literal["X", "Y", "Z"] = "X"
+    """The controller's axis that moves the stage."""
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What the controller's settings say of the axis.
+    """Properties of the axis, derived from the controller's settings.
 
-    usable_mm: how far it goes from where homing ends. away: sign of the machine's axis away from the switch.
-    braking_s, homing_s: the longest times from full speed to rest, of a homing cycle. unit_mm: of positions
-    that it tells. told_mm: half their last digit.
+    Attributes
+    ----------
+    step_mm : float
+        Length of one motor step in mm.
+    usable_mm : float
+        Travel in mm from the position where homing ends.
+    direction : int
+        Sign of the machine axis in the direction away from the home switch, 1 or -1.
+    braking_s : float
+        Longest time from full speed to rest, in s.
+    homing_s : float
+        Longest time of a homing cycle, in s.
+    unit_mm : float
+        Unit of reported positions in mm: 1 or 25.4.
+    rounding_mm : float
+        Half the last digit of a reported position, in mm.
     """
 
     step_mm: float
     usable_mm: float
-    away: int
+    direction: int
     braking_s: float
     homing_s: float
     unit_mm: float
-    told_mm: float
+    rounding_mm: float
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
-        """From `$$`; raises `KeyError` where a setting is missing, `ZeroDivisionError` where it is 0."""
+        """Derive the properties of an axis from the controller's settings.
+
+        Parameters
+        ----------
+        settings : dict of int to float
+            Answer to `$$`, by number.
+        axis : int
+            0 for X, 1 for Y, 2 for Z.
+
+        Returns
+        -------
+        Mechanics
+            Of that axis.
+
+        Raises
+        ------
+        KeyError
+            A setting is missing.
+        ZeroDivisionError
+            Steps per mm, a homing rate or the acceleration is 0.
+        """
         unit_mm, digit = (MM_PER_INCH, DIGIT_INCH) if settings[13] else (1.0, DIGIT_MM)
         step_mm, pull_off_mm = 1.0 / settings[100 + axis], settings[27]
         seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000
@@ -79,21 +115,21 @@ class Mechanics:
             step_mm=step_mm,
             # Homing ends at a whole step; one step less keeps the far end inside GRBL's own limit.
             usable_mm=settings[130 + axis] - pull_off_mm - step_mm,
-            away=1 if int(settings[23]) >> axis & 1 else -1,
+            direction=1 if int(settings[23]) >> axis & 1 else -1,
             braking_s=settings[110 + axis] / 60 / settings[120 + axis],
             homing_s=2 * (search_s + pull_offs_s) + ANSWER_S,  # twice, for speeding up and slowing down
             unit_mm=unit_mm,
-            told_mm=unit_mm * digit / 2,
+            rounding_mm=unit_mm * digit / 2,
         )
 
     @property
     def tolerance_mm(self) -> float:
-        """How far from a target it may stand: by the step, and the digits that are told and sent."""
-        return self.step_mm / 2 + self.told_mm + 1e-4
+        """Largest accepted distance from a target in mm: half a step, and the rounding of positions."""
+        return self.step_mm / 2 + self.rounding_mm + 1e-4
 
 
 class GrblStage(Stage):
-    """One axis of a GRBL 1.1 controller, whose homing is compiled for the axes that have a switch."""
+    """One axis of a GRBL 1.1 controller whose homing cycle is compiled for the axes that have a switch."""
 
     _wire: GrblWire | None = None
     _mechanics: Mechanics | None = None
@@ -116,12 +152,12 @@ class GrblStage(Stage):
         try:
             self._version = self._reset(wire)
         except BaseException:
-            wire.close()  # nobody there to be made safe
+            wire.close()  # no controller answers, so there is no motion to stop
             raise
         self._wire = wire
         try:
             self._mechanics = self._read_mechanics(wire.settings("open"))
-        except RestartedError:  # the welcome was one from before the reset, whose own came now
+        except RestartedError:  # that welcome message was an earlier one; the reset's own has come now
             self._reset(wire)
             self._mechanics = self._read_mechanics(wire.settings("open"))
 
@@ -136,7 +172,7 @@ class GrblStage(Stage):
             mechanics = Mechanics.of(settings, self._axis)
         except (KeyError, ZeroDivisionError) as error:
             raise ProtocolError(
-                self.name, "open", f"its settings ($$) are incomplete, or zero ({error})", "correct them"
+                self.name, "open", f"its settings ($$) are incomplete or zero ({error})", "correct them"
             ) from error
         if mechanics.usable_mm <= 0:
             travel, pull_off = f"${130 + self._axis}={settings[130 + self._axis]:g}", f"$27={settings[27]:g}"
@@ -159,7 +195,7 @@ class GrblStage(Stage):
         try:
             self._stop(wire, "close")
         except DisconnectedError:
-            if self._moving:  # else it stands, which is safe
+            if self._moving:  # a stage at rest is safe
                 raise
         finally:
             wire.close()
@@ -185,7 +221,7 @@ class GrblStage(Stage):
     def _move_to(self, mm: float, deadline_s: float) -> None:
         wire, mechanics = self._open_wire, self._open_mechanics
         self._at_rest("move_to")
-        target = self._home_mm + mechanics.away * mm
+        target = self._home_mm + mechanics.direction * mm
         self._rest_mm, line = None, f"G90G21G53G0{self._options.axis}{target:.4f}"
         wire.send("move_to", line)
         self._moving = True
@@ -199,7 +235,7 @@ class GrblStage(Stage):
                 self.name,
                 "move_to",
                 f"stopped at {self._stage_mm(reached):.3f} mm, not at {mm:g} mm",
-                MEDDLED,
+                OTHER_PROGRAM_REMEDY,
             )
         self._check_switch("move_to", report)
         self._rest_mm = reached
@@ -207,14 +243,14 @@ class GrblStage(Stage):
     def _await_rest(self, mm: float, deadline_s: float) -> None:
         wire = self._open_wire
         wire.send("move_to", AFTER_MOTION)
-        while not wire.answered("move_to", AFTER_MOTION, POLL_S):
+        while not wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S):
             report = self._status(wire, "move_to")
-            if report.state not in ("Run", "Idle"):  # Idle until it sets out
+            if report.state not in ("Run", "Idle"):  # Idle until the motion starts
                 raise DeviceError(
                     self.name,
                     "move_to",
                     f"is in state '{report.state}' and does not move",
-                    "see to its buttons",
+                    "check its buttons",
                 )
             if time.monotonic() >= deadline_s:
                 wire.realtime("move_to", HOLD)
@@ -234,67 +270,70 @@ class GrblStage(Stage):
         self._stop(self._open_wire, "halt")
         self._rest_mm, self._moving = None, False
 
-    def _stop(self, wire: GrblWire, doing: str) -> None:
-        """Brake, as a reset in motion loses steps; then reset, which drops all plans and also ends homing."""
-        wire.realtime(doing, HOLD)
+    def _stop(self, wire: GrblWire, operation: str) -> None:
+        """Brake, as a reset in motion loses steps; then reset, which drops planned moves and ends homing."""
+        wire.realtime(operation, HOLD)
         braking_s = self._mechanics.braking_s if self._mechanics else 0.0
         deadline = time.monotonic() + braking_s + ANSWER_S
         try:
-            while _moves(self._status(wire, doing)) and time.monotonic() < deadline:
+            while _is_braking(self._status(wire, operation)) and time.monotonic() < deadline:
                 time.sleep(POLL_S)
         except DisconnectedError:
             raise
         except DeviceError:
-            pass  # in homing and in alarm it tells nothing, or the bad news again; a reset it obeys
-        wire.reset(doing, START_S)
+            pass  # no report while homing, or the same alarm again; a reset is executed in either case
+        wire.reset(operation, START_S)
 
-    def _status(self, wire: GrblWire, doing: str) -> StatusReport:
-        report = wire.status(doing)
+    def _status(self, wire: GrblWire, operation: str) -> StatusReport:
+        report = wire.status(operation)
         self._offset = report.offset or self._offset
         return report
 
-    def _at_rest(self, doing: str) -> StatusReport:
-        """A report of a stage that stands where it was left, or a `DeviceError`."""
-        report = self._status(self._open_wire, doing)
+    def _at_rest(self, operation: str) -> StatusReport:
+        """Return a report of a stage that stands where it was left, or raise `DeviceError`."""
+        report = self._status(self._open_wire, operation)
         if report.state != "Idle":
             raise DeviceError(
                 self.name,
-                doing,
+                operation,
                 f"is in state '{report.state}', not at rest",
                 "close, open and home it again",
             )
-        here = self._machine_mm(doing, report)
-        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.told_mm:
+        here = self._machine_mm(operation, report)
+        if self._rest_mm is not None and abs(here - self._rest_mm) > self._open_mechanics.rounding_mm:
             left, found = self._stage_mm(self._rest_mm), self._stage_mm(here)
             raise DeviceError(
-                self.name, doing, f"was left at {left:.3f} mm and is at {found:.3f} mm", MEDDLED
+                self.name,
+                operation,
+                f"was left at {left:.3f} mm and is at {found:.3f} mm",
+                OTHER_PROGRAM_REMEDY,
             )
         return report
 
-    def _check_switch(self, doing: str, report: StatusReport) -> None:
+    def _check_switch(self, operation: str, report: StatusReport) -> None:
         if self._options.axis in report.pins:
-            at_mm = self._stage_mm(self._machine_mm(doing, report))
+            at_mm = self._stage_mm(self._machine_mm(operation, report))
             raise DeviceError(
                 self.name,
-                doing,
-                f"its home switch is pressed, though it should stand at {at_mm:.3f} mm: steps were lost",
-                "see what holds it up, then close, open and home it again",
+                operation,
+                f"its home switch is pressed although it should be at {at_mm:.3f} mm: steps were lost",
+                "check what blocks it, then close, open and home it again",
             )
 
-    def _machine_mm(self, doing: str, report: StatusReport) -> float:
-        """Position of a report on the machine's own axis; work positions are put back."""
+    def _machine_mm(self, operation: str, report: StatusReport) -> float:
+        """Return the reported position on the machine's axis; the work offset is added to a work position."""
         unit_mm = self._open_mechanics.unit_mm
         if report.machine is not None:
             return report.machine[self._axis] * unit_mm
-        for _ in range(OFFSET_WITHIN):
+        for _ in range(REPORTS_PER_OFFSET):
             if report.work is not None and self._offset is not None:
                 return (report.work[self._axis] + self._offset[self._axis]) * unit_mm
-            report = self._status(self._open_wire, doing)
-        raise ProtocolError(self.name, doing, "its reports never hold the work offset", "set $10=1")
+            report = self._status(self._open_wire, operation)
+        raise ProtocolError(self.name, operation, "its reports never contain the work offset", "set $10=1")
 
     def _stage_mm(self, machine_mm: float) -> float:
-        home_mm, away = self._home_mm, self._open_mechanics.away
-        return machine_mm - home_mm if away > 0 else home_mm - machine_mm
+        home_mm, direction = self._home_mm, self._open_mechanics.direction
+        return machine_mm - home_mm if direction > 0 else home_mm - machine_mm
 
     @property
     def _open_wire(self) -> GrblWire:
@@ -307,6 +346,6 @@ class GrblStage(Stage):
         return self._mechanics
 
 
-def _moves(report: StatusReport) -> bool:
-    """Whether it is still to come to rest after a hold; `Hold:0` is at rest."""
+def _is_braking(report: StatusReport) -> bool:
+    """Tell whether the stage still moves after a feed hold; `Hold:0` is at rest."""
     return report.state in ("Run", "Jog") or (report.state == "Hold" and report.substate == 1)

@@ -1,8 +1,9 @@
-"""What a GRBL 1.1 controller says, line by line, and what its codes mean.
+"""Messages of a GRBL 1.1 controller, line by line, and the meaning of its error and alarm codes.
+
+Every line is of one kind, recognised by its beginning: an answer to the one line sent before (`ok`,
+`error:9`), or a message that may come at any time.
 
 Source: GRBL's interface documentation, `doc/markdown/interface.md` and `doc/csv` of github.com/gnea/grbl.
-Every line is of one kind, told by its beginning: an answer to the one line sent before (`ok`, `error:9`), or
-a message that may come at any time.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ import re
 from dataclasses import dataclass
 
 RESET, HOLD, STATUS = b"\x18", b"!", b"?"
-"""Real-time commands: single bytes that are obeyed at once and are not answered by `ok`."""
+"""Real-time commands: single bytes that are executed at once and are not answered by `ok`."""
 
 AXES = "XYZ"
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 MM_PER_INCH = 25.4
 
 Axes = tuple[float, ...]
-"""One number for each axis of the controller, X first; in mm or inches as it is set (`$13`)."""
+"""One number for each axis of the controller, X first; in mm or inches, as set by `$13`."""
 
 ERRORS = {
     1: "a word has no letter",
@@ -27,12 +28,12 @@ ERRORS = {
     4: "a negative value where none is allowed",
     5: "homing is switched off ($22=0)",
     6: "step pulses under 3 µs",
-    7: "its memory could not be read, and holds default settings now",
-    8: "a $ command that needs it to be idle",
-    9: "locked, by an alarm or while it jogs",
+    7: "its settings memory could not be read and was reset to defaults",
+    8: "a $ command that needs the controller to be idle",
+    9: "locked by an alarm or while jogging",
     10: "soft limits need homing ($22=1)",
     11: "the line is too long",
-    12: "more steps per second than it can make",
+    12: "more steps per second than the controller can generate",
     13: "the safety door is open",
     14: "the line is too long to be stored",
     15: "the jog would leave the travel",
@@ -47,7 +48,7 @@ ERRORS = {
     26: "axis words are missing",
     27: "the line number is out of range",
     28: "a value word is missing",
-    29: "a work coordinate system that it has not",
+    29: "a work coordinate system that does not exist",
     30: "G53 needs G0 or G1",
     31: "axis words that nothing uses",
     32: "an arc without axis words in its plane",
@@ -58,49 +59,88 @@ ERRORS = {
     37: "the tool offset is for another axis",
     38: "the tool number is too great",
 }
+"""Meaning of the codes of `error:N`."""
 
 ALARMS = {
     1: "a limit switch was hit, and steps were lost in the sudden stop",
     2: "the target lies outside the travel",
     3: "it was reset while it moved, and steps were lost in the sudden stop",
     4: "the probe was not in its initial state",
-    5: "the probe found nothing",
+    5: "the probe made no contact",
     6: "homing failed: it was reset meanwhile",
     7: "homing failed: the safety door was opened",
     8: "homing failed: the switch stays pressed after the pull-off ($27)",
     9: "homing failed: no switch was found within 1.5 times the travel ($130 to $132)",
 }
+"""Meaning of the codes of `ALARM:N`."""
 
 
 @dataclass(frozen=True)
 class Ok:
-    """The line sent was understood; a motion is then planned, not done."""
+    """`ok`: the line sent was accepted; a motion is then planned, not yet carried out."""
 
 
 @dataclass(frozen=True)
 class GrblError:
-    """The line sent was not executed; see `ERRORS`."""
+    """`error:N`: the line sent was not executed.
+
+    Attributes
+    ----------
+    code : int
+        See `ERRORS`.
+    """
 
     code: int
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """It has locked itself; see `ALARMS`."""
+    """`ALARM:N`: the controller has stopped and locked itself.
+
+    Attributes
+    ----------
+    code : int
+        See `ALARMS`.
+    """
 
     code: int
 
 
 @dataclass(frozen=True)
 class Welcome:
-    """It has started, or started again."""
+    """Startup message: the controller has started or restarted.
+
+    Attributes
+    ----------
+    version : str
+        GRBL's version, such as "1.1h".
+    """
 
     version: str
 
 
 @dataclass(frozen=True)
 class StatusReport:
-    """Answer to `?`: the machine's position or the work's; the offset between them is told only at times."""
+    """Answer to the status query `?`.
+
+    A report holds the machine position or the work position; the work coordinate offset is sent only in some
+    reports. Positions are in mm or inches, as set by `$13`.
+
+    Attributes
+    ----------
+    state : str
+        One of `STATES`.
+    substate : int or None
+        Number behind the state, such as 0 in `Hold:0`.
+    machine : tuple of float or None
+        Machine position (MPos).
+    work : tuple of float or None
+        Work position (WPos).
+    offset : tuple of float or None
+        Work coordinate offset (WCO): machine minus work position.
+    pins : str
+        Letters of the inputs that are active (Pn), X for the limit switch of axis X.
+    """
 
     state: str
     substate: int | None
@@ -112,32 +152,63 @@ class StatusReport:
 
 @dataclass(frozen=True)
 class Setting:
-    """One line of `$$`."""
+    """One line of the answer to `$$`.
+
+    Attributes
+    ----------
+    number : int
+        Number of the setting, 130 for `$130`.
+    value : float
+        Its value.
+    """
 
     number: int
     value: float
 
 
 @dataclass(frozen=True)
-class Told:
-    """Anything else that the protocol allows: bracketed messages, startup lines."""
+class OtherLine:
+    """Any other line that the protocol allows: bracketed messages, startup lines.
+
+    Attributes
+    ----------
+    text : str
+        The whole line.
+    """
 
     text: str
 
 
-GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | Told
+GrblMessage = Ok | GrblError | Alarm | Welcome | StatusReport | Setting | OtherLine
 
 _WELCOME = re.compile(r"Grbl (\d\S*) \[.*\]")
 _STATE = re.compile(r"([A-Z][a-z]+)(?::(\d))?")
 _SETTING = re.compile(r"\$(\d{1,3})=(\d+\.?\d*)")
 _NUMBERS = re.compile(r"-?\d+\.\d+(?:,-?\d+\.\d+){2,}")
-_TOLD = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
+_OTHER = re.compile(r"\[[^\[\]]*\]|>.*:(ok|error:\d+)|\$N\d=.*")
 
 
 def parse_line(line: str) -> GrblMessage:
-    """The meaning of one line without its line end.
+    """Parse one line of the controller.
 
-    Raises `ValueError` for a line that the protocol does not know.
+    Parameters
+    ----------
+    line : str
+        The line without its line end.
+
+    Returns
+    -------
+    GrblMessage
+        The message.
+
+    Raises
+    ------
+    ValueError
+        The line is not part of the protocol.
+
+    References
+    ----------
+    GRBL 1.1 interface documentation, `doc/markdown/interface.md`
     """
     if line == "ok":
         return Ok()
@@ -150,8 +221,8 @@ def parse_line(line: str) -> GrblMessage:
         return Setting(int(found[1]), float(found[2]))
     if line.startswith("<") and line.endswith(">"):
         return _report(line[1:-1])
-    if _TOLD.fullmatch(line):
-        return Told(line)
+    if _OTHER.fullmatch(line):
+        return OtherLine(line)
     raise ValueError(f"{line!r} is not a line of GRBL 1.1")
 
 
@@ -179,11 +250,33 @@ def _axes(text: str | None) -> Axes | None:
     return tuple(float(number) for number in text.split(","))
 
 
-def error_in_words(code: int) -> str:
-    """`error:N` for people."""
+def describe_error(code: int) -> str:
+    """Describe an error code.
+
+    Parameters
+    ----------
+    code : int
+        N of `error:N`.
+
+    Returns
+    -------
+    str
+        The code and its meaning.
+    """
     return f"error:{code}, {ERRORS.get(code, 'which GRBL 1.1 does not document')}"
 
 
-def alarm_in_words(code: int) -> str:
-    """`ALARM:N` for people."""
+def describe_alarm(code: int) -> str:
+    """Describe an alarm code.
+
+    Parameters
+    ----------
+    code : int
+        N of `ALARM:N`.
+
+    Returns
+    -------
+    str
+        The code and its meaning.
+    """
     return f"ALARM:{code}, {ALARMS.get(code, 'which GRBL 1.1 does not document')}"

@@ -1,7 +1,8 @@
-"""The serial line to a GRBL controller: what is sent, and which answer belongs to it.
+"""The serial connection to a GRBL controller: sending lines, and matching answers to them.
 
-One line is under way at a time and is waited for, so that GRBL's 128 bytes of buffer never overflow and an
-answer cannot be taken for another's. Silence is never success, and what is not GRBL's is never ignored.
+Only one line is sent at a time and its answer is awaited, so that GRBL's receive buffer of 128 bytes cannot
+overflow and an answer cannot be taken for that of another line. A missing answer is an error, and so is
+anything that is not part of GRBL's protocol.
 """
 
 from __future__ import annotations
@@ -21,29 +22,45 @@ from drivers.stage_grbl.lines import (
     Setting,
     StatusReport,
     Welcome,
-    alarm_in_words,
-    error_in_words,
+    describe_alarm,
+    describe_error,
     parse_line,
 )
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 
 BAUD = 115200
 START_S = 5.0
-"""For a board that restarts when its port is opened, as an Arduino does, boot loader and all."""
+"""Time limit in s for the welcome message; an Arduino restarts when its port is opened."""
 ANSWER_S = 2.0
-"""GRBL reports within 20 ms, but pauses for 0.5 s after an alarm, and while it stores a setting."""
+"""Time limit in s for an answer.
+
+GRBL reports within 20 ms, but pauses for 0.5 s after an alarm and while it stores a setting.
+"""
 LONGEST_LINE = 256
+"""Bytes without a line end at which the input is taken to be noise."""
 
 
 class RestartedError(DeviceError):
-    """The controller has welcomed us unasked: it was reset or switched off, and counts from anew."""
+    """The controller restarted unexpectedly, by a reset or a power failure, and its position is lost."""
 
 
 class GrblWire:
-    """An open port. name: the device's, for errors; `doing` is what the device is at, likewise."""
+    """An open serial port with a GRBL controller.
+
+    Every method takes the operation that the device is carrying out, for errors. Each may raise
+    `DisconnectedError` when the port is gone; those that receive raise `DeviceError` for an alarm,
+    `RestartedError` for an unexpected restart and `ProtocolError` for a line that is not GRBL's.
+
+    Parameters
+    ----------
+    name : str
+        The device's name, for errors.
+    port : str
+        Name of the serial port.
+    """
 
     def __init__(self, name: str, port: str) -> None:
-        """Raises `DeviceError` when the port cannot be opened, or another program holds it."""
+        """Open the port, or raise `DeviceError` when it cannot be opened or another program uses it."""
         self._name, self._port = name, port
         self._received = bytearray()
         self._answers: deque[Ok | GrblError] = deque()
@@ -55,100 +72,212 @@ class GrblWire:
             raise _not_opened(name, port, error) from error
 
     def close(self) -> None:
-        """Let go of the port; legal any number of times."""
+        """Close the port; may be called any number of times."""
         self._serial.close()
 
-    def reset(self, doing: str, timeout_s: float) -> str:
-        """Stop and restart the controller; what it said before is dropped. Returns its version."""
-        self._read(doing, time.monotonic())
-        self._received.clear()  # or a welcome from before would be taken for the answer
-        self._write(doing, RESET)
+    def reset(self, operation: str, timeout_s: float) -> str:
+        """Restart the controller, which stops it at once, and discard what it sent before.
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+        timeout_s : float
+            Time limit in s for the welcome message.
+
+        Returns
+        -------
+        str
+            GRBL's version, such as "1.1h".
+
+        Raises
+        ------
+        DeviceTimeoutError
+            No welcome message came in time.
+        """
+        self._read(operation, time.monotonic())
+        self._received.clear()  # an earlier welcome message must not be taken for the answer
+        self._write(operation, RESET)
         deadline = time.monotonic() + timeout_s
-        while (line := self._line(doing, deadline)) is not None:
+        while (line := self._line(operation, deadline)) is not None:
             try:
                 message = parse_line(line)
             except ValueError:
-                continue  # half a line from before the reset
+                continue  # a partial line from before the reset
             if isinstance(message, Welcome):
                 self._answers.clear()
                 self._settings.clear()
                 return message.version
         raise DeviceTimeoutError(
             self._name,
-            doing,
-            f"no GRBL answers at {self._port} within {timeout_s:g} s",
-            "see to power and cable, and that this is the stage's port (`fpplab devices`)",
+            operation,
+            f"no GRBL controller answers at {self._port} within {timeout_s:g} s",
+            "check power and cable, and that this is the stage's port (`fpplab devices`)",
         )
 
-    def await_ok(self, doing: str, line: str, timeout_s: float) -> None:
-        """Wait for the `ok` to the line sent."""
-        if not self.answered(doing, line, timeout_s):
+    def await_ok(self, operation: str, line: str, timeout_s: float) -> None:
+        """Wait for the `ok` to the line sent.
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+        line : str
+            The line sent, for errors.
+        timeout_s : float
+            Time limit in s.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            No answer came in time.
+        DeviceError
+            The controller refused the line.
+        """
+        if not self.wait_for_answer(operation, line, timeout_s):
             raise DeviceTimeoutError(
-                self._name, doing, f"no answer to '{line}' within {timeout_s:g} s", "see to power and cable"
+                self._name,
+                operation,
+                f"no answer to '{line}' within {timeout_s:g} s",
+                "check power and cable",
             )
 
-    def send(self, doing: str, line: str) -> None:
-        """Send one line; `answered` waits for its answer. Whatever came unasked comes to light before."""
-        while self._take_one(doing, time.monotonic()):
+    def send(self, operation: str, line: str) -> None:
+        """Send one line; `wait_for_answer` or `await_ok` must be called for its answer.
+
+        Messages that have arrived in the meantime are processed before, so that an alarm or a restart is
+        noticed.
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+        line : str
+            The line in ASCII, without line end.
+
+        Raises
+        ------
+        ProtocolError
+            An answer has arrived though no line was sent: another program uses the port.
+        """
+        while self._process_line(operation, time.monotonic()):
             pass
         if self._answers:
             raise ProtocolError(
                 self._name,
-                doing,
-                f"{self._port} answered what was not asked",
+                operation,
+                f"{self._port} sent an answer to a command that was not sent",
                 "another program uses the port as well: close it",
             )
-        self._write(doing, line.encode("ascii") + b"\n")
+        self._write(operation, line.encode("ascii") + b"\n")
 
-    def answered(self, doing: str, line: str, within_s: float) -> bool:
-        """Whether the answer to the line sent has come; raise `DeviceError` if it was refused."""
-        deadline = time.monotonic() + within_s
+    def wait_for_answer(self, operation: str, line: str, timeout_s: float) -> bool:
+        """Wait for the answer to the line sent.
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+        line : str
+            The line sent, for errors.
+        timeout_s : float
+            How long to wait in s.
+
+        Returns
+        -------
+        bool
+            True for `ok`; False when no answer came in time.
+
+        Raises
+        ------
+        DeviceError
+            The controller refused the line.
+        """
+        deadline = time.monotonic() + timeout_s
         while not self._answers:
-            if not self._take_one(doing, deadline):
+            if not self._process_line(operation, deadline):
                 return False
         answer = self._answers.popleft()
         if isinstance(answer, GrblError):
-            raise DeviceError(self._name, doing, f"refused '{line}': {error_in_words(answer.code)}")
+            raise DeviceError(self._name, operation, f"refused '{line}': {describe_error(answer.code)}")
         return True
 
-    def status(self, doing: str) -> StatusReport:
-        """What the controller does, and where it is. It does not tell during homing."""
+    def status(self, operation: str) -> StatusReport:
+        """Query state and position; the controller does not answer while it homes.
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+
+        Returns
+        -------
+        StatusReport
+            The next report.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            No report came within `ANSWER_S`.
+        """
         self._report = None
-        self._write(doing, STATUS)
+        self._write(operation, STATUS)
         deadline = time.monotonic() + ANSWER_S
         while self._report is None:
-            if not self._take_one(doing, deadline):
+            if not self._process_line(operation, deadline):
                 raise DeviceTimeoutError(
-                    self._name, doing, f"no report within {ANSWER_S:g} s", "see to power and cable"
+                    self._name, operation, f"no report within {ANSWER_S:g} s", "check power and cable"
                 )
         return self._report
 
-    def settings(self, doing: str) -> dict[int, float]:
-        """All of `$$`, by number."""
+    def settings(self, operation: str) -> dict[int, float]:
+        """Read all settings (`$$`).
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+
+        Returns
+        -------
+        dict of int to float
+            Values by number, 130 for `$130`.
+        """
         self._settings.clear()
-        self.send(doing, "$$")
-        self.await_ok(doing, "$$", ANSWER_S)
+        self.send(operation, "$$")
+        self.await_ok(operation, "$$", ANSWER_S)
         return dict(self._settings)
 
-    def realtime(self, doing: str, byte: bytes) -> None:
-        """Send a command that is obeyed at once, and has no answer."""
-        self._write(doing, byte)
+    def realtime(self, operation: str, byte: bytes) -> None:
+        """Send a real-time command, which is executed at once and has no answer.
 
-    def _take_one(self, doing: str, deadline: float) -> bool:
-        """Take one line to where it belongs; False when none came in time."""
-        line = self._line(doing, deadline)
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+        byte : bytes
+            `HOLD` or another single byte.
+        """
+        self._write(operation, byte)
+
+    def _process_line(self, operation: str, deadline: float) -> bool:
+        """Process one line; return False when none came in time."""
+        line = self._line(operation, deadline)
         if line is None:
             return False
         try:
             message = parse_line(line)
         except ValueError as error:
             raise ProtocolError(
-                self._name, doing, str(error), "see to the cable, and close other programs that use the port"
+                self._name,
+                operation,
+                str(error),
+                "check the cable, and close other programs that use the port",
             ) from None
-        self._keep(doing, message)
+        self._dispatch(operation, message)
         return True
 
-    def _keep(self, doing: str, message: GrblMessage) -> None:
+    def _dispatch(self, operation: str, message: GrblMessage) -> None:
         match message:
             case Ok() | GrblError():
                 self._answers.append(message)
@@ -159,20 +288,20 @@ class GrblWire:
             case Alarm(code):
                 raise DeviceError(
                     self._name,
-                    doing,
-                    alarm_in_words(code),
-                    "see that the way is free, then close, open and home it again",
+                    operation,
+                    describe_alarm(code),
+                    "check that the way is free, then close, open and home it again",
                 )
             case Welcome():
                 raise RestartedError(
                     self._name,
-                    doing,
-                    "the controller has restarted, and where the stage stands is lost",
-                    "see to its supply, then close, open and home it again",
+                    operation,
+                    "the controller has restarted, and the stage's position is lost",
+                    "check its power supply, then close, open and home it again",
                 )
 
-    def _line(self, doing: str, deadline: float) -> str | None:
-        """The next line that is not empty; None when none is complete in time."""
+    def _line(self, operation: str, deadline: float) -> str | None:
+        """Return the next line that is not empty, or None when none is complete in time."""
         while True:
             while (end := self._received.find(b"\n")) >= 0:
                 line = self._received[:end].decode("ascii", "backslashreplace").strip("\r")
@@ -183,38 +312,41 @@ class GrblWire:
                 beginning = bytes(self._received[:20])
                 self._received.clear()
                 raise ProtocolError(
-                    self._name, doing, f"{beginning!r} … has no end", f"set the controller to {BAUD} baud"
+                    self._name,
+                    operation,
+                    f"{beginning!r} … has no line end",
+                    f"set the controller to {BAUD} baud",
                 )
-            if not self._read(doing, deadline):
+            if not self._read(operation, deadline):
                 return None
 
-    def _read(self, doing: str, deadline: float) -> bool:
-        """Wait for bytes; False at the deadline. Bytes that are there are read even after it."""
+    def _read(self, operation: str, deadline: float) -> bool:
+        """Wait for bytes and return False at the deadline; bytes that have arrived are read even after it."""
         try:
             self._serial.timeout = max(0.0, deadline - time.monotonic())
             data = self._serial.read(1)
             data += self._serial.read(self._serial.in_waiting) if data else b""
         except OSError as error:
-            raise self._gone(doing) from error
+            raise self._disconnected(operation) from error
         self._received += data
         return bool(data)
 
-    def _write(self, doing: str, data: bytes) -> None:
+    def _write(self, operation: str, data: bytes) -> None:
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
             raise DeviceTimeoutError(
-                self._name, doing, f"{self._port} takes nothing more", "see to the cable"
+                self._name, operation, f"{self._port} accepts no more data", "check the cable"
             ) from None
         except OSError as error:
-            raise self._gone(doing) from error
+            raise self._disconnected(operation) from error
 
-    def _gone(self, doing: str) -> DisconnectedError:
+    def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(
             self._name,
-            doing,
+            operation,
             f"{self._port} is gone",
-            "see to the cable and the stage's supply, then open it again",
+            "check the cable and the stage's power supply, then open it again",
         )
 
 
@@ -222,7 +354,7 @@ def _not_opened(name: str, port: str, error: Exception) -> DeviceError:
     reason = str(error).lower()
     if "permission denied" in reason or "access is denied" in reason:
         return DeviceError(
-            name, "open", f"{port} may not be used", "see `fpplab devices` for what is missing"
+            name, "open", f"no permission to use {port}", "see `fpplab devices` for what is missing"
         )
     if "lock" in reason or "busy" in reason:
         return DeviceError(name, "open", f"{port} is in use", "close the other program that holds it")
@@ -230,4 +362,4 @@ def _not_opened(name: str, port: str, error: Exception) -> DeviceError:
         return DisconnectedError(
             name, "open", f"there is no {port}", "plug it in; `fpplab devices` lists the ports"
         )
-    return DeviceError(name, "open", f"{port} cannot be opened ({error})", "see that it is a serial port")
+    return DeviceError(name, "open", f"{port} cannot be opened ({error})", "check that it is a serial port")

@@ -143,7 +143,9 @@ def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:
             name: (_errors(evaluator, name, plans[0], seed), _errors(evaluator, name, plans[1], seed))
             for name in found.study.artefacts
         }
-        angles = {mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None}
+        angles = {
+            mm: evaluator.triangulation_angle_deg(one) for mm, one in candidates.items() if mm is not None
+        }
     return SearchMaps(maps, angles)
 
 

@@ -214,8 +214,8 @@ DRIVER_OF_GRBL = [
         "grbl: planned is arrived",
         STAGE,
         "GrblStage._await_rest",
-        'while not wire.answered("move_to", AFTER_MOTION, POLL_S):',
-        'while wire.answered("move_to", AFTER_MOTION, POLL_S) is None:',
+        'while not wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S):',
+        'while wire.wait_for_answer("move_to", AFTER_MOTION, POLL_S) is None:',
     ),
     Fault("grbl: reset without braking", STAGE, "GrblStage._stop", "wire.realtime(..., HOLD)", ""),
     Fault(
@@ -499,8 +499,8 @@ VIDEO_PORT_OF_DLP4500 = [
         "dlp4500: any frame will do",
         DLP_VIDEO,
         "OnVideo.show",
-        "if slot.image != self._up:",
-        "if self._up is None:",
+        "if slot.image != self._displayed_image:",
+        "if self._displayed_image is None:",
     ),
     Fault(
         "dlp4500: more patterns than a frame has time for",

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.dlp4500.flash.firmware import Firmware, arranged
+from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.bench import EmulatedBench, EmulatedFixture
@@ -39,7 +39,7 @@ def burn(folder: Path) -> None:
     base = folder / "base.bin"
     base.write_bytes(maker_firmware())
     (folder / "patterns.bin").write_bytes(Firmware.load(base).with_patterns(patterns(), base).content)
-    index = FlashIndex.of(patterns(), arranged(patterns()))
+    index = FlashIndex.of(patterns(), arrange_patterns(patterns()))
     (folder / "patterns.yaml").write_text(config.dump(index), encoding="utf-8")
 
 

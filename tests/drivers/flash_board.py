@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.clock import Clock, SteppedClock
 from drivers.dlp4500.flash.firmware import Firmware
-from drivers.dlp4500.flash.loader import programming
-from drivers.dlp4500.flash.upload import perform, prepare, verify_image_count
+from drivers.dlp4500.flash.loader import boot_loader_session
+from drivers.dlp4500.flash.upload import perform_upload, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.transport import Link, connect
 from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedHid, FlashedDlpc350
@@ -67,12 +67,12 @@ class Bench:
         return Link(connect(self.hid, "projector", None)[0], self.clock, "projector")
 
     def upload(self, firmware: Firmware) -> list[str]:
-        """Upload as the command does; return the messages for the operator."""
-        with programming(self.link, self.clock, "projector") as loader:
-            work = prepare(firmware, loader)
-            perform(firmware, loader, work, lambda share: None)
+        """As the command does it; the words for the operator."""
+        with boot_loader_session(self.link, self.clock, "projector") as loader:
+            work = plan_upload(firmware, loader)
+            perform_upload(firmware, loader, work, lambda share: None)
         verify_image_count(firmware, self.link())
-        return work.words
+        return work.summary
 
     def flash(self) -> NDArray[np.uint8]:
         """Return the present content of the flash."""

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.index import FlashIndex, FlashPattern, shown_image
-from drivers.dlp4500.sequence import SIZE, planes
+from drivers.dlp4500.sequence import SIZE, bit_planes
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, FlashImage, Pulse, UsbFault
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
@@ -23,7 +23,7 @@ WIDTH, HEIGHT = SIZE
 def put(image: FlashImage, pattern: Pattern, number: int) -> None:
     """Write a pattern into the planes of its number."""
     values = np.rint(shown_image(pattern) / 255.0 * ((1 << pattern.bit_depth) - 1)).astype(np.uint8)
-    for bit, plane in enumerate(planes(pattern.bit_depth, number)):
+    for bit, plane in enumerate(bit_planes(pattern.bit_depth, number)):
         image[..., plane // 8] |= ((values >> bit) & 1) << (plane % 8)
 
 

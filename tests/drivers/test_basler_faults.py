@@ -37,7 +37,7 @@ def test_a_frame_that_comes_too_late_is_taken_by_nobody(
 ) -> None:
     end(camera).set_exposure_duration(0.3)
     camera.arm(2)
-    with pytest.raises(DeviceTimeoutError, match=r"no frame came within 0.05 s; allow it more time"):
+    with pytest.raises(DeviceTimeoutError, match=r"no frame came within 0.05 s; allow more time"):
         camera.read(SOON_S)
     assert_disarmed(camera)
     late = scene.exposures
@@ -47,7 +47,7 @@ def test_a_frame_that_comes_too_late_is_taken_by_nobody(
 
 def test_without_a_pulse_the_cable_is_suspected(camera: BaslerCamera) -> None:
     camera.arm(1, "hardware")
-    with pytest.raises(DeviceTimeoutError, match="see to the trigger cable"):
+    with pytest.raises(DeviceTimeoutError, match="check the trigger cable"):
         camera.read(SOON_S)
     assert_disarmed(camera)
 

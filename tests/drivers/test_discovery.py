@@ -140,7 +140,7 @@ def test_a_camera_whose_serial_number_is_hidden_has_a_place(computer: Computer) 
 
 def test_a_projector_that_is_no_hid_device_is_said(computer: Computer) -> None:
     computer.plug_projector(shown=False)
-    assert "not as the HID device" in only(discovery.find_devices().missing)
+    assert "without its HID interface" in only(discovery.find_devices().missing)
 
 
 def test_a_port_that_may_not_be_opened_is_said(computer: Computer) -> None:

@@ -21,7 +21,7 @@ from tests.drivers.dlpc350_host import FLASH
 def hid(monkeypatch: pytest.MonkeyPatch) -> EmulatedHid:
     """One projector, in a time of its own."""
     found = EmulatedHid(Dlpc350(SteppedClock(), FLASH))
-    monkeypatch.setattr("drivers.dlp4500.transport.hidapi", lambda name: found)
+    monkeypatch.setattr("drivers.dlp4500.transport.load_hidapi", lambda name: found)
     monkeypatch.setattr("drivers.clock.RealClock", lambda: found.controller.clock)
     return found
 

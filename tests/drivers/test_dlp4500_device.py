@@ -80,7 +80,7 @@ def test_it_wakes_a_sleeping_projector(tmp_path: Path) -> None:
 def test_one_that_does_not_wake_is_a_time_out(tmp_path: Path) -> None:
     bench = Bench(greys(1), tmp_path, Dlpc350Policy(wake_s=100.0))
     bench.controller.asleep = True
-    with pytest.raises(DeviceTimeoutError, match="wake: still sleeps after 5 s"):
+    with pytest.raises(DeviceTimeoutError, match="wake: is still in standby after 5 s"):
         bench.projector().open()
 
 
@@ -336,7 +336,7 @@ def test_dark_after_blank_and_after_closing(tmp_path: Path, policy: Dlpc350Polic
 def test_what_is_not_in_flash_is_refused(bench: Bench, projector: Dlp4500) -> None:
     other = flat(bench.patterns[0].id, 77)
     for pattern in (other, replace(bench.patterns[0], image=bench.patterns[0].image ^ 1)):
-        with pytest.raises(CapabilityError, match="the flash does not hold pattern grey-00, 8 bits"):
+        with pytest.raises(CapabilityError, match="the flash does not contain pattern grey-00, 8 bits"):
             projector.load([pattern])
     assert projector.state is State.IDLE
 
@@ -423,7 +423,7 @@ def test_a_validation_without_end(tmp_path: Path) -> None:
 def test_a_valid_sequence_that_does_not_run_is_an_error(bench: Bench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
     bench.controller._start = lambda now: setattr(bench.controller, "_aborted", True)
-    with pytest.raises(ProtocolError, match="does not run; the sequencer gave up on an error"):
+    with pytest.raises(ProtocolError, match="does not run; the sequencer aborted on an error"):
         projector.show(0)
     assert bench.is_dark()
 
@@ -455,7 +455,7 @@ def test_standby_and_back(bench: Bench, projector: Dlp4500) -> None:
     board = projector._board
     projector.load(bench.patterns)
     projector.show(0)
-    board.sleep()
+    board.enter_standby()
     assert board.is_standby()
     assert bench.is_dark()
     board.wake()
@@ -468,7 +468,7 @@ def test_reset_and_reconnection(bench: Bench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
     projector.show(0)
     projector._board.reset()
-    with pytest.raises(DisconnectedError, match="the USB device is gone"):
+    with pytest.raises(DisconnectedError, match="the USB device was unplugged"):
         projector.info()
     assert projector.state is State.FAULT
     with pytest.raises(DisconnectedError):
@@ -494,7 +494,7 @@ def test_patterns_from_the_video_port(bench: Bench, projector: Dlp4500) -> None:
     bench.clock.sleep(frame_s - bench.clock.now() % frame_s)
     assert watched(bench, 4, frame_s / 2) == [grey_of(bench.patterns[i]) for i in (0, 2, 0, 2)]
     assert bench.controller.sequencer.state is Run.START
-    board.show_mode(DisplayMode.VIDEO)
+    board.set_display_mode(DisplayMode.VIDEO)
     assert bench.controller.sequencer.state is Run.STOP
 
 

@@ -107,33 +107,35 @@ def test_without_displays(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_frames_that_do_not_wait_for_the_display_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(screen, "LEAST_OF_PERIOD", 100.0)
     found = r"frames come every .* ms on a display of 60 Hz"
-    with pytest.raises(screen.ScreenError, match=found), screen.opened(0, DUMMY):
+    with pytest.raises(screen.ScreenError, match=found), screen.open_screen(0, DUMMY):
         pass
 
 
 def test_pixels_that_are_drawn_otherwise_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    with screen.opened(0, DUMMY) as opened:
+    with screen.open_screen(0, DUMMY) as opened:
         opened.show(noise(DUMMY).tobytes())
         monkeypatch.setattr(opened, "_draw", lambda: None)
-        with pytest.raises(screen.ScreenError, match="other pixels are drawn than were given"):
+        with pytest.raises(screen.ScreenError, match="the drawn pixels differ from the frame"):
             opened.show(bytes(opened.frame_bytes))
 
 
 def test_a_window_that_is_closed_is_noticed() -> None:
     import sdl2
 
-    with screen.opened(0, DUMMY) as opened:
-        opened.attend()
+    with screen.open_screen(0, DUMMY) as opened:
+        opened.process_events()
         event = sdl2.SDL_Event()
         event.type = sdl2.SDL_QUIT
         sdl2.SDL_PushEvent(event)
         with pytest.raises(screen.ScreenError, match="its window was closed"):
-            opened.attend()
+            opened.process_events()
 
 
-@pytest.mark.parametrize(("told_hz", "period_s"), [(60, 1 / 60), (59, 1 / 60), (50, 1 / 50), (119, 1 / 120)])
-def test_a_rate_that_was_cut_is_the_next_one(told_hz: int, period_s: float) -> None:
-    assert screen.period_s(told_hz) == pytest.approx(period_s)
+@pytest.mark.parametrize(
+    ("reported_hz", "period_s"), [(60, 1 / 60), (59, 1 / 60), (50, 1 / 50), (119, 1 / 120)]
+)
+def test_a_rate_that_was_cut_is_the_next_one(reported_hz: int, period_s: float) -> None:
+    assert screen.vsync_period_s(reported_hz) == pytest.approx(period_s)
 
 
 # --- the process

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.framing import MOST_PAYLOAD, further_reports
-from drivers.dlp4500.protocol import COMMANDS, Command, Raw, RegisterLayout
+from drivers.dlp4500.framing import MOST_PAYLOAD, continuation_reports
+from drivers.dlp4500.protocol import COMMANDS, Command, RawBytes, RegisterLayout
 from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, UsbFault
 from fpplab.core.errors import DeviceError
@@ -30,11 +30,11 @@ def mutated(report: bytes, chance: random.Random) -> bytes:
     return bytes(changed)
 
 
-def data_for(layout: RegisterLayout | Raw | None, chance: random.Random) -> bytes:
+def data_for(layout: RegisterLayout | RawBytes | None, chance: random.Random) -> bytes:
     """Data that a layout takes, or nearly."""
     if layout is None:
         return b""
-    if isinstance(layout, Raw):
+    if isinstance(layout, RawBytes):
         return chance.randbytes(chance.randint(layout.least, min(layout.most, 200)))
     return layout.pack(
         {f.name: chance.choice((f.values()[0], chance.choice(f.values()))) for f in layout.named}
@@ -113,13 +113,13 @@ def check_reply(reply: list[int], head: bytes | None, wire: object) -> str:
     if reply[0] & 0x20 and not head[0] & 0x20:
         return "refused"
     told = int.from_bytes(bytes(reply[2:4]), "little")
-    for _ in range(further_reports(told)):
+    for _ in range(continuation_reports(told)):
         assert len(wire.read(64, 1)) == 64
     if head[0] & 0x20:
         return "asked with the error bit"
     command = COMMANDS[number]
     layout = command.selector if head[0] & 0x80 else command.written
-    assert isinstance(layout, Raw) or length == 2 + layout.size
+    assert isinstance(layout, RawBytes) or length == 2 + layout.size
     return "answered"
 
 
@@ -173,7 +173,9 @@ class LyingWire:
     def close(self) -> None: ...
 
 
-SHORT_COMMANDS = [c for c in KNOWN if not isinstance(c.written, Raw) and not isinstance(c.returned, Raw)]
+SHORT_COMMANDS = [
+    c for c in KNOWN if not isinstance(c.written, RawBytes) and not isinstance(c.returned, RawBytes)
+]
 
 
 def batter_driver(requests: int, seed: int) -> Counter[str]:

@@ -15,12 +15,20 @@ from drivers.dlp4500.framing import (
     READ,
     REPLY_WANTED,
     UsbMessage,
-    further_reports,
-    header,
-    joined,
-    request,
+    continuation_reports,
+    join_reports,
+    make_request,
+    parse_header,
 )
-from drivers.dlp4500.protocol import COMMANDS, ENTRY, VALIDATION, Command, Raw, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import (
+    COMMANDS,
+    ENTRY,
+    VALIDATION,
+    Command,
+    RawBytes,
+    RegisterField,
+    RegisterLayout,
+)
 
 WRITTEN: dict[int, tuple[dict[str, int], str]] = {
     0x0200: ({"standby": 1}, "01"),
@@ -298,7 +306,7 @@ def test_an_answer_that_cannot_be_is_refused(command: Command, data: str) -> Non
 
 def test_bytes_are_counted() -> None:
     table = protocol.MAILBOX_DATA.written
-    assert isinstance(table, Raw)
+    assert isinstance(table, RawBytes)
     table.check(bytes(384))
     for size in (0, 385):
         with pytest.raises(ValueError, match=f"{size} bytes of data: 1 to 384"):
@@ -309,24 +317,24 @@ def test_bytes_are_counted() -> None:
 
 
 def test_a_read_on_the_wire() -> None:
-    (report,) = request(0x1A0C, b"", 0, READ | REPLY_WANTED).reports()
+    (report,) = make_request(0x1A0C, b"", 0, READ | REPLY_WANTED).reports()
     assert report == bytes.fromhex("c000 0200 0c1a").ljust(64, b"\0")
 
 
 def test_a_write_on_the_wire() -> None:
-    (report,) = request(0x1A24, b"\x02", 5, REPLY_WANTED).reports()
+    (report,) = make_request(0x1A24, b"\x02", 5, REPLY_WANTED).reports()
     assert report == bytes.fromhex("4005 0300 241a 02").ljust(64, b"\0")
 
 
 @pytest.mark.parametrize(("data", "reports"), [(0, 1), (58, 1), (59, 2), (122, 2), (123, 3), (384, 7)])
 def test_how_many_reports_a_request_takes(data: int, reports: int) -> None:
-    assert len(request(0x1A34, bytes(data), 0, REPLY_WANTED).reports()) == reports
-    assert 1 + further_reports(data + 2) == reports
+    assert len(make_request(0x1A34, bytes(data), 0, REPLY_WANTED).reports()) == reports
+    assert 1 + continuation_reports(data + 2) == reports
 
 
 def test_what_follows_the_first_report_has_no_header() -> None:
     data = bytes(range(1, 124))
-    first, second, third = request(0x1A34, data, 9, REPLY_WANTED).reports()
+    first, second, third = make_request(0x1A34, data, 9, REPLY_WANTED).reports()
     assert first == bytes.fromhex("4009 7d00 341a") + data[:58]
     assert second == data[58:122]
     assert third == data[122:].ljust(64, b"\0")
@@ -340,25 +348,25 @@ def test_a_message_survives_its_reports_and_any_padding(message: UsbMessage, rub
     reports = message.reports()
     used = (4 + len(message.payload)) % 64 or 64
     padded = [*reports[:-1], reports[-1][:used] + rubbish[used:]]
-    assert joined(reports) == joined(padded) == message
-    assert header(reports[0]) == (message.flags, message.sequence, len(message.payload))
+    assert join_reports(reports) == join_reports(padded) == message
+    assert parse_header(reports[0]) == (message.flags, message.sequence, len(message.payload))
 
 
 @given(messages, st.integers(0, 70))
 def test_reports_that_do_not_fit_their_header_are_refused(message: UsbMessage, size: int) -> None:
     reports = message.reports()
     with pytest.raises(ValueError, match="reports for a payload"):
-        joined([*reports, bytes(64)])
+        join_reports([*reports, bytes(64)])
     if size != 64:
         with pytest.raises(ValueError, match="report"):
-            joined([*reports[:-1], reports[-1][:1] * size])
+            join_reports([*reports[:-1], reports[-1][:1] * size])
 
 
 def test_what_no_buffer_holds_is_refused() -> None:
     with pytest.raises(ValueError, match="509 bytes: at most 508"):
         UsbMessage(0, 0, bytes(509)).reports()
     with pytest.raises(ValueError, match="509 bytes: at most 508"):
-        header(bytes.fromhex("4000fd01").ljust(64, b"\0"))
+        parse_header(bytes.fromhex("4000fd01").ljust(64, b"\0"))
 
 
 def test_the_error_bit() -> None:

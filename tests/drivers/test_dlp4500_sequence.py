@@ -14,11 +14,11 @@ from drivers.dlp4500.sequence import (
     Entry,
     Program,
     Slot,
+    bit_planes,
     check_sequence,
     flash_program,
-    period_us,
-    planes,
-    still,
+    shortest_period_us,
+    still_program,
     video_program,
 )
 
@@ -41,18 +41,18 @@ def test_planes_of_each_depth(depth: int) -> None:
     count, first, step, least_us = ROWS[depth]
     for number in range(count):
         start = first + step * number
-        assert list(planes(depth, number)) == list(range(start, start + depth))
+        assert list(bit_planes(depth, number)) == list(range(start, start + depth))
     for number in (-1, 25, *([count] if depth > 1 else [])):
         with pytest.raises(ValueError, match=f"number is {number}: 0 to {count - 1} with {depth} bits"):
-            planes(depth, number)
+            bit_planes(depth, number)
     assert LEAST_EXPOSURE_US[depth] == least_us
 
 
 def test_solid_black_has_no_planes_and_depths_end_at_8() -> None:
-    assert list(planes(1, 24)) == []
+    assert list(bit_planes(1, 24)) == []
     for depth in (0, 9):
         with pytest.raises(ValueError, match=f"depth is {depth}: 1 to 8"):
-            planes(depth, 0)
+            bit_planes(depth, 0)
 
 
 def slots(*images: int) -> list[Slot]:
@@ -85,7 +85,7 @@ def test_leds_are_those_that_were_chosen() -> None:
 
 @given(st.integers(235, 10**6), st.integers(0, 10**6))
 def test_a_period_is_the_exposure_or_longer_by_more_than_230(exposure: int, least: int) -> None:
-    period = period_us(exposure, least)
+    period = shortest_period_us(exposure, least)
     assert period == exposure or period - exposure > 230
     assert period >= least
     assert period <= max(exposure + 231, least)
@@ -121,9 +121,9 @@ def test_the_least_exposure_is_of_the_deepest(depth: int) -> None:
 
 
 def test_the_longest_exposure() -> None:
-    assert still(Slot(0, 0), 200_000_000).repeat
+    assert still_program(Slot(0, 0), 200_000_000).repeat
     with pytest.raises(ValueError, match="the exposure is 200000001 µs"):
-        still(Slot(0, 0), 200_000_001)
+        still_program(Slot(0, 0), 200_000_001)
 
 
 def test_long_sequences_take_the_long_tables() -> None:

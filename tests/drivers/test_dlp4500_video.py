@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.index import shown_image
-from drivers.dlp4500.packing import in_frames, packed
+from drivers.dlp4500.packing import assign_slots, pack_images
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
 from drivers.emulators.dlpc350 import EmulatedDisplay, UsbFault
@@ -100,9 +100,9 @@ def played(bench: VideoBench, projector: Dlp4500, exposure_s: float) -> list[int
 def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
     """Read by the emulated controller, which takes planes apart on its own."""
     patterns = noise(*[bits] * 25)
-    slots = in_frames(patterns, 24)
+    slots = assign_slots(patterns, 24)
     assert [slot.number for slot in slots[:2]] == [0, 1]
-    images = list(packed(patterns, slots))
+    images = list(pack_images(patterns, slots))
     assert len(images) == slots[-1].image + 1
     for pattern, slot in zip(patterns, slots, strict=True):
         np.testing.assert_array_equal(
@@ -111,7 +111,7 @@ def test_every_pattern_of_a_depth_comes_out_of_its_planes(bits: int) -> None:
 
 
 def test_depths_do_not_share_a_frame() -> None:
-    slots = in_frames(noise(8, 8, 1, 1, 8), 24)
+    slots = assign_slots(noise(8, 8, 1, 1, 8), 24)
     assert [(slot.image, slot.number, slot.bits) for slot in slots] == [
         (0, 0, 8), (0, 1, 8), (1, 0, 1), (1, 1, 1), (2, 0, 8),
     ]  # fmt: skip
@@ -154,7 +154,7 @@ def test_a_fast_display_has_no_time_for_the_deep_patterns(bench: VideoBench) -> 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"flash": "patterns.yaml"}, "'flash' and 'video' are both there"),
+        ({"flash": "patterns.yaml"}, "'flash' and 'video' are both given"),
         ({"video": None}, "'flash' or 'video' is missing"),
         ({"video": {}}, "'video.display' is missing"),
         ({"video": {"display": -1}}, "'video.display' is -1"),
@@ -248,7 +248,7 @@ def test_an_exposure_beyond_a_frame_is_refused_with_the_remedy(bench: VideoBench
     projector.load(bench.patterns)
     with pytest.raises(
         SettingError,
-        match="play: 20000 µs for a pattern, and frames of the video port last 16666 µs; expose shorter",
+        match="play: the exposure is 20000 µs, and frames of the video port last 16666 µs; expose shorter",
     ):
         projector.play(0.02)
     assert projector.state is State.IDLE
@@ -257,7 +257,9 @@ def test_an_exposure_beyond_a_frame_is_refused_with_the_remedy(bench: VideoBench
 
 def test_dark_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
-    with pytest.raises(CapabilityError, match=r"no dark between patterns.*use flash, or a rolling shutter"):
+    with pytest.raises(
+        CapabilityError, match=r"no dark time between patterns.*use flash, or a rolling shutter"
+    ):
         projector.play(0.01, 0.001)
     assert projector.state is State.IDLE
     assert bench.pulsed() == []
@@ -265,7 +267,7 @@ def test_dark_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500)
 
 def test_darkness_between_patterns_is_refused(bench: VideoBench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
-    with pytest.raises(CapabilityError, match="no dark between patterns"):
+    with pytest.raises(CapabilityError, match="no dark time between patterns"):
         projector.play(0.01, 0.001)
     assert bench.pulsed() == []
 

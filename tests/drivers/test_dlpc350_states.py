@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dlp4500.sequence import planes
+from drivers.dlp4500.sequence import bit_planes
 from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedDisplay, UsbFault, Video
 from drivers.emulators.dlpc350.light import grey_levels
 from tests.drivers.dlpc350_host import ERROR, OK, Host, flat
@@ -282,7 +282,7 @@ def test_a_reset_takes_it_off_the_bus_and_all_back(host: Host) -> None:
 def test_planes_as_grey_levels(depth: int, number: int, word: int, inverted: bool) -> None:
     """Compared with a sum over single bit planes."""
     try:
-        wanted = planes(depth, number)
+        wanted = bit_planes(depth, number)
     except ValueError:
         return
     image = np.array([[[word & 0xFF, word >> 8 & 0xFF, word >> 16]]], np.uint8)

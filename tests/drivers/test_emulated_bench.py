@@ -169,7 +169,7 @@ def test_after_a_missed_pulse_the_last_frame_never_comes(folder: Path) -> None:
     with rig_file(folder, {"faults": {"missed": [3]}}) as rig:
         assert len(played(rig, 7)) == 7
         rig.projector.blank()
-        with pytest.raises(DeviceTimeoutError, match="see to the trigger cable"):
+        with pytest.raises(DeviceTimeoutError, match="check the trigger cable"):
             played(rig, 8)
 
 
@@ -326,7 +326,7 @@ def test_a_camera_that_is_unplugged(folder: Path) -> None:
     ("bench", "said"),
     [
         ({"firmware": "nowhere.bin"}, "cannot be read"),
-        ({"firmware": "patterns.yaml"}, "the projector refuses it"),
+        ({"firmware": "patterns.yaml"}, "the projector refused the command"),
         ({"faults": {"missed": [-1]}}, "missed"),
         ({"light": 3}, "unknown key 'light'"),
     ],

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from drivers.dlp4500.flash.compression import Compression, compress, run_lengths
-from drivers.dlp4500.flash.firmware import TABLE, Firmware, arranged
+from drivers.dlp4500.flash.compression import Compression, compress, encode_run_lengths
+from drivers.dlp4500.flash.firmware import TABLE, Firmware, arrange_patterns
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.sequence import SIZE, Slot
 from drivers.emulators.dlpc350.flash import decompress_pixels, stored_images
@@ -74,13 +74,13 @@ def structured(draw: st.DrawFn) -> np.ndarray:
     lambda shape: (*shape, 3)), elements=GREYS)))  # fmt: skip
 def test_runs_give_the_image_back(image):
     height, width, _ = image.shape
-    assert np.array_equal(decompress_pixels(1, run_lengths(image), width, height), image)
+    assert np.array_equal(decompress_pixels(1, encode_run_lengths(image), width, height), image)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 600), st.integers(1, 3))
 def test_literals_of_any_length_give_the_image_back(seed, width, height):
     image = np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
-    assert np.array_equal(decompress_pixels(1, run_lengths(image), width, height), image)
+    assert np.array_equal(decompress_pixels(1, encode_run_lengths(image), width, height), image)
 
 
 @given(hnp.arrays(np.uint8, (9, 3, 3), elements=GREYS), st.booleans())
@@ -111,7 +111,7 @@ END_OF_ALL = ROW + b"\0\1"
 )  # fmt: skip
 def test_the_bytes_of_runs(rows, stored):
     image = np.frombuffer(b"".join(map(b"".join, rows)), np.uint8).reshape(len(rows), -1, 3)
-    assert run_lengths(image) == stored.ljust(-(-len(stored) // 16) * 16, b"\0")
+    assert encode_run_lengths(image) == stored.ljust(-(-len(stored) // 16) * 16, b"\0")
 
 
 def test_the_shortest_way_is_chosen():
@@ -128,7 +128,7 @@ def test_the_shortest_way_is_chosen():
 def test_a_plan_is_decoded_pixel_for_pixel(maker, name):
     patterns = make_patterns(Plan.load(name), SIZE, Lattice.DIAMOND)
     images = stored_images(_built(maker, patterns))
-    slots = arranged(patterns)
+    slots = arrange_patterns(patterns)
     for slot, wanted in zip(slots, patterns, strict=True):
         assert np.array_equal(images[slot.image].planes[..., slot.number], wanted.image)
     empty = {(i, number) for i in range(len(images)) for number in range(3)}
@@ -138,7 +138,7 @@ def test_a_plan_is_decoded_pixel_for_pixel(maker, name):
 
 def test_patterns_go_in_their_order_and_kinds_do_not_share_an_image():
     noise, grey = _noise(1)[0], GREY
-    slots = arranged([grey, grey, grey, grey, noise, noise, grey])
+    slots = arrange_patterns([grey, grey, grey, grey, noise, noise, grey])
     assert [(slot.image, slot.number) for slot in slots] == [
         (0, 0),
         (0, 1),
@@ -241,11 +241,11 @@ def test_patterns_that_the_projector_cannot_hold(maker, patterns, words):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "is no firmware"),
-        (b"\0" * 0x30000, "is no firmware"),
-        (maker_firmware()[: TABLE + 100], "is no firmware"),
-        (maker_firmware()[TABLE:], "is no firmware"),
-        (maker_firmware()[:0x100000], "block at 0xe0a40 … 0x15efc8, outside .* it is cut off"),
+        (b"", "is not a firmware"),
+        (b"\0" * 0x30000, "is not a firmware"),
+        (maker_firmware()[: TABLE + 100], "is not a firmware"),
+        (maker_firmware()[TABLE:], "is not a firmware"),
+        (maker_firmware()[:0x100000], "block at 0xe0a40 … 0x15efc8, outside .* it is truncated"),
         (maker_firmware({0: (0xF9000000, 99)}), "block at 0x0 … 0x63"),
         (maker_firmware({}), "lists no program"),
         (maker_firmware(end=0x2000001), "has 33554433 bytes, the flash 33554432"),
@@ -293,7 +293,7 @@ def test_the_command(maker, tmp_path):
     ("change", "code", "found"),
     [
         ({"--out": "out.img"}, 2, "must end in .bin"),
-        ({"--base": "plan.yaml"}, 4, "is no firmware"),
+        ({"--base": "plan.yaml"}, 4, "is not a firmware"),
         ({"--base": "none.bin"}, 2, "cannot be read"),
         ({"plan": "plan.yaml"}, 2, "'fringes[0].stripes' is 457"),
     ],

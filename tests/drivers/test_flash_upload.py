@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from drivers.clock import RealClock
 from drivers.dlp4500.flash.firmware import Firmware
-from drivers.dlp4500.flash.loader import MOST_DATA, Loader, programming
-from drivers.dlp4500.flash.upload import check_firmware, prepare, verify_image_count
+from drivers.dlp4500.flash.loader import MOST_DATA, BootLoaderLink, boot_loader_session
+from drivers.dlp4500.flash.upload import check_firmware, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
@@ -200,7 +200,7 @@ def test_what_was_written_before_an_interruption_stays():
     assert not bench.runs_program()
     bench.board.erased = []
     words = " ".join(bench.upload(BUILT))
-    assert "Of these 1 stay" in words
+    assert "Of these 1 are kept" in words
     assert bench.board.erased == [TABLE, HEAD]
     assert _has(bench, BUILT)
 
@@ -249,7 +249,7 @@ def test_a_marked_sector_that_changed_is_written_again():
 def test_the_boot_sector_is_never_erased(sector):
     bench = Bench(MAKER)
     with pytest.raises(SettingError, match="boot sector"):
-        Loader(bench.link(), bench.clock, "projector").erase(sector)
+        BootLoaderLink(bench.link(), bench.clock, "projector").erase(sector)
     assert bench.board.messages == []
 
 
@@ -257,7 +257,7 @@ def test_the_boot_sector_is_never_erased(sector):
 def test_the_boot_sector_is_never_written(offset, size):
     bench = Bench(MAKER)
     with pytest.raises(SettingError, match="boot sector"):
-        Loader(bench.link(), bench.clock, "projector").write(offset, bytes(size))
+        BootLoaderLink(bench.link(), bench.clock, "projector").write(offset, bytes(size))
     assert bench.board.messages == []
 
 
@@ -292,8 +292,8 @@ def test_another_program_is_refused():
 
 def test_preparing_changes_nothing():
     bench = Bench(MAKER)
-    with programming(bench.link, bench.clock, "projector") as loader:
-        prepare(BUILT, loader)
+    with boot_loader_session(bench.link, bench.clock, "projector") as loader:
+        plan_upload(BUILT, loader)
     assert np.array_equal(bench.flash(), UNTOUCHED)
 
 
@@ -344,7 +344,7 @@ class Deaf(Bench):
 
 
 def test_a_projector_that_stays_in_its_program_is_reported():
-    with pytest.raises(StateError, match="does not come back in its boot loader within 15 s"):
+    with pytest.raises(StateError, match="does not reappear in its boot loader within 15 s"):
         Deaf().upload(BUILT)
 
 

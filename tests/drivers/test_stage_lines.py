@@ -19,12 +19,12 @@ from drivers.stage_grbl.lines import (
     GrblError,
     GrblMessage,
     Ok,
+    OtherLine,
     Setting,
     StatusReport,
-    Told,
     Welcome,
-    alarm_in_words,
-    error_in_words,
+    describe_alarm,
+    describe_error,
     parse_line,
 )
 from fpplab.core.errors import DeviceError
@@ -45,10 +45,10 @@ LINES: dict[str, GrblMessage] = {
     "<Run|MPos:0.0000,0.3937,0.0000|F:5|WCO:0.0000,1.5510,5.6640|Ov:100,100,100|A:SFM>": StatusReport(
         "Run", None, (0.0, 0.3937, 0.0), None, (0.0, 1.551, 5.664), ""
     ),
-    "[MSG:'$H'|'$X' to unlock]": Told("[MSG:'$H'|'$X' to unlock]"),
-    "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]": Told("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"),
-    ">G54G20:ok": Told(">G54G20:ok"),
-    "$N0=G54": Told("$N0=G54"),
+    "[MSG:'$H'|'$X' to unlock]": OtherLine("[MSG:'$H'|'$X' to unlock]"),
+    "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]": OtherLine("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"),
+    ">G54G20:ok": OtherLine(">G54G20:ok"),
+    "$N0=G54": OtherLine("$N0=G54"),
 }
 
 
@@ -93,8 +93,8 @@ def test_every_code_has_its_words() -> None:
     """The codes of GRBL's own tables."""
     assert set(ERRORS) == {*range(1, 18), *range(20, 39)}
     assert set(ALARMS) == set(range(1, 10))
-    assert error_in_words(9) == "error:9, locked, by an alarm or while it jogs"
-    assert alarm_in_words(77) == "ALARM:77, which GRBL 1.1 does not document"
+    assert describe_error(9) == "error:9, locked by an alarm or while jogging"
+    assert describe_alarm(77) == "ALARM:77, which GRBL 1.1 does not document"
 
 
 def direct(patch: pytest.MonkeyPatch, spoil: dict[int, tuple[int, int]]) -> tuple[GrblStage, GrblController]:

@@ -14,7 +14,7 @@ import pytest
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
-from drivers.dlp4500.framing import READ, REPLY_WANTED, joined, request
+from drivers.dlp4500.framing import READ, REPLY_WANTED, join_reports, make_request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid, training, usbip
@@ -133,18 +133,18 @@ def test_orders(kernel: Kernel, kind: int, what: int, status: int) -> None:
 def test_a_command_and_its_answer(kernel: Kernel) -> None:
     waiting = kernel.submit(1, IN, 64)
     assert kernel.hears_nothing()
-    (report,) = request(VERSION.number, b"", 7, READ | REPLY_WANTED).reports()
+    (report,) = make_request(VERSION.number, b"", 7, READ | REPLY_WANTED).reports()
     sent = kernel.submit(1, OUT, 64, report)
     assert kernel.hears(OUT) == (SUBMITTED, sent, 0, b"")
     kind, number, status, answer = kernel.hears(IN)
     assert (kind, number, status) == (SUBMITTED, waiting, 0)
-    reply = joined([answer])
+    reply = join_reports([answer])
     assert (reply.sequence, reply.failed, len(reply.payload)) == (7, False, 16)
 
 
 def test_the_interface_without_commands_takes_and_says_nothing(kernel: Kernel) -> None:
     kernel.submit(2, IN, 64)
-    (report,) = request(VERSION.number, b"", 7, READ | REPLY_WANTED).reports()
+    (report,) = make_request(VERSION.number, b"", 7, READ | REPLY_WANTED).reports()
     sent = kernel.submit(2, OUT, 64, report)
     assert kernel.hears(OUT) == (SUBMITTED, sent, 0, b"")
     assert kernel.hears_nothing()
@@ -254,6 +254,6 @@ def test_it_says_what_it_does(tmp_path: Path) -> None:
         projector.play(0.02)
         assert describe_state(bench.controller) == f"pattern mode, 9 patterns of 20 ms once: {lit}"
         projector.blank()
-        projector._board.sleep()
+        projector._board.enter_standby()
         assert describe_state(bench.controller) == "standby"
         projector._board.wake()

@@ -16,9 +16,9 @@ import pytest
 
 from drivers.clock import RealClock
 from drivers.dlp4500 import Dlp4500
-from drivers.dlp4500.flash.firmware import Firmware, arranged
-from drivers.dlp4500.flash.loader import programming
-from drivers.dlp4500.flash.upload import perform, prepare, verify_image_count
+from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
+from drivers.dlp4500.flash.loader import boot_loader_session
+from drivers.dlp4500.flash.upload import perform_upload, plan_upload, verify_image_count
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.transport import Link, connect
 from fpplab.core import config
@@ -37,7 +37,7 @@ def base(tmp_path: Path) -> Firmware:
     maker = Firmware(maker_firmware(), Path("maker.bin"))
     built = maker.with_patterns(PATTERNS[:3], tmp_path / "base.bin")
     built.source.write_bytes(built.content)
-    index = FlashIndex.of(PATTERNS[:3], arranged(PATTERNS[:3]))
+    index = FlashIndex.of(PATTERNS[:3], arrange_patterns(PATTERNS[:3]))
     built.source.with_suffix(".yaml").write_text(config.dump(index), encoding="utf-8")
     return built
 
@@ -72,8 +72,8 @@ def test_it_is_a_projector_until_it_is_ended(
         time.sleep(1.0)  # or nobody could have seen it
 
     more = base.with_patterns(PATTERNS, tmp_path / "more.bin")
-    with programming(link, RealClock(), "projector") as loader:
-        perform(more, loader, prepare(more, loader), lambda share: None)
+    with boot_loader_session(link, RealClock(), "projector") as loader:
+        perform_upload(more, loader, plan_upload(more, loader), lambda share: None)
     with closing(link()) as checked:
         verify_image_count(more, checked)
 

@@ -13,7 +13,7 @@ import pytest
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.framing import READ, REPLY_WANTED, request
 from drivers.dlp4500.protocol import VERSION
-from drivers.dlp4500.transport import TIMEOUT_S, Wire, connect
+from drivers.dlp4500.transport import TIMEOUT_S, HidDevice, connect
 from drivers.emulators.dlpc350 import UsbFault
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import State
@@ -35,8 +35,8 @@ def timed(action: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def raw_round_trip(wire: Wire) -> None:
-    """Exchange the reports of a command and of its answer, without the driver."""
+def raw_round_trip(wire: HidDevice) -> None:
+    """The reports of a command and of its answer, with no driver."""
     for report in request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
         wire.write(b"\0" + report)
     assert wire.read(64, round(1e3 * TIMEOUT_S))
@@ -107,7 +107,7 @@ def test_the_cable_is_pulled_at_a_step_of_a_sequence(
     driver.load(patterns[:3])
     emulated.fail({step: fault})
     begin = time.monotonic()
-    with pytest.raises(DisconnectedError, match="the USB device is gone"):
+    with pytest.raises(DisconnectedError, match="the USB device was unplugged"):
         play_and_blank(driver)
     assert time.monotonic() - begin < AT_MOST_S
     assert driver.state is State.FAULT
@@ -125,7 +125,7 @@ def test_the_cable_is_pulled_between_commands(
     driver.load(patterns)
     emulated.unplug()
     wait_until(is_gone)
-    with pytest.raises(DisconnectedError, match="the USB device is gone"):
+    with pytest.raises(DisconnectedError, match="the USB device was unplugged"):
         driver.show(0)
     with pytest.raises(DisconnectedError):
         driver.close()

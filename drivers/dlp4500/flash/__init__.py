@@ -1,1 +1,1 @@
-"""The projector's flash: pattern images, the firmware file that holds them, and its upload."""
+"""The projector's flash: pattern images, the firmware file that contains them, and its upload."""

@@ -1,6 +1,8 @@
-"""Pattern images as the flash stores them: four lines, run lengths, or as they are.
+"""Compression of pattern images as stored in flash: four lines, run lengths, or none.
 
 An image is uint8 (height, width, 3), its pixels in the order stored.
+
+Source: TI's DLPC350 client.
 """
 
 from __future__ import annotations
@@ -15,12 +17,13 @@ from numpy.typing import NDArray
 ImageBytes = NDArray[np.uint8]
 
 LINES = 4
+"""Rows that the four-line compression stores."""
 LONGEST = 255
 """Pixels that one count byte can announce."""
 
 
 class Compression(IntEnum):
-    """How an image is stored, as its header says."""
+    """Compression of an image, as its header states it."""
 
     NONE = 0
     RUN_LENGTH = 1
@@ -28,41 +31,80 @@ class Compression(IntEnum):
 
 
 @dataclass(frozen=True)
-class Compressed:
-    """The stored bytes of one image, without header."""
+class CompressedImage:
+    """The stored bytes of one image, without header.
+
+    Attributes
+    ----------
+    method : Compression
+        How the image is compressed.
+    data : bytes
+        The stored bytes.
+    """
 
     method: Compression
     data: bytes
 
 
-def compress(image: ImageBytes) -> Compressed:
-    """Store an image in the shortest way that loses nothing.
+def compress(image: ImageBytes) -> CompressedImage:
+    """Compress an image without loss in the shortest way.
 
-    Four lines where every row repeats four rows further down, as vertical fringes do on
-    either lattice; else run lengths where they are shorter than the image itself.
+    Four lines are stored where every row is repeated four rows further down, as it is for vertical fringes on
+    either lattice; else run lengths, where they are shorter than the image itself.
+
+    Parameters
+    ----------
+    image : ndarray
+        uint8 (height, width, 3), pixels in the order stored.
+
+    Returns
+    -------
+    CompressedImage
+        The stored bytes and their compression.
     """
-    if repeats_by_lines(image):
-        return Compressed(Compression.FOUR_LINE, image[:LINES].tobytes())
-    runs = run_lengths(image)
+    if repeats_every_four_lines(image):
+        return CompressedImage(Compression.FOUR_LINE, image[:LINES].tobytes())
+    runs = encode_run_lengths(image)
     if len(runs) < image.nbytes:
-        return Compressed(Compression.RUN_LENGTH, runs)
-    return Compressed(Compression.NONE, image.tobytes())
+        return CompressedImage(Compression.RUN_LENGTH, runs)
+    return CompressedImage(Compression.NONE, image.tobytes())
 
 
-def repeats_by_lines(image: ImageBytes) -> bool:
-    """Whether every row is the one four rows above it; of one colour plane as of all."""
+def repeats_every_four_lines(image: ImageBytes) -> bool:
+    """Tell whether every row equals the one four rows above it.
+
+    Parameters
+    ----------
+    image : ndarray
+        uint8 (height, width, 3), or one colour plane (height, width).
+
+    Returns
+    -------
+    bool
+        True where the four-line compression loses nothing.
+    """
     return len(image) > LINES and np.array_equal(image[LINES:], image[:-LINES])
 
 
-def run_lengths(image: ImageBytes) -> bytes:
-    """An image row by row as runs and literals.
+def encode_run_lengths(image: ImageBytes) -> bytes:
+    """Encode an image row by row as runs and literals.
 
-    A byte n of 1 … 255: the pixel after it n times. 0 and n of 2 … 255: n pixels follow as they are.
-    0, 0: end of the row, filled with zeros to a multiple of 4 bytes. 0, 1: end of the image, to a
-    multiple of 16.
+    A byte n of 1 to 255 means that the pixel after it is repeated n times; 0 and n of 2 to 255 that n pixels
+    follow literally; 0, 0 ends a row and is padded with zeros to a multiple of 4 bytes; 0, 1 ends the image
+    and is padded to a multiple of 16 bytes.
+
+    Parameters
+    ----------
+    image : ndarray
+        uint8 (height, width, 3), pixels in the order stored.
+
+    Returns
+    -------
+    bytes
+        The encoded image.
     """
     height, width, _ = image.shape
-    longest_row = 4 * width + 5  # each pixel a run of its own, the row's end and its filling
+    longest_row = 4 * width + 5  # each pixel a run of its own, the end of the row and its padding
     stored = np.zeros(height * longest_row + 17, np.uint8)
     return stored[: _encode(np.ascontiguousarray(image), stored)].tobytes()
 
@@ -93,7 +135,7 @@ def _encode(image: ImageBytes, stored: ImageBytes) -> int:
 
 @njit(inline="always")
 def _run(row: ImageBytes, column: int) -> int:
-    """How often the pixel at `column` comes in a row from there on, at most LONGEST."""
+    """Count how often the pixel at `column` is repeated from there on, at most LONGEST."""
     end = column + 1
     while end < len(row) and end - column < LONGEST and _same(row, column, end):
         end += 1

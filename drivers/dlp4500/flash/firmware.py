@@ -1,11 +1,11 @@
-"""A firmware file of the LightCrafter 4500: what it holds where, and the same with other pattern images.
+"""Firmware files of the LightCrafter 4500: their structure, and the replacement of the pattern images.
 
-A file is the flash from its first byte on: the boot loader, a table of blocks, the blocks, and last the
-splash area with the images. Images begin at a sector boundary behind everything else, so that a new set
-of them touches no sector of the program; of the table only the place of the splash area changes, which is all
-that TI's own tools change in it.
+A file is an image of the flash from its first byte on: the boot loader, a table of blocks, the blocks, and
+last the splash area with the images. New images begin at a sector boundary behind everything else, so that
+replacing them affects no sector of the program; in the table only the address of the splash area changes, as
+with TI's own tools.
 
-Source: TI's DLPC350 client. Read by decoders of ours and of TI; nothing here has been near a board.
+Source: TI's DLPC350 client. Files were read by our decoder and TI's; not yet tested on a board.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from pathlib import Path
 import numpy as np
 
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.flash.compression import Compressed, compress, repeats_by_lines
-from drivers.dlp4500.packing import packed
+from drivers.dlp4500.flash.compression import CompressedImage, compress, repeats_every_four_lines
+from drivers.dlp4500.packing import pack_images
 from drivers.dlp4500.sequence import SIZE, Slot
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.fringes import Pattern
 
 TABLE = 0x20000
-"""Where the table of blocks is."""
+"""Offset of the table of blocks."""
 
 TABLE_SECTOR = memory.sector_of(TABLE)
+"""Sector of the table of blocks."""
 _SIGNATURE = struct.pack("<I", 0x01234567)
 _BLOCK = struct.Struct("<II")
 _BLOCKS = TABLE + 16
 _BLOCK_COUNT = 56
 _SPLASH_BLOCKS = range(20, 24)
-"""The splash area, and images that the maker's firmware lists one by one: new images replace them all."""
+"""Table entries of the splash area; TI's firmware also lists single images there. New images replace all."""
 
 SPLASH_ENTRY = _BLOCKS + _SPLASH_BLOCKS[0] * _BLOCK.size
-"""Where the address of the splash area is."""
+"""Offset of the splash area's address in the table."""
 
 _UNUSED = 0xFFFFFFFF
 
@@ -44,33 +45,50 @@ PER_IMAGE = 3
 """Patterns of 8 bits in an image: in green, red and blue."""
 
 STORED = (2, 1, 0)
-"""Pixels are stored blue, red, green."""
+"""Order of the colour planes in a stored pixel: blue, red, green."""
 
 BIT_DEPTH = 8
 MOST_IMAGES = 256
+"""Images that the splash area can list."""
 _SPLASH_SIGNATURE = struct.pack("<II", 0x12345678, 0x87654321)
 _IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MOST_IMAGES * _BLOCK.size
-"""Of the first image, from the beginning of the splash area on."""
+"""Offset of the first image in the splash area."""
 
 _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
 
 
 @dataclass(frozen=True)
 class FlashBlock:
-    """Neighbouring bytes of the flash, `offset` from its first."""
+    """A contiguous range of the flash.
+
+    Attributes
+    ----------
+    offset : int
+        Offset of its first byte.
+    size : int
+        Number of bytes.
+    """
 
     offset: int
     size: int
 
     @property
     def end(self) -> int:
-        """The first byte behind it."""
+        """Offset of the first byte behind it."""
         return self.offset + self.size
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """The flash from its first byte on. source: names it in errors."""
+    """The contents of a firmware file.
+
+    Attributes
+    ----------
+    content : bytes
+        The flash from its first byte on.
+    source : Path
+        The file, for errors.
+    """
 
     content: bytes
     source: Path
@@ -79,7 +97,22 @@ class Firmware:
     def load(cls, path: Path) -> Firmware:
         """Read a firmware file.
 
-        Raises `ConfigError` when there is none, `DataError` when it is no firmware, or cut off.
+        Parameters
+        ----------
+        path : Path
+            The file.
+
+        Returns
+        -------
+        Firmware
+            Its contents.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be read.
+        DataError
+            The file is not a firmware of the LightCrafter 4500, or is truncated.
         """
         try:
             firmware = cls(path.read_bytes(), path)
@@ -90,14 +123,14 @@ class Firmware:
 
     @property
     def splash(self) -> FlashBlock:
-        """The splash area, to the end of the file."""
+        """The splash area, up to the end of the file."""
         (address,) = struct.unpack_from("<I", self.content, SPLASH_ENTRY)
         offset = address - memory.ADDRESS
         return FlashBlock(offset, len(self.content) - offset)
 
     @property
     def blocks(self) -> tuple[FlashBlock, ...]:
-        """Program and configuration: every block that the table lists but splash."""
+        """Program and configuration: all blocks of the table except the splash area, by offset."""
         table = self.content[_BLOCKS : _BLOCKS + _BLOCK_COUNT * _BLOCK.size]
         listed = [
             FlashBlock(address - memory.ADDRESS, size)
@@ -108,49 +141,69 @@ class Firmware:
 
     @property
     def behind_program(self) -> int:
-        """The first sector boundary behind every block."""
+        """Offset of the first sector boundary behind every block."""
         return memory.next_sector_start(max(block.end for block in self.blocks))
 
     @property
     def images(self) -> int:
-        """How many images it holds. Raises `DataError` when there is no splash area where the table says."""
+        """Number of images in the file.
+
+        Raises
+        ------
+        DataError
+            There is no splash area at the address in the table.
+        """
         start = self.splash.offset
         if not self.content.startswith(_SPLASH_SIGNATURE, start):
-            raise DataError(f"{self.source}: has no images at {start:#x}, where its table says")
+            raise DataError(f"{self.source}: has no images at {start:#x}, their address in its flash table")
         return int.from_bytes(self.content[start + 8 : start + 12], "little")
 
     def with_patterns(self, patterns: Sequence[Pattern], source: Path) -> Firmware:
-        """The same program with these patterns as its only images, to be written to `source`.
+        """Replace the images by patterns and keep the program.
 
-        Raises `ConfigError` for patterns that are not of 8 bits or the projector's size, for too many of
-        them, and when they do not fit into the flash.
+        Parameters
+        ----------
+        patterns : sequence of Pattern
+            Patterns of 8 bits and of the projector's size.
+        source : Path
+            File that the result will be written to, for errors.
+
+        Returns
+        -------
+        Firmware
+            The new contents; nothing is written.
+
+        Raises
+        ------
+        ConfigError
+            The patterns have another bit depth or size, are too many, or do not fit into the flash.
         """
         _check(patterns)
-        slots = arranged(patterns)
+        slots = arrange_patterns(patterns)
         if slots[-1].image >= MOST_IMAGES:
             raise ConfigError(
                 f"{len(patterns)} patterns take {slots[-1].image + 1} images: the flash holds {MOST_IMAGES}"
             )
         start = self.behind_program
         splash = splash_area(
-            [compress(np.ascontiguousarray(image[..., STORED])) for image in packed(patterns, slots)],
+            [compress(np.ascontiguousarray(image[..., STORED])) for image in pack_images(patterns, slots)],
             memory.ADDRESS + start,
         )
         if start + len(splash) > memory.SIZE:
             raise ConfigError(
                 f"{len(patterns)} patterns take {len(splash)} bytes of flash and {memory.SIZE - start} are "
-                "free: show fewer, or such as compress (fringes along one axis)"
+                "free: use fewer, or patterns that compress well (fringes along one axis)"
             )
         content = bytearray(self.content[:start].ljust(start, bytes([memory.ERASED])))
         struct.pack_into("<I", content, SPLASH_ENTRY, memory.ADDRESS + start)
         return Firmware(bytes(content) + splash, source)
 
     def _check(self) -> None:
-        """Raise `DataError` unless this is a firmware, whole, whose program fits into the flash."""
+        """Raise `DataError` unless this is a complete firmware whose program fits into the flash."""
         table_end = _BLOCKS + _BLOCK_COUNT * _BLOCK.size
         if len(self.content) < table_end or not self.content.startswith(_SIGNATURE, TABLE):
             raise DataError(
-                f"{self.source}: is no firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
+                f"{self.source}: is not a firmware of the LightCrafter 4500 (no flash table at {TABLE:#x})"
             )
         if len(self.content) > memory.SIZE:
             raise DataError(f"{self.source}: has {len(self.content)} bytes, the flash {memory.SIZE}")
@@ -160,20 +213,30 @@ class Firmware:
             if block.offset < memory.SECTOR or block.end > len(self.content):
                 raise DataError(
                     f"{self.source}: its flash table has a block at {block.offset:#x} … {block.end:#x}, "
-                    f"outside {memory.SECTOR:#x} … {len(self.content):#x} of the file: it is cut off"
+                    f"outside {memory.SECTOR:#x} … {len(self.content):#x} of the file: it is truncated"
                 )
 
 
-def arranged(patterns: Sequence[Pattern]) -> list[Slot]:
-    """Where each pattern goes: in its order, three to an image.
+def arrange_patterns(patterns: Sequence[Pattern]) -> list[Slot]:
+    """Assign patterns to flash images in their order, three to an image.
 
-    Patterns that repeat by lines and others never share one: a single other one would have it stored at
-    full length.
+    Patterns that repeat every four lines and others never share an image, as a single other pattern would
+    prevent the four-line compression of the image.
+
+    Parameters
+    ----------
+    patterns : sequence of Pattern
+        Patterns of 8 bits.
+
+    Returns
+    -------
+    list of Slot
+        Location of each pattern.
     """
     slots: list[Slot] = []
     image, number, repeated = -1, PER_IMAGE, False
     for pattern in patterns:
-        repeats = repeats_by_lines(pattern.image)
+        repeats = repeats_every_four_lines(pattern.image)
         if number == PER_IMAGE or repeats != repeated:
             image, number, repeated = image + 1, 0, repeats
         slots.append(Slot(image, number, BIT_DEPTH))
@@ -197,8 +260,21 @@ def _check(patterns: Sequence[Pattern]) -> None:
             )
 
 
-def splash_area(images: Sequence[Compressed], address: int) -> bytes:
-    """Signature, count and table of the images, then each with its header, for the controller's `address`."""
+def splash_area(images: Sequence[CompressedImage], address: int) -> bytes:
+    """Encode the splash area: signature, number and table of the images, then each image with its header.
+
+    Parameters
+    ----------
+    images : sequence of CompressedImage
+        The images, at most `MOST_IMAGES`.
+    address : int
+        Address of the splash area in the controller's memory.
+
+    Returns
+    -------
+    bytes
+        The splash area.
+    """
     stored = [_header(image) + image.data for image in images]
     table = bytearray(_BLOCK.pack(_UNUSED, _UNUSED) * MOST_IMAGES)
     at = address + _IMAGES_AT
@@ -208,7 +284,7 @@ def splash_area(images: Sequence[Compressed], address: int) -> bytes:
     return b"".join([_SPLASH_SIGNATURE, struct.pack("<I", len(images)), table, *stored])
 
 
-def _header(image: Compressed) -> bytes:
+def _header(image: CompressedImage) -> bytes:
     width, height = SIZE
     whole, background, packed_24_bit, byte_order, chroma_order = _UNUSED, 0, 1, 1, 0
     return _HEADER.pack(

@@ -1,9 +1,10 @@
-"""The boot loader: a program of its own that erases, writes and sums the flash, and nothing else.
+"""The controller's boot loader, which erases and writes the flash and computes checksums.
 
-The projector leaves the USB when it enters and when it leaves the loader, and comes back as the other
-program. The loader cannot read the flash, but the checksum of one byte is that byte.
+The boot loader is a program of its own. The projector disappears from USB when it enters or leaves the boot
+loader, and reappears running the other program. The boot loader cannot read the flash, but the checksum of a
+single byte is that byte.
 
-Source: TI's DLPC350 client and GUI. Proven on an emulated wire only: no board has been written with it yet.
+Source: TI's DLPC350 client and GUI. Tested on an emulated flash only, not yet on a board.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.protocol import VERSION, Command, Raw, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import VERSION, Command, RawBytes, RegisterField, RegisterLayout
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
@@ -26,20 +27,20 @@ from fpplab.core.errors import (
 
 _NUMBER = RegisterLayout((RegisterField("value", 32),))
 MOST_DATA = 504
-"""Bytes of one data message; two less than fit, for the loader's sake."""
+"""Bytes of one data message; two less than fit, to avoid a fault of the boot loader."""
 
 ENTER = Command("enter the boot loader", 0x3001, RegisterLayout(), acknowledged=False)
-TELL = Command(
+READ_STATUS = Command(
     "boot loader's answer",
     0x0015,
-    returned=Raw(10, 60),
+    returned=RawBytes(10, 60),
     selector=RegisterLayout((RegisterField("what", 8, (0x00, 0x0C, 0x0D)),)),
 )
 FLASH_TYPE = Command("flash type", 0x002F, RegisterLayout((RegisterField("algorithm", 8),)))
 ADDRESS = Command("flash address", 0x0029, _NUMBER)
 ERASE = Command("erase sector", 0x0028, RegisterLayout())
 UPLOAD_SIZE = Command("upload size", 0x002C, _NUMBER)
-DATA = Command("flash data", 0x0025, Raw(1, MOST_DATA), acknowledged=False)
+DATA = Command("flash data", 0x0025, RawBytes(1, MOST_DATA), acknowledged=False)
 SUM = Command("start checksum", 0x0026, RegisterLayout(), acknowledged=False)
 LEAVE = Command(
     "leave the boot loader", 0x0030, RegisterLayout((RegisterField("how", 8, (2,)),)), acknowledged=False
@@ -48,28 +49,55 @@ LEAVE = Command(
 _CHECKSUM, _MANUFACTURER, _DEVICE = 0x00, 0x0C, 0x0D
 _BUSY = 0x08
 EVM_FLASH = 0x0020, 0x227E
-"""Manufacturer and device of the flash on the evaluation module, and the algorithm that writes it."""
+"""Manufacturer and device id of the flash on the evaluation module."""
 EVM_ALGORITHM = 0
+"""Number of the algorithm that writes it."""
 
 POLL_S = 0.01
 BUSY_LIMIT_S = 30.0
-"""Longer than any flash takes for one sector; the sources give no figure."""
+"""Time limit in s for one sector; TI's sources give no figure."""
 RESTART_LIMIT_S = 15.0
-"""The maker's SDK waits 10 s for the device to come back."""
+"""Time limit in s for the device to reappear; TI's SDK waits 10 s."""
 RESTART_POLL_S = 0.25
 
 Connect = Callable[[], Link]
-"""Opens the projector, whichever program it runs."""
+"""Opens a link to the projector, whichever program it runs."""
 
 
-class Loader:
-    """One conversation with the boot loader; offsets count from the first byte of the flash."""
+class BootLoaderLink:
+    """A link to the boot loader; offsets count from the first byte of the flash.
+
+    Every method may raise the errors of `Link.write` and `Link.read`, and `DeviceTimeoutError` where the
+    flash stays busy.
+
+    Parameters
+    ----------
+    link : Link
+        Link to a projector that runs its boot loader.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Attributes
+    ----------
+    link : Link
+        The link to the projector.
+    name : str
+        The projector's name, for errors.
+    """
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
         self.link, self._clock, self.name = link, clock, name
 
     def identify(self) -> None:
-        """Refuse a flash that is not the evaluation module's: `DeviceError`."""
+        """Check the type of the flash and select the algorithm that writes it.
+
+        Raises
+        ------
+        DeviceError
+            The flash is not that of the evaluation module.
+        """
         self._wait("identify")  # an interrupted upload may have left it busy
         found = self._number(_MANUFACTURER), self._number(_DEVICE)
         if found != EVM_FLASH:
@@ -82,7 +110,18 @@ class Loader:
         self.link.write(FLASH_TYPE, algorithm=EVM_ALGORITHM)
 
     def erase(self, sector: int) -> None:
-        """Set a sector to ones. Raises `SettingError` for the boot sector and beyond the last."""
+        """Erase a sector, which sets all its bits to one.
+
+        Parameters
+        ----------
+        sector : int
+            Number of the sector.
+
+        Raises
+        ------
+        SettingError
+            It is the boot loader's sector, or beyond the last one.
+        """
         self._check(sector * memory.SECTOR, memory.SECTOR)
         self.link.write(ADDRESS, value=sector * memory.SECTOR)
         self.link.write(ERASE)
@@ -91,7 +130,19 @@ class Loader:
     def write(self, offset: int, data: bytes) -> None:
         """Write to erased flash and compare checksums.
 
-        Raises `SettingError` for the boot sector and beyond the last, `DeviceError` when the sum is another.
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        data : bytes
+            The bytes to write.
+
+        Raises
+        ------
+        SettingError
+            The range touches the boot loader's sector or the end of the flash.
+        DeviceError
+            The checksum differs.
         """
         self._check(offset, len(data))
         self.link.write(ADDRESS, value=offset)
@@ -105,23 +156,49 @@ class Loader:
                 self.name,
                 "flash data",
                 f"the checksum of {len(data)} bytes at {offset:#x} is {found:#x}, not {wanted:#x}",
-                "give the same command again; it goes on from there",
+                "give the same command again; it continues from there",
             )
 
     def checksum(self, offset: int, size: int) -> int:
-        """The sum of `size` bytes at `offset`, 32 bits of it."""
+        """Have the boot loader compute a checksum.
+
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        int
+            Sum of the bytes, modulo 2^32.
+        """
         self.link.write(ADDRESS, value=offset)
         self.link.write(UPLOAD_SIZE, value=size)
         self.link.write(SUM)
         self._wait("start checksum")
         return self._number(_CHECKSUM)
 
-    def peek(self, offset: int, size: int) -> bytes:
-        """Read a few bytes, one by one."""
+    def read(self, offset: int, size: int) -> bytes:
+        """Read a few bytes, one checksum for each.
+
+        Parameters
+        ----------
+        offset : int
+            Offset of the first byte.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        bytes
+            The bytes.
+        """
         return bytes(self.checksum(at, 1) & 0xFF for at in range(offset, offset + size))
 
     def leave(self) -> None:
-        """Have the projector start again, and let go of it."""
+        """Start the projector's program and close the link."""
         try:
             self.link.write(LEAVE, how=2)
         finally:
@@ -137,13 +214,13 @@ class Loader:
             )
 
     def _number(self, what: int) -> int:
-        answer = self.link.read_bytes(TELL, what=what)
+        answer = self.link.read_bytes(READ_STATUS, what=what)
         low, high = answer[6:10], answer[12:16] if what == _DEVICE else b""
         return int.from_bytes(low + high, "little")
 
     def _wait(self, operation: str) -> None:
         deadline = self._clock.now() + BUSY_LIMIT_S
-        while self.link.read_bytes(TELL, what=_CHECKSUM)[0] & _BUSY:
+        while self.link.read_bytes(READ_STATUS, what=_CHECKSUM)[0] & _BUSY:
             if self._clock.now() > deadline:
                 raise DeviceTimeoutError(
                     self.name,
@@ -159,17 +236,36 @@ def _words(part: tuple[int, int]) -> str:
 
 
 @contextmanager
-def programming(connect: Connect, clock: Clock, name: str) -> Iterator[Loader]:
-    """The projector in its boot loader, wherever it was before; it starts again at the end.
+def boot_loader_session(connect: Connect, clock: Clock, name: str) -> Iterator[BootLoaderLink]:
+    """Enter the boot loader, and restart the projector's program at the end of the context.
 
-    Raises `DeviceError` when either program does not come back, or the flash is another.
+    It does not matter whether the projector runs its boot loader already.
+
+    Parameters
+    ----------
+    connect : callable
+        Opens a link to the projector, whichever program it runs.
+    clock : Clock
+        For waits and time limits.
+    name : str
+        The projector's name, for errors.
+
+    Yields
+    ------
+    BootLoaderLink
+        The boot loader, with a flash that was identified.
+
+    Raises
+    ------
+    DeviceError
+        The projector does not reappear with the other program, or its flash is of another type.
     """
-    loader = Loader(_entered(connect, clock, name), clock, name)
+    loader = BootLoaderLink(_entered(connect, clock, name), clock, name)
     try:
         loader.identify()
         yield loader
     except BaseException:
-        with suppress(DeviceError):  # the first fault is the one to tell
+        with suppress(DeviceError):  # the original failure is the one to report
             loader.leave()
         raise
     loader.leave()
@@ -188,7 +284,7 @@ def _entered(connect: Connect, clock: Clock, name: str) -> Link:
 
 
 def _runs_program(link: Link) -> bool:
-    """Whether the projector tells its version, which the loader does not know."""
+    """Tell whether the projector reports its version, a command that the boot loader does not have."""
     try:
         link.read(VERSION)
     except (ProtocolError, DeviceTimeoutError):
@@ -197,21 +293,21 @@ def _runs_program(link: Link) -> bool:
 
 
 def _restarted(connect: Connect, clock: Clock, name: str, into_program: bool) -> Link:
-    """Open the projector again once it has come back as the other program."""
+    """Open the projector again once it has reappeared running the other program."""
     deadline = clock.now() + RESTART_LIMIT_S
     while clock.now() < deadline:
         clock.sleep(RESTART_POLL_S)
         try:
             link = connect()
-        except DeviceError:  # gone still, or there but not yet ready for use
+        except DeviceError:  # not reappeared yet, or not ready yet
             continue
-        with suppress(DisconnectedError):  # it was about to go
+        with suppress(DisconnectedError):  # it was about to restart
             if _runs_program(link) == into_program:
                 return link
         link.close()
     raise StateError(
         name,
         "restart",
-        f"does not come back {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
+        f"does not reappear {'from' if into_program else 'in'} its boot loader within {RESTART_LIMIT_S:g} s",
         "switch the projector off and on, and give the same command again",
     )

@@ -1,11 +1,11 @@
-"""A built firmware file into the projector: only the sectors that must be, and on after an interruption.
+"""Upload of a built firmware file: only the sectors that differ, continued after an interruption.
 
-The projector's program is never erased, but for what shares a sector with the flash table; a file that was
-built on another program is refused. While images are written their first sector holds a page of progress in
-their place: a digest of the file, and a mark for each further sector that is written and compared. It is
-written last. So the projector has all images of a file or none, and an upload that was cut off, from
-whichever computer, goes on where it was. The sector with the table is written only when images move, which
-they do once: from where the maker's file has them.
+The projector's program is never erased, except for what shares a sector with the flash table; a file that
+was built on another program is refused. While images are written, their first sector contains a progress
+page instead: a digest of the file, and a mark for each further sector that is written and verified. The
+first sector is written last. The projector therefore has either all images of a file or none, and an upload
+that was interrupted continues where it was, from any computer. The sector with the table is written only
+when the images move, which they do once: from their place in TI's file.
 """
 
 from __future__ import annotations
@@ -15,23 +15,29 @@ from dataclasses import dataclass
 
 from drivers.dlp4500.flash import memory
 from drivers.dlp4500.flash.firmware import MOST_IMAGES, SPLASH_ENTRY, TABLE_SECTOR, Firmware, FlashBlock
-from drivers.dlp4500.flash.loader import Loader
+from drivers.dlp4500.flash.loader import BootLoaderLink
 from drivers.dlp4500.protocol import IMAGES_IN_FLASH
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DataError, DeviceError
 from fpplab.core.progress import Progress
 
 _SLOT = 16
-"""Bytes of the digest and of each mark on the page of progress."""
+"""Bytes of the digest and of each mark on the progress page."""
 _MARK = bytes(_SLOT)
 
 
 @dataclass(frozen=True)
-class Work:
-    """What an upload has to do.
+class UploadPlan:
+    """The steps of an upload.
 
-    images: the sectors of the images. written: those that an earlier upload of the same file has finished;
-    None without one. table: whether the flash table must change.
+    Attributes
+    ----------
+    images : range
+        Sectors of the images.
+    written : frozenset of int or None
+        Sectors that an earlier upload of the same file has completed; None without an earlier upload.
+    table : bool
+        Whether the flash table must be changed.
     """
 
     images: range
@@ -40,30 +46,48 @@ class Work:
 
     @property
     def sectors(self) -> list[int]:
-        """The sectors to erase and write, in that order; the first of the images makes them valid."""
+        """Sectors to erase and write, in order; the first sector of the images is last, making them valid."""
         rest = [s for s in self.images[1:] if s not in (self.written or ())]
         return [*rest, *([TABLE_SECTOR] if self.table else []), self.images[0]]
 
     @property
-    def words(self) -> list[str]:
-        """What will be erased, for the operator to agree to."""
+    def summary(self) -> list[str]:
+        """Sentences that tell the operator what will be erased."""
         first, last = self.images[0], self.images[-1]
         sentences = [
             f"Sectors {first} to {last} ({_range(first, last)}) with the images there now will be erased."
         ]
         if self.written is not None:
-            sentences.append(f"Of these {len(self.written)} stay: an earlier upload of this file wrote them.")
+            sentences.append(
+                f"Of these {len(self.written)} are kept: an earlier upload of this file wrote them."
+            )
         if self.table:
             sentences.append(
                 f"Sector {TABLE_SECTOR} ({_range(TABLE_SECTOR, TABLE_SECTOR)}) with the flash table will be "
                 "erased and written back: if power fails just then, only the boot loader starts until the "
                 "same command is given again."
             )
-        return [*sentences, "The boot loader and the rest of the program stay as they are."]
+        return [*sentences, "The boot loader and the rest of the program are not changed."]
 
 
 def check_firmware(firmware: Firmware) -> range:
-    """The sectors of the images. Raises `DataError` for a file that was not built for upload."""
+    """Check that a file was built for upload.
+
+    Parameters
+    ----------
+    firmware : Firmware
+        The file.
+
+    Returns
+    -------
+    range
+        Sectors of its images.
+
+    Raises
+    ------
+    DataError
+        The images share sectors with the program, or there are none.
+    """
     splash, images = firmware.splash, firmware.images
     if splash.offset % memory.SECTOR or splash.offset < firmware.behind_program or not images:
         raise DataError(
@@ -73,20 +97,56 @@ def check_firmware(firmware: Firmware) -> range:
     return range(memory.sector_of(splash.offset), memory.sector_of(splash.end - 1) + 1)
 
 
-def prepare(firmware: Firmware, loader: Loader) -> Work:
-    """Find out what is to be done, without changing anything.
+def plan_upload(firmware: Firmware, loader: BootLoaderLink) -> UploadPlan:
+    """Determine the steps of an upload, without changing anything.
 
-    Raises `DataError` as `check_firmware`, `DeviceError` when the projector has another program than the file.
+    Parameters
+    ----------
+    firmware : Firmware
+        The file to upload.
+    loader : BootLoaderLink
+        The projector's boot loader.
+
+    Returns
+    -------
+    UploadPlan
+        The steps.
+
+    Raises
+    ------
+    DataError
+        The file was not built for upload, see `check_firmware`.
+    DeviceError
+        The projector runs another program than that of the file.
     """
     images = check_firmware(firmware)
     _check_program(firmware, loader)
-    page = _Page(firmware, loader, images)
-    return Work(images, page.written() if page.is_there() else None, _table_differs(firmware, loader))
+    page = _ProgressPage(firmware, loader, images)
+    return UploadPlan(
+        images, page.written() if page.matches_file() else None, _table_differs(firmware, loader)
+    )
 
 
-def perform(firmware: Firmware, loader: Loader, work: Work, report: Progress) -> None:
-    """Erase, write and compare every sector of `work`. Raises `DeviceError`; the same again then goes on."""
-    page = _Page(firmware, loader, work.images)
+def perform_upload(firmware: Firmware, loader: BootLoaderLink, work: UploadPlan, report: Progress) -> None:
+    """Erase, write and verify the sectors of a plan; after a failure a new plan continues where it was.
+
+    Parameters
+    ----------
+    firmware : Firmware
+        The file to upload.
+    loader : BootLoaderLink
+        The projector's boot loader.
+    work : UploadPlan
+        From `plan_upload`.
+    report : Progress
+        Called with the share that is done, 0 to 1.
+
+    Raises
+    ------
+    DeviceError
+        The projector failed, or a checksum differs.
+    """
+    page = _ProgressPage(firmware, loader, work.images)
     if work.written is None:
         page.begin()
     for done, sector in enumerate(work.sectors):
@@ -98,9 +158,22 @@ def perform(firmware: Firmware, loader: Loader, work: Work, report: Progress) ->
 
 
 def verify_image_count(firmware: Firmware, link: Link) -> None:
-    """Have the projector's program count the images. Raises `DeviceError` when there are more or fewer."""
+    """Compare the number of images that the projector finds in its flash with that of the file.
+
+    Parameters
+    ----------
+    firmware : Firmware
+        The file that was uploaded.
+    link : Link
+        Link to the projector, which runs its program.
+
+    Raises
+    ------
+    DeviceError
+        The numbers differ.
+    """
     found, wanted = link.read(IMAGES_IN_FLASH)["count"], firmware.images
-    if found != wanted % MOST_IMAGES:  # 256 do not fit its byte
+    if found != wanted % MOST_IMAGES:  # the count is one byte, in which 256 is 0
         raise DeviceError(
             link.name,
             "upload",
@@ -109,29 +182,29 @@ def verify_image_count(firmware: Firmware, link: Link) -> None:
         )
 
 
-class _Page:
-    """The progress of an upload, in the first sector of the images until they are complete."""
+class _ProgressPage:
+    """Progress of an upload, stored in the first sector of the images until these are complete."""
 
-    def __init__(self, firmware: Firmware, loader: Loader, images: range) -> None:
+    def __init__(self, firmware: Firmware, loader: BootLoaderLink, images: range) -> None:
         self._firmware, self._loader, self._images = firmware, loader, images
         self._offset = images[0] * memory.SECTOR
         self._digest = hashlib.sha256(firmware.content).digest()[:_SLOT]
 
     def begin(self) -> None:
-        """Erase the first sector of the images and say whose progress it will hold."""
+        """Erase the first sector of the images and write the file's digest to it."""
         self._loader.erase(self._images[0])
         self._loader.write(self._offset, self._digest)
 
-    def is_there(self) -> bool:
-        """Whether an upload of this file was interrupted."""
-        return self._loader.peek(self._offset, _SLOT) == self._digest
+    def matches_file(self) -> bool:
+        """Tell whether an upload of this file was interrupted."""
+        return self._loader.read(self._offset, _SLOT) == self._digest
 
     def written(self) -> frozenset[int]:
-        """The sectors that are marked, and still sum up to what they should."""
+        """List the sectors that are marked and whose checksum is right."""
         return frozenset(s for s in self._images[1:] if self._is_marked(s) and self._holds(s))
 
     def mark(self, sector: int) -> None:
-        """Note that a sector is complete."""
+        """Mark a sector as complete."""
         self._loader.write(self._mark_of(sector), _MARK)
 
     def _mark_of(self, sector: int) -> int:
@@ -144,8 +217,8 @@ class _Page:
         return _is_same(self._firmware, self._loader, _part(self._firmware, sector))
 
 
-def _check_program(firmware: Firmware, loader: Loader) -> None:
-    """Refuse a projector whose program differs outside of the table's sector, which may be half written."""
+def _check_program(firmware: Firmware, loader: BootLoaderLink) -> None:
+    """Refuse a projector with another program; the table's sector is left out, as it may be half written."""
     for block in firmware.blocks:
         start = max(block.offset, (TABLE_SECTOR + 1) * memory.SECTOR)
         rest = FlashBlock(start, block.end - start)
@@ -158,22 +231,22 @@ def _check_program(firmware: Firmware, loader: Loader) -> None:
             )
 
 
-def _table_differs(firmware: Firmware, loader: Loader) -> bool:
-    """Whether the sector of the flash table must be written; sums alone might agree by accident."""
+def _table_differs(firmware: Firmware, loader: BootLoaderLink) -> bool:
+    """Tell whether the flash table's sector must be written; equal checksums alone may be a coincidence."""
     entry = firmware.content[SPLASH_ENTRY : SPLASH_ENTRY + 4]
-    return loader.peek(SPLASH_ENTRY, 4) != entry or not _is_same(
+    return loader.read(SPLASH_ENTRY, 4) != entry or not _is_same(
         firmware, loader, _part(firmware, TABLE_SECTOR)
     )
 
 
-def _is_same(firmware: Firmware, loader: Loader, part: FlashBlock) -> bool:
-    """Whether the projector's flash sums up to what the file has there."""
+def _is_same(firmware: Firmware, loader: BootLoaderLink, part: FlashBlock) -> bool:
+    """Tell whether the checksum of the projector's flash is that of the file."""
     wanted = memory.flash_checksum(firmware.content[part.offset : part.end])
     return loader.checksum(part.offset, part.size) == wanted
 
 
 def _part(firmware: Firmware, sector: int) -> FlashBlock:
-    """A sector, as far as the file goes."""
+    """Return a sector as far as the file extends."""
     start = sector * memory.SECTOR
     return FlashBlock(start, min(memory.SECTOR, len(firmware.content) - start))
 

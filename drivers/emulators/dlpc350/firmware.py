@@ -23,7 +23,7 @@ from drivers.dlp4500.protocol import (
     Command,
     DisplayMode,
     Mailbox,
-    Raw,
+    RawBytes,
     RegisterLayout,
     Run,
     Source,
@@ -415,7 +415,7 @@ class Dlpc350:
             if running and self.policy.refuses_changes_while_running:
                 raise CommandRejected
             self._unvalidated = True
-        if isinstance(command.written, Raw):
+        if isinstance(command.written, RawBytes):
             command.written.check(data)
             self._fill(data)
             return

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.dlp4500.sequence import planes
+from drivers.dlp4500.sequence import bit_planes
 from fpplab.core.conventions import Floats
 
 FlashImage = NDArray[np.uint8]
@@ -84,7 +84,7 @@ def grey_levels(image: FlashImage, depth: int, number: int, inverted: bool) -> N
         There is no such depth or number.
     """
     full = (1 << depth) - 1
-    values = _values(image, planes(depth, number), full)
+    values = _values(image, bit_planes(depth, number), full)
     scale = np.rint(np.arange(full + 1) * (255.0 / full)).astype(np.uint8)
     return np.asarray((scale[::-1] if inverted else scale)[values], np.uint8)
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from drivers.clock import RealClock
-from drivers.dlp4500.flash.firmware import Firmware, arranged
+from drivers.dlp4500.flash.firmware import Firmware, arrange_patterns
 from drivers.dlp4500.index import FlashIndex
-from drivers.dlp4500.packing import packed
+from drivers.dlp4500.packing import pack_images
 from drivers.dlp4500.protocol import DisplayMode, Run
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.firmware import Dlpc350
@@ -75,10 +75,10 @@ def _from_firmware(firmware: Path) -> tuple[Dlpc350, Path]:
 
 def _from_default_plan(folder: Path) -> tuple[Dlpc350, Path]:
     patterns = make_patterns(Plan.load(DEFAULT_PLAN), SIZE, Lattice.DIAMOND)
-    slots = arranged(patterns)
+    slots = arrange_patterns(patterns)
     index = folder / "patterns.yaml"
     index.write_text(config.dump(FlashIndex.of(patterns, slots)), encoding="utf-8")
-    return Dlpc350(RealClock(), list(packed(patterns, slots))), index
+    return Dlpc350(RealClock(), list(pack_images(patterns, slots))), index
 
 
 @contextmanager

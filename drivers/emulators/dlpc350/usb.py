@@ -8,7 +8,7 @@ from enum import Enum, auto
 from itertools import count
 from typing import Any
 
-from drivers.dlp4500.framing import REPORT_BYTES, UsbMessage, further_reports, header, joined
+from drivers.dlp4500.framing import REPORT_BYTES, UsbMessage, continuation_reports, join_reports, parse_header
 from drivers.dlp4500.transport import INTERFACE, PRODUCT, VENDOR
 from drivers.emulators.dlpc350.firmware import Dlpc350
 
@@ -244,12 +244,12 @@ class EmulatedDevice:
         """Collect reports until a message is complete."""
         self._incoming.append(report)
         try:
-            length = header(self._incoming[0]).length
+            length = parse_header(self._incoming[0]).length
         except ValueError:
             self._incoming = []  # longer than the buffer: it cannot be answered
             return
-        if len(self._incoming) == 1 + further_reports(length):
-            message, self._incoming = joined(self._incoming), []
+        if len(self._incoming) == 1 + continuation_reports(length):
+            message, self._incoming = join_reports(self._incoming), []
             self._serve(message)
 
     def _serve(self, message: UsbMessage) -> None:

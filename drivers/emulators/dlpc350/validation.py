@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from drivers.dlp4500.protocol import PatternTrigger, Values
-from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, planes
+from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, bit_planes
 
 LEAST_GAP_US = 230
 """Shortest dark time in µs between an exposure and the next pattern, unless it is none at all."""
@@ -76,7 +76,7 @@ def _gap_too_short(gap_us: int, accepts_gap: bool) -> bool:
 
 def _exists(entry: Values) -> bool:
     try:
-        planes(entry["depth"], entry["pattern"])
+        bit_planes(entry["depth"], entry["pattern"])
     except ValueError:
         return False
     return True
