@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpplab.acquisition.acquire import FrameObserver, acquire, expose
-from fpplab.acquisition.synchronisation import check_synchronisation, remedy
+from fpplab.acquisition.synchronisation import require_in_step
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
@@ -33,12 +32,10 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
-from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, check_unwrapping, decode
-from fpplab.reconstruction.filtering import filtered
-from fpplab.reconstruction.triangulation import triangulate
+from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.session import Session
 from fpplab.targets import Target
@@ -133,19 +130,9 @@ def decode_session(session: Session, progress: Progress = no_progress) -> Decode
     ConfigError
         The plan cannot be unwrapped.
     """
-    return _decode_in_step(session.recording(progress=lambda share: progress(0.5 * share)), progress)
-
-
-def _decode_in_step(recording: Recording, progress: Progress) -> Decoded:
-    if fault := _out_of_step(recording):
-        raise DataError(f"{recording.name}: {fault}; take it again, with --force")
+    recording = session.recording(progress=lambda share: progress(0.5 * share))
+    require_in_step(recording, "take it again, with --force")
     return decode(recording, lambda share: progress(0.5 + 0.5 * share))
-
-
-def _out_of_step(recording: Recording) -> str | None:
-    """How the frames are out of step with the plan, and what to see to."""
-    verdict = check_synchronisation(recording.frames, recording.plan, recording.bits)
-    return None if verdict.in_step else f"{verdict.words()}; {remedy(recording.plan)}"
 
 
 def reconstruct(
@@ -186,45 +173,14 @@ def reconstruct(
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=lambda share: progress(0.3 * share))
-    decoded = _decode_in_step(recording, lambda share: progress(0.6 * share))
+    require_in_step(recording, "take it again, with --force")
+    decoded = decode(recording, lambda share: progress(0.3 + 0.3 * share))
     plan = recording.plan
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
-
-
-def points_of(
-    decoded: Decoded, calibration: Calibration, plan: Plan, texture: NDArray[np.uint8] | None = None
-) -> tuple[Decoded, Cloud]:
-    """Triangulate, and filter as the plan says.
-
-    Parameters
-    ----------
-    decoded : Decoded
-        Projector coordinates of every camera pixel.
-    calibration : Calibration
-        Of the rig that they were seen with.
-    plan : Plan
-        Its `filter` says which points are removed.
-    texture : ndarray of uint8, (height, width), optional
-        Grey levels of the points.
-
-    Returns
-    -------
-    decoded : Decoded
-        The same maps, which now know what was removed.
-    cloud : Cloud
-        Points in mm in the camera's frame.
-
-    Raises
-    ------
-    CalibrationError
-        As `fpplab.reconstruction.triangulation.triangulate`.
-    """
-    cloud = triangulate(decoded, calibration, texture, normals=plan.filter is None)
-    return filtered(decoded, cloud, plan, calibration.projector.size)
 
 
 def finish_scan(
@@ -419,8 +375,10 @@ def characterise_sessions(
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
     name, recording = session.path.name, session.recording()
-    if fault := _out_of_step(recording):
-        raise CalibrationError(f"{name}: {fault}; take this pose again")
+    try:
+        require_in_step(recording, "take this pose again")
+    except DataError as error:
+        raise CalibrationError(str(error).replace(recording.name, name, 1)) from error
     return observe(name, recording.mean_image(), decode(recording), target, periods)
 
 

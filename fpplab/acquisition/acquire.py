@@ -19,6 +19,7 @@ from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 from fpplab.sessions.frame_writer import recording
 from fpplab.sessions.session import Session
 
@@ -71,7 +72,8 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
         frames = [shot.image for shot in shots]
     if ends and not _ended([float(frame.mean()) for frame in frames]):
         raise SyncError(rig.camera.name, "capture", UNENDED, remedy(plan))
-    verdict = check_synchronisation(frames[: plan.images], plan, settings.bits)
+    taken = Recording(frames[: plan.images], plan, caps.size, settings.bits, "frames")
+    verdict = check_synchronisation(taken)
     if not verdict.in_step:
         raise SyncError(rig.camera.name, "capture", verdict.words(), remedy(plan))
     return frames[: plan.images]
@@ -89,7 +91,7 @@ def _ended(brightness: Sequence[float]) -> bool:
 
 
 def _prove(rig: Rig, session: Session) -> None:
-    verdict = check_synchronisation(session.stack(verify=False), session.plan, session.format[2])
+    verdict = check_synchronisation(session.recording(verify=False))
     if not verdict.in_step:
         raise _out_of_step(rig, session, verdict.words())
 

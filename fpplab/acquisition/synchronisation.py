@@ -15,7 +15,7 @@ neighbouring pixels have in common.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -23,8 +23,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Map, Mask, full_scale, raw_per_grey
+from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
 
 ROWS, PIXELS = 24, 1_500
 """How many rows and pixels of a frame are looked at, at least where it has as many."""
@@ -155,13 +157,41 @@ class Moments:
     alike: Floats
 
 
-def check_synchronisation(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int = 8) -> Verdict:
-    """Whether frame k shows pattern k.
+def check_synchronisation(recording: Recording) -> Verdict:
+    """Ask the frames whether frame k shows pattern k.
 
-    frames: all of the plan, in order, (height, width) each, memory-mapped or not; bits: their depth.
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan; a sample of their pixels is looked at.
+
+    Returns
+    -------
+    Verdict
+        What they say.
     """
-    moments = _moments(frames, plan, bits)
-    return Verdict(provable=False) if moments is None else _decide(moments, plan)
+    moments = _moments(recording)
+    return Verdict(provable=False) if moments is None else _decide(moments, recording.plan)
+
+
+def require_in_step(recording: Recording, advice: str) -> None:
+    """Refuse a recording whose frames do not show their patterns.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+    advice : str
+        What to do then, the end of the message.
+
+    Raises
+    ------
+    DataError
+        The frames are out of step with the plan; says how, and what to see to.
+    """
+    verdict = check_synchronisation(recording)
+    if not verdict.in_step:
+        raise DataError(f"{recording.name}: {verdict.words()}; {remedy(recording.plan)}; {advice}")
 
 
 def provable(plan: Plan) -> bool:
@@ -172,20 +202,23 @@ def provable(plan: Plan) -> bool:
     return plan.images > 1 + sum(min(2 * BENT, fringe.images - 1) for fringe in plan.fringes)
 
 
-def _moments(frames: Sequence[NDArray[np.generic]], plan: Plan, bits: int) -> Moments | None:
+def _moments(recording: Recording) -> Moments | None:
     """Of a sample of pixels that see the fringes and are not saturated; None where there are too few."""
+    frames = recording.frames
     height, width = frames[0].shape
     down = max(1, height // ROWS)
     right = max(2, len(range(0, height, down)) * width // PIXELS)
     rows, used = slice(down // 2, None, down), width // right * right
     cells = [frame[rows, :used].reshape(-1, used // right, right) for frame in frames]  # views
     pair = [np.stack([cell[..., i].ravel() for cell in cells]) for i in (0, 1)]
-    unsaturated = np.maximum(*(levels.max(axis=0) for levels in pair)) < full_scale(bits)
+    unsaturated = np.maximum(*(levels.max(axis=0) for levels in pair)) < recording.full_scale
     here, beside = (_ripple(levels[:, unsaturated].astype(np.float32)) for levels in pair)
     if here.shape[1] < LEAST_PIXELS:
         return None
     modulation = np.sqrt(2.0 * np.mean(here * here, axis=0))
-    least = max(0.5 * float(np.quantile(modulation, 0.95)), plan.masks.modulation_min * raw_per_grey(bits))
+    least = max(
+        0.5 * float(np.quantile(modulation, 0.95)), recording.plan.masks.modulation_min / recording.grey
+    )
     seen = modulation >= least
     if seen.sum() < LEAST_PIXELS:
         return None

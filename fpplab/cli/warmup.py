@@ -25,7 +25,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.pipeline import points_of
+from fpplab.reconstruction.points import points_of
 
 DISTANCE_MM = 400.0
 SIZE = 96, 64

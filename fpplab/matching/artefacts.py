@@ -20,7 +20,8 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import points_of, reconstruct
+from fpplab.pipeline import reconstruct
+from fpplab.reconstruction.points import points_of
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 

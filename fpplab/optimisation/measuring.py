@@ -28,7 +28,7 @@ from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
-from fpplab.pipeline import points_of
+from fpplab.reconstruction.points import points_of
 
 KEPT_SHAPES = 6
 """True shapes, with what is precomputed for them, that are kept in memory."""

@@ -32,8 +32,8 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.optimisation.candidate import Accuracy
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.pipeline import points_of
 from fpplab.reconstruction.filtering import removal
+from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.triangulation import camera_rays, camera_slopes
 
 SAMPLES = 12_000

@@ -170,6 +170,11 @@ class Plan(Document):
         return self.sets_along(axis or self.axes[0])[-1]
 
     @property
+    def finest(self) -> FringeSet:
+        """The finest set along the first coded axis: it gives modulation, sigma and the scene's picture."""
+        return self.fringes[self.finest_set()]
+
+    @property
     def set_starts(self) -> tuple[int, ...]:
         """Indices of each set's first image, and of what would follow the last set, (S + 1,)."""
         return tuple(accumulate((f.images for f in self.fringes), initial=0))

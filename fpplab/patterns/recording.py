@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Axis, Image, raw_per_grey
+from fpplab.core.conventions import Axis, Image, full_scale, raw_per_grey
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
@@ -44,6 +44,11 @@ class Recording:
     def grey(self) -> float:
         """8-bit grey levels to one unit of the raw frames."""
         return 1.0 / raw_per_grey(self.bits)
+
+    @property
+    def full_scale(self) -> int:
+        """The raw value at which a pixel is saturated."""
+        return full_scale(self.bits)
 
     def of_set(self, index: int) -> Sequence[Image]:
         """Take the frames of one fringe set.
@@ -91,7 +96,7 @@ class Recording:
         total = np.zeros(frames[0].shape, np.float32)
         for frame in frames:
             total += frame
-        levels = np.rint(total / (len(frames) * raw_per_grey(self.bits)))
+        levels = np.rint(total / (len(frames) / self.grey))
         mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
         return mean
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid, is_continuous
-from fpplab.core.conventions import TWO_PI, Map, Mask, axis_length
+from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
@@ -98,7 +98,8 @@ def filtered(
     across, down = _links(grid)
     _half_lit(
         *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
-        *(decoded.modulation, decoded.sigma, _phase_per_px(plan, projector_size)),
+        # Times sigma this is the noise of the phase, and that of the modulation as a share of it.
+        *(decoded.modulation, decoded.sigma, plan.finest.phase_per_px(projector_size)),
         *(rules.light_min, removed),
     )
     _erase(grid.index, grid.w, removed)
@@ -141,15 +142,6 @@ def _greatest_disagreement(disagreement: Map, rules: FilterRules) -> float:
     """
     typical = np.nanmedian(disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE])
     return rules.disagreement_max * max(1.0, float(typical))
-
-
-def _phase_per_px(plan: Plan, size: tuple[int, int]) -> float:
-    """Return the phase in rad per projector px of the set whose modulation and sigma are given.
-
-    Times sigma this is the noise of the phase, and that of the modulation as a share of it.
-    """
-    finest = plan.fringes[plan.sets_along(plan.axes[0])[-1]]
-    return TWO_PI * finest.stripes / axis_length(size, finest.axis)
 
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from fpplab import pipeline
 from fpplab.acquisition.synchronisation import (
     Cause,
     SyncFault,
+    Verdict,
     check_synchronisation,
     faults,
     provable,
@@ -32,6 +34,11 @@ from tests.support.rigs import BOARD
 DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[3] / "shared" / "data")) / "slstudio"
 SIZE = (912, 1140)
 TRIGGERS = (Cause.LATE, Cause.EARLY, Cause.MISSED, Cause.DOUBLED)
+
+
+def judged(frames: Sequence[Image], plan: Plan, bits: int = 8) -> Verdict:
+    """What the frames say of their synchronisation."""
+    return check_synchronisation(Recording(frames, plan, SIZE, bits))
 
 
 @dataclass(frozen=True)
@@ -131,7 +138,7 @@ HONEST = st.builds(
 @settings(max_examples=25, deadline=None)
 @given(plans(), HONEST, st.integers(0, 99))
 def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
-    verdict = check_synchronisation(scene.frames(plan, seed), plan, scene.bits)
+    verdict = judged(scene.frames(plan, seed), plan, scene.bits)
     assert verdict.in_step, (verdict.words(), verdict.misfit)
 
 
@@ -139,7 +146,7 @@ def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
 @given(st.data(), plans(least_steps=6, least_sets=2), st.floats(0.0, 0.03))
 def test_every_fault_is_named(data: st.DataObject, plan: Plan, noise: float) -> None:
     fault = data.draw(st.sampled_from(list(faults(plan.images))))
-    verdict = check_synchronisation(spoilt(Scene(noise=noise).frames(plan), fault), plan)
+    verdict = judged(spoilt(Scene(noise=noise).frames(plan), fault), plan)
     assert fault in verdict.causes, verdict
 
 
@@ -150,7 +157,7 @@ def test_a_trigger_out_of_step_is_noticed_wherever_the_plan_can_tell(
 ) -> None:
     """Whatever the response; where frames could not tell, that is said."""
     fault = data.draw(st.sampled_from([f for f in faults(plan.images) if f.cause in TRIGGERS]))
-    verdict = check_synchronisation(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
+    verdict = judged(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
     assert not verdict.in_step or not provable(plan), (fault, verdict)
     assert verdict.provable or not provable(plan)
 
@@ -163,7 +170,7 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
     frames = Scene(noise=noise).frames(plan)
     for fault in faults(plan.images):
         if fault.cause in TRIGGERS:
-            verdict = check_synchronisation(spoilt(frames, fault), plan)
+            verdict = judged(spoilt(frames, fault), plan)
             assert fault in verdict.causes or not verdict.fits, fault
             assert fault.words() in verdict.words() or not verdict.fits
 
@@ -197,7 +204,7 @@ def test_faults_are_told_apart_by_what_they_show() -> None:
 )
 def test_a_plan_says_whether_its_frames_prove_anything(plan: Plan, proves: bool) -> None:
     assert provable(plan) is proves
-    assert check_synchronisation(Scene().frames(plan), plan).provable is proves
+    assert judged(Scene().frames(plan), plan).provable is proves
 
 
 def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
@@ -205,13 +212,11 @@ def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(exposure=0.7).frames(plan)
     frames[4] = np.rint(frames[4] * 1.2).astype(np.uint8)
-    assert check_synchronisation(frames, plan).in_step
+    assert judged(frames, plan).in_step
 
 
 def test_frames_of_another_plan_do_not_fit() -> None:
-    verdict = check_synchronisation(
-        Scene().frames(sets(("x", 1, 8), ("y", 6.5, 4))), sets(("x", 1, 6), ("x", 8, 6))
-    )
+    verdict = judged(Scene().frames(sets(("x", 1, 8), ("y", 6.5, 4))), sets(("x", 1, 6), ("x", 8, 6)))
     assert not verdict.in_step
 
 
@@ -219,13 +224,13 @@ def test_a_torn_frame_is_named() -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(noise=0.03).frames(plan)
     frames[3] = np.concatenate([frames[2][:40], frames[3][40:]])
-    assert SyncFault(Cause.FOREIGN, 3) in check_synchronisation(frames, plan).causes
+    assert SyncFault(Cause.FOREIGN, 3) in judged(frames, plan).causes
 
 
 @pytest.mark.parametrize("scene", [Scene(exposure=0.0), Scene(exposure=9.0)], ids=["dark", "saturated"])
 def test_where_nothing_is_seen_nothing_is_proven(scene: Scene) -> None:
     plan = sets(("x", 1, 6), ("x", 8, 6))
-    verdict = check_synchronisation(scene.frames(plan), plan)
+    verdict = judged(scene.frames(plan), plan)
     assert verdict.in_step
     assert not verdict.provable
 
@@ -238,10 +243,8 @@ def test_a_few_pixels_that_see_fringes_are_enough() -> None:
     part[30:48, 40:60] = True
     random = np.random.default_rng(1)
     frames = [np.where(part, f, random.poisson(2.0, f.shape)).astype(np.uint8) for f in frames]
-    assert check_synchronisation(frames, plan).in_step
-    assert check_synchronisation(spoilt(frames, SyncFault(Cause.MISSED, 7)), plan).causes == (
-        SyncFault(Cause.MISSED, 7),
-    )
+    assert judged(frames, plan).in_step
+    assert judged(spoilt(frames, SyncFault(Cause.MISSED, 7)), plan).causes == (SyncFault(Cause.MISSED, 7),)
 
 
 @pytest.mark.parametrize("trigger", ["stepped", "triggered"])
@@ -264,10 +267,10 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
 def test_real_captures_are_in_step_until_a_trigger_slips(name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
     frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)]
-    assert check_synchronisation(frames, plan).in_step
-    assert check_synchronisation(frames, plan).misfit < 0.03
+    assert judged(frames, plan).in_step
+    assert judged(frames, plan).misfit < 0.03
     # A last set of three coarse stripes seen in part differs from a dark frame by brightness alone.
     told = [f for f in faults(plan.images) if f.cause in (Cause.LATE, Cause.EARLY, Cause.DOUBLED)]
     told += [SyncFault(Cause.MISSED, k) for k in range(1, plan.images - 3)]
     for fault in told:
-        assert not check_synchronisation(spoilt(frames, fault), plan).in_step, fault
+        assert not judged(spoilt(frames, fault), plan).in_step, fault

@@ -77,9 +77,9 @@ plan = config.validate(config.parse_yaml(text, "plan"), Plan, "plan")
 assert config.validate(config.parse_yaml(config.dump(plan), "plan"), Plan, "plan") == plan
 size = (400, 48)
 frames = [pattern.image for pattern in make_patterns(plan, size, Lattice.SQUARE)]
-assert check_synchronisation(frames, plan).in_step
+assert check_synchronisation(Recording(frames, plan, size)).in_step
 late = [frames[-1], *frames[:-1]]
-assert not check_synchronisation(late, plan).in_step
+assert not check_synchronisation(Recording(late, plan, size)).in_step
 rules = plan.masks.model_copy(update={"contrast_min": 0.0})
 bright = [(20 + 0.8 * frame).astype(np.uint8) for frame in frames]
 decoded = decode(Recording(bright, plan.model_copy(update={"masks": rules}), size))

@@ -16,7 +16,15 @@ import numpy as np
 from pydantic import Field
 
 from fpplab.core.config import Document
-from fpplab.core.conventions import Axis, Floats, Lattice, axis_length, mirror_centres, phase_of_coordinate
+from fpplab.core.conventions import (
+    TWO_PI,
+    Axis,
+    Floats,
+    Lattice,
+    axis_length,
+    mirror_centres,
+    phase_of_coordinate,
+)
 
 Width = Annotated[int, Field(gt=1)]
 
@@ -78,6 +86,21 @@ class FringeSet(Document):
     def phase_noise(self) -> float:
         """Standard deviation of the phase in rad where that of a grey level equals the modulation."""
         return float(np.sqrt(2.0 / self.images))
+
+    def phase_per_px(self, size: tuple[int, int]) -> float:
+        """Give the slope of the phase across the projector.
+
+        Parameters
+        ----------
+        size : tuple of int
+            (width, height) of the projector in px.
+
+        Returns
+        -------
+        float
+            rad per px along the set's axis.
+        """
+        return TWO_PI * self.stripes / axis_length(size, self.axis)
 
     @abstractmethod
     def phase_shifts(self) -> Floats:
