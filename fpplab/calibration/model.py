@@ -156,7 +156,7 @@ class Calibration:
                 f"{self.projector.lattice} one; characterise this rig, or name the calibration that fits"
             )
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write a calibration file (YAML), atomically: the file is complete or unchanged.
 
         Parameters
@@ -169,10 +169,11 @@ class Calibration:
         DataError
             The file cannot be written.
         """
+        path = Path(path)
         write_text(path, config.dump(CalibrationFile.of(self)))
 
     @classmethod
-    def load(cls, path: Path) -> Calibration:
+    def load(cls, path: Path | str) -> Calibration:
         """Read a calibration file.
 
         Parameters
@@ -190,6 +191,7 @@ class Calibration:
         ConfigError
             The file is missing, or a field of it is not valid.
         """
+        path = Path(path)
         return config.load_document(path, CalibrationFile).calibration()
 
 

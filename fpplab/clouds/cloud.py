@@ -195,14 +195,14 @@ def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
     return cloud.grid().quadric_distances(window)
 
 
-def save_cloud(cloud: Cloud, path: Path) -> None:
+def save_cloud(cloud: Cloud, path: Path | str) -> None:
     """Write a cloud in the format of the path's suffix, atomically: the file is complete or unchanged.
 
     Parameters
     ----------
     cloud : Cloud
         What to write.
-    path : Path
+    path : path or str
         With the suffix `.ply` (binary), `.xyz` (text, points only) or `.npz`.
 
     Raises
@@ -212,17 +212,18 @@ def save_cloud(cloud: Cloud, path: Path) -> None:
     DataError
         The file cannot be written.
     """
+    path = Path(path)
     writers = {".ply": _write_ply, ".xyz": _write_xyz, ".npz": _write_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
     write_atomic(path, lambda stream: writers[suffix](cloud, stream))
 
 
-def load_cloud(path: Path) -> Cloud:
+def load_cloud(path: Path | str) -> Cloud:
     """Read a cloud in the format of the path's suffix.
 
     Parameters
     ----------
-    path : Path
+    path : path or str
         With the suffix `.ply`, `.xyz` or `.npz`; written by fpplab or another program, in mm.
 
     Returns
@@ -237,6 +238,7 @@ def load_cloud(path: Path) -> Cloud:
     DataError
         The file is missing or damaged.
     """
+    path = Path(path)
     readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npz": _read_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
     try:
@@ -249,14 +251,14 @@ def load_cloud(path: Path) -> Cloud:
         raise DataError(f"{path}: is no readable {suffix[1:].upper()} cloud ({error})") from error
 
 
-def load_mesh(path: Path) -> trimesh.Trimesh:
+def load_mesh(path: Path | str) -> trimesh.Trimesh:
     """Read the mesh of a true shape.
 
     Only the faces are read, without colours or texture; corners that coincide are joined.
 
     Parameters
     ----------
-    path : Path
+    path : path or str
         STL, PLY or OBJ file in mm.
 
     Returns
@@ -271,6 +273,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     DataError
         The file is missing, damaged, no mesh, or has corners that are not finite.
     """
+    path = Path(path)
     import trimesh  # half a second that measuring does not need
 
     suffix = _known_suffix(path, MESH_SUFFIXES)
