@@ -1,0 +1,1 @@
+"""Taking frames: acquisition with camera and projector synchronised, and checks of the synchronisation."""

@@ -1,8 +1,9 @@
-"""Patterns -> frames: the one place that keeps projector and camera in step.
+"""Acquisition of frames: the only module that synchronises projector and camera.
 
-Stepped: show, settle, snap, one pattern at a time. Triggered: the projector is the clock,
-and each of its pulses exposes one frame. In the end the frames themselves must prove that each shows its
-pattern; where a triggered plan's cannot, two more patterns are played that do: black and white.
+Stepped: show a pattern, wait until it has settled, take one frame. Triggered: the projector is the clock,
+and each of its trigger pulses exposes one frame. Afterwards the frames themselves must prove that each shows
+its own pattern; where those of a triggered plan cannot, two more patterns are played that do: black and
+white.
 """
 
 from __future__ import annotations
@@ -24,19 +25,39 @@ from fpplab.sessions.frame_writer import recording
 from fpplab.sessions.session import Session
 
 PATIENCE_S = 10.0
-"""How long beyond its exposure a frame may take."""
+"""How long beyond its exposure a frame may take, in s."""
 
 UNENDED = "after the last pattern came no black and then white"
+"""Evidence of a slip: the black and white patterns at the end were not seen."""
 
 FrameObserver = Callable[[Frame], None]
-"""Sees each frame once it is on disk: a progress bar, a viewer."""
+"""Called with each frame once it is on disk: a progress bar, a viewer."""
 
 
 def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ignore) -> None:
     """Take every image of the plan that the session lacks.
 
-    The projector is dark afterwards, whatever happened. Raises `DeviceError`, `DataError`; `SyncError` once
-    all frames are in the session, when they do not show their patterns.
+    The projector is dark afterwards, whatever happened.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig.
+    plan : Plan
+        The session's plan.
+    session : Session
+        Takes the frames; those that it has already are not taken again.
+    observe : FrameObserver
+        Called with each frame once it is on disk.
+
+    Raises
+    ------
+    DeviceError
+        A device failed.
+    DataError
+        A frame cannot be stored.
+    SyncError
+        The frames do not show their patterns; all of them are in the session by then.
     """
     settings = rig.camera_settings(plan.exposure_s)
     caps = rig.projector.caps
@@ -60,9 +81,26 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
 
 
 def capture(rig: Rig, plan: Plan) -> list[Image]:
-    """Every image of the plan in its order, in memory; with the same proof as `acquire`'s.
+    """Take every image of the plan into memory, with the same check of synchronisation as `acquire`.
 
-    Raises `DeviceError`; `SyncError` when the frames do not show their patterns.
+    Parameters
+    ----------
+    rig : Rig
+        An open rig.
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    list of ndarray, (height, width)
+        Raw frames in the plan's order.
+
+    Raises
+    ------
+    DeviceError
+        A device failed.
+    SyncError
+        The frames do not show their patterns.
     """
     caps = rig.projector.caps
     ends = uniform_patterns([0, 255], caps.size) if _needs_ends(plan) else []
@@ -80,7 +118,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
 
 
 def _needs_ends(plan: Plan) -> bool:
-    """Whether more than its frames is needed to see a trigger slip."""
+    """Whether black and white patterns are needed, because the frames alone cannot reveal a trigger slip."""
     return plan.trigger == "triggered" and not provable(plan)
 
 
@@ -104,9 +142,33 @@ def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
 def expose(
     rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, plan: Plan | None = None
 ) -> Generator[Frame, None, None]:
-    """One frame per pattern, in order, synchronised as the plan says (stepped without one).
+    """Take one frame per pattern, in order, synchronised as the plan says.
 
-    The bench is dark again once the generator ends or is closed; who may leave it early closes it.
+    The projector is dark again once the generator ends or is closed; a caller that may leave it early must
+    close it.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig.
+    patterns : sequence of Pattern
+        What to show; none is allowed.
+    settings : CameraSettings
+        Exposure and gain of the camera.
+    plan : Plan, optional
+        Says whether frames are stepped or triggered, and the settling time; by default stepped without any.
+
+    Yields
+    ------
+    Frame
+        The frame of each pattern.
+
+    Raises
+    ------
+    DeviceError
+        A device failed or cannot take frames in this way.
+    SyncError
+        A frame names another pattern than the one that was shown.
     """
     if not patterns:
         return
@@ -152,7 +214,7 @@ def _triggered(
 
 
 def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
-    """Where the camera's backend knows what was on show, it must be what was asked for."""
+    """Refuse a frame whose camera backend knows that another pattern was shown."""
     if frame.pattern_id not in (None, pattern.id):
         raise SyncError(
             camera.name,

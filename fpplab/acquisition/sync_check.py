@@ -1,8 +1,9 @@
-"""A marker: uniform greys in an order that no slip survives, and what it tells about a bench.
+"""Synchronisation check of a rig by a marker: uniform grey-level images in an order that reveals every slip.
 
-What a camera sees of uniform greys must rise with them, whatever the response, the scene and the exposure. In
-the order shown neighbours differ by a third of all levels or more, so that a frame that shows another's grey
-stands out, and the faults of `synchronisation` fit the levels that were seen or do not.
+The levels that a camera sees of uniform grey-level images must rise with them, whatever the response, the
+scene and the exposure. In the order shown neighbours differ by a third of all levels or more, so that a
+frame that shows another's grey level stands out, and each fault of `synchronisation` either fits the levels
+that were seen or does not.
 """
 
 from __future__ import annotations
@@ -34,17 +35,28 @@ slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than 
 LEAST_RISE = 0.05
 """Share of full scale by which white must be brighter than black."""
 SATURATED = 0.01
-"""Share of the lit pixels at full scale beyond which the exposure is too long."""
+"""Share of the illuminated pixels at full scale beyond which the exposure is too long."""
 FOLLOWS = 0.015
-"""RMS of what the levels may depart from a rising curve, as a share of their range."""
+"""Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
 SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Settling times that are tried, in s."""
 PIXELS = 20_000
+"""About how many pixels of a frame are evaluated."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a bench, how that shows, and what to do."""
+    """One fault of a rig.
+
+    Attributes
+    ----------
+    cause : str
+        What is wrong.
+    evidence : str
+        How it shows.
+    remedy : str
+        What the operator can do.
+    """
 
     cause: str
     evidence: str
@@ -52,11 +64,18 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """One run of the marker. how: "stepped" or "triggered".
+class MarkerRun:
+    """One run of the marker.
 
-    levels: (K,) means of the lit pixels as shares of full scale, in the order shown; NaN where no frame came.
-    saturated: share of these pixels at full scale in any frame.
+    Attributes
+    ----------
+    how : str
+        "stepped" or "triggered".
+    levels : ndarray of float64, (K,)
+        Mean levels of the illuminated pixels as shares of full scale, in the order shown; NaN where no frame
+        came.
+    saturated : float
+        Share of these pixels at full scale in any frame.
     """
 
     how: str
@@ -65,25 +84,40 @@ class Seen:
 
     @property
     def rise(self) -> float:
-        """From the darkest to the brightest."""
+        """Difference between the brightest and the darkest level, as a share of full scale."""
         return float(np.nanmax(self.levels) - np.nanmin(self.levels))
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
-    """What `check_rig` found.
+class SyncCheck:
+    """Result of `check_rig`.
 
-    shown: (K,) greys of 255 in the order shown. settle_s: what a stepped plan needs, where the plan's
-    was too short and another served.
+    Attributes
+    ----------
+    shown : ndarray of int64, (K,)
+        Grey levels of 255 in the order shown.
+    runs : tuple of MarkerRun
+        The stepped run, and the triggered one where the rig can.
+    findings : tuple of Finding
+        What is wrong; empty when all is well.
+    settle_s : float or None
+        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
+        served.
     """
 
     shown: NDArray[np.int64]
-    runs: tuple[Seen, ...]
+    runs: tuple[MarkerRun, ...]
     findings: tuple[Finding, ...]
     settle_s: float | None = None
 
     def summary(self) -> dict[str, Any]:
-        """The keys of `fpplab check --json`."""
+        """Give the result as plain values.
+
+        Returns
+        -------
+        dict
+            The keys of `fpplab check --json`.
+        """
         return {
             "ok": not self.findings,
             "findings": [asdict(finding) for finding in self.findings],
@@ -94,15 +128,33 @@ class Checked:
 
 
 def marker() -> NDArray[np.int64]:
-    """Greys of 255 in the order shown, (12,)."""
+    """Compute the grey levels of the marker.
+
+    Returns
+    -------
+    ndarray of int64, (12,)
+        Grey levels of 255 in the order shown.
+    """
     return np.asarray(np.rint(np.array(ORDER) * 255 / (len(ORDER) - 1)), np.int64)
 
 
 def slips(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
-    """The faults under which the levels seen follow the greys: () when in step, None when nothing does.
+    """Find the synchronisation faults under which the levels seen rise with the grey levels shown.
 
-    levels: (K,), NaN where no frame came. Of faults that fit, those that explain the most frames. Greys do
-    not swap, for nothing but a trigger has slipped.
+    Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
+    because only the trigger can have slipped.
+
+    Parameters
+    ----------
+    shown : sequence of int, or ndarray of int64, (K,)
+        Grey levels in the order shown.
+    levels : ndarray of float64, (K,)
+        Levels seen, NaN where no frame came.
+
+    Returns
+    -------
+    tuple of SyncFault, or None
+        Empty when in step, None when no fault explains the levels.
     """
     greys, in_step = np.asarray(shown), list(range(len(shown)))
     if _departure(greys, levels, in_step) <= FOLLOWS:
@@ -126,30 +178,50 @@ def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | N
     )
 
 
-def check_rig(rig: Rig, plan: Plan, item: str, progress: Progress) -> Checked:
-    """Open a rig, show it the marker, stepped and where it can triggered, and name what is wrong.
+def check_rig(rig: Rig, plan: Plan, item: str, progress: Progress) -> SyncCheck:
+    """Open a rig, show it the marker, stepped and where possible triggered, and report what is wrong.
 
-    The plan gives exposure and settling time. What a device raises is a finding too.
-    Raises `ConfigError` for a wrong rig file.
+    What a device raises is a finding too.
+
+    Parameters
+    ----------
+    rig : Rig
+        A rig that is not open; it is closed afterwards.
+    plan : Plan
+        Gives exposure and settling time.
+    item : str
+        Name of the item that is mounted where the rig has a fixture, such as an evenly white card.
+    progress : Progress
+        Called with the share that is done.
+
+    Returns
+    -------
+    SyncCheck
+        Levels seen and findings.
+
+    Raises
+    ------
+    ConfigError
+        The rig file is wrong.
     """
-    shown, look = marker(), _Look(plan)
+    shown, inspection = marker(), _RigInspection(plan)
     try:
         with rig:
             if rig.fixture:
                 rig.fixture.mount(item)
-            look.at(rig, shown, progress)
+            inspection.at(rig, shown, progress)
     except DeviceError as error:
-        look.findings.append(_of_device(error))
+        inspection.findings.append(_of_device(error))
     progress(1.0)
-    return Checked(shown, tuple(look.runs), tuple(look.findings), look.settle_s)
+    return SyncCheck(shown, tuple(inspection.runs), tuple(inspection.findings), inspection.settle_s)
 
 
-class _Look:
-    """What a look at an open rig has found so far: an error ends it, but not what was found before."""
+class _RigInspection:
+    """State of the check of an open rig: an error ends it, but what was found before is kept."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self.runs: list[Seen] = []
+        self.runs: list[MarkerRun] = []
         self.findings: list[Finding] = []
         self.settle_s: float | None = None
 
@@ -170,8 +242,8 @@ class _Look:
             self.findings += _of_trigger(slips(shown, run.levels), run, remedy(triggered))
 
 
-def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> Seen:
-    """Show the marker once. Of a triggered run that ends too early what has come is judged."""
+def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
+    """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
     samples: list[NDArray[Any]] = []
     with closing(expose(rig, patterns, rig.camera_settings(plan.exposure_s), plan)) as shots:
@@ -187,7 +259,7 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> Seen:
     lit = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
     levels = np.full(len(shown), np.nan)
     levels[: len(lit)] = lit.mean(axis=1)
-    return Seen(plan.trigger, levels, float((lit >= 1.0).any(axis=0).mean()))
+    return MarkerRun(plan.trigger, levels, float((lit >= 1.0).any(axis=0).mean()))
 
 
 def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
@@ -200,13 +272,13 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
     return None
 
 
-def _of_light(run: Seen) -> list[Finding]:
+def _of_light(run: MarkerRun) -> list[Finding]:
     seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
     if run.saturated > SATURATED:
         share = f"{100 * run.saturated:.2g} % of the lit pixels are at full scale"
         return [Finding("the image is saturated", share, "shorten the plan's exposure_s or close the lens")]
     if run.rise < LEAST_RISE:
-        advice = "see to lens caps, the projector's light, where both look, and the plan's exposure_s"
+        advice = "see to lens caps, the projector's light, where both inspection, and the plan's exposure_s"
         return [Finding("the projector's light does not reach the camera", seen, advice)]
     return []
 
@@ -225,7 +297,7 @@ def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: 
     )
 
 
-def _of_trigger(slipped: tuple[SyncFault, ...] | None, run: Seen, advice: str) -> list[Finding]:
+def _of_trigger(slipped: tuple[SyncFault, ...] | None, run: MarkerRun, advice: str) -> list[Finding]:
     lost = int(np.isnan(run.levels).sum())
     if slipped == () and not lost:
         return []

@@ -1,16 +1,18 @@
-"""Frames -> does frame k show pattern k? Proven from what the patterns are, never assumed.
+"""Check that frame k shows pattern k, from the frames alone.
 
-The frames of a set, summed, are the same picture for all sets, and a pixel sees a sinusoid in each: all
-frames of a plan lie in a space of few dimensions, whatever the scene. Each way to fall out of step is
-a hypothesis that says which pattern each frame shows, and so another space. The frames say which they lie in.
+The frames of a set add up to the same image for all sets, and a pixel sees a sinusoid in each: all
+frames of a plan lie in a space of few dimensions, whatever the scene. Each synchronisation fault is
+a hypothesis that says which pattern each frame shows, and so another space. The frames decide between these
+spaces.
 
 Only their second moments over a sample of pixels are needed, the (K, K) matrix `Moments.all`, so that a
-hundred hypotheses cost milliseconds. How well one fits is its marginal likelihood: the sinusoids'
-offset, amplitudes and phases are free, so that hypotheses with more of them do not win for that alone.
+hundred hypotheses cost milliseconds. A hypothesis is rated by its marginal likelihood: the sinusoids'
+offset, amplitudes and phases are free parameters, so that hypotheses with more of them do not win for that
+alone.
 
-Lamps flicker and rooms change, so the brightness of a frame as a whole is left aside; a response that is not
-straight bends the sinusoid, so that a second harmonic is tried too; noise is told from misfit by what
-neighbouring pixels have in common.
+Lamps flicker and ambient light changes, so the brightness of a frame as a whole is ignored; a nonlinear
+response distorts the sinusoid, so that a second harmonic is tried too; noise is distinguished from misfit by
+the correlation of neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -29,44 +31,71 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 
 ROWS, PIXELS = 24, 1_500
-"""How many rows and pixels of a frame are looked at, at least where it has as many."""
+"""How many rows and pixels of a frame are evaluated, at least where it has as many."""
 LEAST_PIXELS = 40
-"""Fewer pixels that see the fringes prove nothing."""
+"""Fewest pixels that see the fringes from which a fault is concluded."""
 HONEST = 0.04
 """RMS misfit, as a share of the modulation, that frames in step may leave besides noise: a response of gamma
-0.5 leaves 0.03 beyond its second harmonic."""
+0.5 leaves 0.03 beyond its second harmonic.
+"""
 FOREIGN = 0.12
 """RMS misfit, noise aside, beyond which the frames are not the plan's."""
 CERTAIN = 3.0
 """By how much the logarithm of a hypothesis' likelihood must exceed that of frames in step, per pixel."""
 EQUALLY = 0.05
-"""Hypotheses whose logarithms differ by less say the same of these frames."""
+"""Hypotheses whose log-likelihoods differ by less explain the frames equally well."""
 PRIOR = 0.5
-"""Variance, in squares of modulation, of a sinusoid's coefficients and of a frame of something else."""
+"""Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
+pattern."""
 STRAIGHT, BENT = 1, 2
-"""Harmonics of a fringe that a pixel may see: of a straight response, and of any other."""
+"""Harmonics of a fringe that a pixel may see: with a linear response, and with a nonlinear one."""
 
 
 class Cause(StrEnum):
     """What can have happened, at a frame where there is one."""
 
     LATE = "late"
+    """Every frame shows the pattern before its own."""
     EARLY = "early"
+    """Every frame shows the pattern after its own."""
     MISSED = "missed"
+    """A trigger was missed: later frames show the pattern after their own."""
     DOUBLED = "doubled"
+    """There was one trigger too many: later frames show the pattern before their own."""
     FOREIGN = "foreign"
+    """One frame shows none of the patterns."""
     SWAPPED = "swapped"
+    """Two neighbouring frames show each other's pattern."""
 
 
 @dataclass(frozen=True)
 class SyncFault:
-    """One way to be out of step. frame: where it begins, from 0."""
+    """One way in which frames are out of step with their patterns.
+
+    Attributes
+    ----------
+    cause : Cause
+        What happened.
+    frame : int
+        Index of the frame where it begins, from 0.
+    """
 
     cause: Cause
     frame: int = 0
 
     def shown(self, frames: int) -> list[int | None]:
-        """The pattern that each of `frames` frames shows; None where it is none of them."""
+        """List the patterns that the frames show under this fault.
+
+        Parameters
+        ----------
+        frames : int
+            Number of frames.
+
+        Returns
+        -------
+        list of int or None
+            Index of the pattern that each frame shows; None where it is none of them.
+        """
         k, at = list(range(frames)), self.frame
         match self.cause:
             case Cause.LATE:
@@ -83,7 +112,13 @@ class SyncFault:
                 return [*k[:at], at + 1, at, *k[at + 2 :]]
 
     def words(self) -> str:
-        """What was seen, and what probably happened."""
+        """Describe what was seen, and what probably happened.
+
+        Returns
+        -------
+        str
+            One clause, without a full stop.
+        """
         at = self.frame
         return {
             Cause.LATE: "every frame shows the pattern before its own (one too late): an extra trigger came "
@@ -100,7 +135,18 @@ class SyncFault:
 
 
 def faults(frames: int) -> Iterator[SyncFault]:
-    """Every fault that is looked for in so many frames."""
+    """Iterate over every fault that is considered.
+
+    Parameters
+    ----------
+    frames : int
+        Number of frames.
+
+    Yields
+    ------
+    SyncFault
+        Late and early first, then the others frame by frame.
+    """
     yield SyncFault(Cause.LATE)
     yield SyncFault(Cause.EARLY)
     # A trigger missed at the last frame is a foreign last frame; one doubled at the first is a late row.
@@ -111,12 +157,19 @@ def faults(frames: int) -> Iterator[SyncFault]:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What the frames say.
+class SyncVerdict:
+    """Result of `check_synchronisation`.
 
-    causes: the faults that explain them, equally well where there are several; none when they are in
-    step. fits: whether anything explains them. provable: whether they could have shown a fault.
-    misfit: RMS of what frames in step would leave besides noise, as a share of the modulation.
+    Attributes
+    ----------
+    causes : tuple of SyncFault
+        The faults that explain the frames, equally well where there are several; none when they are in step.
+    fits : bool
+        Whether any hypothesis explains them.
+    provable : bool
+        Whether the frames could have revealed a fault.
+    misfit : float
+        RMS of what frames in step would leave besides noise, as a share of the modulation.
     """
 
     causes: tuple[SyncFault, ...] = ()
@@ -126,11 +179,17 @@ class Verdict:
 
     @property
     def in_step(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether nothing speaks against the frames showing their own patterns."""
         return self.fits and not self.causes
 
     def words(self) -> str:
-        """What is wrong, in one sentence."""
+        """Describe what is wrong.
+
+        Returns
+        -------
+        str
+            One sentence without a full stop; empty when the frames are in step.
+        """
         if not self.fits:
             return (
                 "the frames do not fit the plan: they are out of step with it, or the scene or its light "
@@ -140,7 +199,18 @@ class Verdict:
 
 
 def remedy(plan: Plan) -> str:
-    """What to see to before a session that is out of step is taken again."""
+    """Give advice to the operator on a session whose frames are out of step.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its plan, stepped or triggered.
+
+    Returns
+    -------
+    str
+        What to do before it is taken again.
+    """
     if plan.trigger == "stepped":
         return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
     return "see to the trigger's cable, edge and delay; `fpplab check --rig` shows what arrives"
@@ -148,9 +218,14 @@ def remedy(plan: Plan) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Second moments of K frames over pixels, in squares of the modulation: (K, K).
+    """Second moments of K frames over pixels, in squares of the modulation.
 
-    all: of each pixel with itself. alike: with its neighbour, to which noise does not contribute.
+    Attributes
+    ----------
+    all : ndarray of float64, (K, K)
+        Of each pixel with itself.
+    alike : ndarray of float64, (K, K)
+        Of each pixel with its neighbour, to which noise does not contribute.
     """
 
     all: Floats
@@ -195,9 +270,20 @@ def require_in_step(recording: Recording, advice: str) -> None:
 
 
 def provable(plan: Plan) -> bool:
-    """Whether a late, early, missed or doubled trigger shows in the frames, however bent the response.
+    """Tell whether a late, early, missed or doubled trigger shows in the frames of a plan, for any response.
 
-    Not where sinusoids and their second harmonics pass through any frames: a single set of up to five steps.
+    It does not where sinusoids with their second harmonics can pass through any frames: a single set of up
+    to five steps.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    bool
+        Whether the frames of the plan reveal such a fault.
     """
     return plan.images > 1 + sum(min(2 * BENT, fringe.images - 1) for fringe in plan.fringes)
 
@@ -233,7 +319,7 @@ def _floats(moment: Map) -> Floats:
 
 
 def _ripple(levels: Map) -> Map:
-    """What changes from frame to frame, (K, P), but for the brightness of the whole."""
+    """Changes from frame to frame, (K, P), without the brightness of each frame as a whole."""
     offset = levels.mean(axis=0)
     ripple = levels - offset
     ripple -= np.outer(ripple @ (offset / max(offset @ offset, np.float32(1e-12))), offset)
@@ -241,7 +327,8 @@ def _ripple(levels: Map) -> Map:
 
 
 def _waves(plan: Plan, harmonics: int) -> Floats:
-    """What a pixel may see of every pattern: one offset for all, harmonics of its own for each set."""
+    """Basis of what a pixel may see of every pattern: one offset for all, harmonics of its own for each
+    set."""
     columns = 2 * harmonics
     waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
     waves[:, 0] = 1.0
@@ -253,11 +340,11 @@ def _waves(plan: Plan, harmonics: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Spaces:
-    """What frames may look like under H hypotheses, orthogonal axes in the space of the K frames.
+    """The spaces in which frames lie under H hypotheses: orthogonal axes in the space of the K frames.
 
     axes: (H, K, R), zero rows where a frame shows something else. square: (H, R), the axes' squared
     lengths, of which those that count are `free`. known: (H, K), frames that show a pattern. rest: (H,),
-    how many dimensions are left to misfit.
+    the number of dimensions left to misfit.
     """
 
     axes: Floats
@@ -267,13 +354,13 @@ class _Spaces:
     rest: NDArray[np.int64]
 
     def left(self, moment: Floats) -> Floats:
-        """Sum of squares that each hypothesis leaves over, (H,)."""
+        """Residual sum of squares of each hypothesis, (H,)."""
         spread = np.einsum("hkr,hkr->hr", self.axes, np.matmul(moment, self.axes)) / self.square
         whole = self.known @ np.diag(moment)
         return np.asarray(np.maximum(whole - np.where(self.free, spread, 0.0).sum(axis=1), 0.0))
 
     def likelihood(self, moments: Moments) -> Floats:
-        """Logarithm of each hypothesis' marginal likelihood per pixel, but for a constant, (H,)."""
+        """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""
         left, foreign = self.left(moments.all), self.known.shape[1] - self.known.sum(axis=1)
         variance = np.maximum(left / np.maximum(self.rest, 1), HONEST**2)
         volume = np.where(self.free, np.log(self.square * PRIOR), 0.0).sum(axis=1)
@@ -281,13 +368,13 @@ class _Spaces:
         return np.asarray(-0.5 * (deviance + foreign * (np.log(PRIOR) + 1.0)))
 
     def misfit(self, moments: Moments) -> float:
-        """RMS of what the first hypothesis leaves besides noise."""
+        """RMS residual of the first hypothesis besides noise."""
         return float(np.sqrt(self.left(moments.alike)[0] / max(self.rest[0], 1)))
 
 
 @lru_cache(maxsize=8)
 def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _Spaces:
-    """Of frames in step, and then of the faults named."""
+    """The space of frames in step, and then those of the faults named."""
     count = plan.images
     shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]
     known = np.array([[k is not None for k in row] for row in shown], np.float64)
@@ -298,10 +385,10 @@ def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _S
     return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, rest)
 
 
-def _decide(moments: Moments, plan: Plan) -> Verdict:
+def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     # No fault can be likelier by more than the misfit that it takes away.
     if _spaces(plan, STRAIGHT).left(moments.all)[0] <= 2 * CERTAIN * HONEST**2:
-        return Verdict(provable=provable(plan), misfit=_spaces(plan, BENT).misfit(moments))
+        return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, BENT).misfit(moments))
     named = tuple(faults(plan.images))
     spaces = [_spaces(plan, harmonics, named) for harmonics in (STRAIGHT, BENT)]
     likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))
@@ -309,5 +396,5 @@ def _decide(moments: Moments, plan: Plan) -> Verdict:
     best = likelihood.max()
     if best > likelihood[0] + CERTAIN:
         causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUALLY))
-        return Verdict(causes, misfit=misfit)
-    return Verdict(fits=misfit <= FOREIGN, provable=provable(plan), misfit=misfit)
+        return SyncVerdict(causes, misfit=misfit)
+    return SyncVerdict(fits=misfit <= FOREIGN, provable=provable(plan), misfit=misfit)

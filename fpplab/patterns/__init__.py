@@ -1,0 +1,1 @@
+"""Plans and patterns: fringe sets, unwrapping methods, the response and its correction, recordings."""

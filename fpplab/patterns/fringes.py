@@ -1,4 +1,4 @@
-"""Plan -> patterns: the images that a projector is asked to show."""
+"""Fringe patterns of a plan: the images that a projector is asked to show."""
 
 from __future__ import annotations
 
@@ -19,8 +19,14 @@ from fpplab.patterns.plan import Plan
 class Pattern:
     """One image for a projector.
 
-    id: names it in frames and journals. image: uint8 [row, column] of mirrors, quantised
-    to `bit_depth` (the full scale is always 255).
+    Attributes
+    ----------
+    id : str
+        Names the pattern in frames and journals.
+    image : ndarray of uint8, (height, width)
+        Grey levels [row, column] of the mirrors, quantised to `bit_depth`; the full scale is always 255.
+    bit_depth : int
+        Bits per mirror that the projector shows.
     """
 
     id: str
@@ -29,7 +35,20 @@ class Pattern:
 
 
 def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8]:
-    """Levels in [0, 1] as the nearest grey of a `bit_depth` projector, on the scale 0 … 255."""
+    """Round levels to the nearest grey level of a projector.
+
+    Parameters
+    ----------
+    level : ndarray of float64
+        Levels in [0, 1], of any shape.
+    bit_depth : int
+        Bits per mirror that the projector shows.
+
+    Returns
+    -------
+    ndarray of uint8
+        Grey levels on the scale 0 … 255, of the same shape.
+    """
     greys = full_scale(bit_depth)
     return np.asarray(np.rint(np.rint(level * greys) * (255.0 / greys)), np.uint8)
 
@@ -37,10 +56,30 @@ def quantise(level: NDArray[np.float64], bit_depth: int = 8) -> NDArray[np.uint8
 def pattern_image(
     plan: Plan, index: int, step: int, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
 ) -> NDArray[np.uint8]:
-    """The image of one step of the plan's fringe set `index`, uint8 (height, width).
+    """Compute the image of one step of a fringe set.
 
-    Corrected for the plan's response before it is quantised, so that each grey is the nearest to the light
-    that is wanted.
+    It is corrected for the plan's response before it is quantised, so that each grey level is the nearest to
+    the light that is wanted.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    index : int
+        Of the fringe set in `plan.fringes`.
+    step : int
+        Of the phase shift within the set, from 0.
+    size : tuple of int
+        Width and height of the projector in px.
+    lattice : Lattice
+        Layout of the projector's mirrors.
+    bit_depth : int
+        Bits per mirror that the projector shows.
+
+    Returns
+    -------
+    ndarray of uint8, (height, width)
+        Grey levels on the scale 0 … 255.
     """
     fringe, (width, height) = plan.fringes[index], size
     # Along x two rows hold all there is, on either lattice; along y one column does.
@@ -55,12 +94,31 @@ def pattern_image(
 def make_patterns(
     plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int = 8
 ) -> tuple[Pattern, ...]:
-    """Every pattern of the plan for a projector of `size` mirrors, in the order shown.
+    """Compute every pattern of a plan, in the order shown.
 
-    A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`.
+    A plan with a response gives the patterns whose light is sinusoidal, see `pattern_image`. The same
+    arguments give the same, read-only, patterns again, so that a backend can tell them by identity.
 
-    The same plan gives the same, read-only, patterns again, so that a backend can tell them by identity.
-    Raises `ConfigError` when the projector cannot resolve the stripes.
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    size : tuple of int
+        Width and height of the projector in px.
+    lattice : Lattice
+        Layout of the projector's mirrors.
+    bit_depth : int
+        Bits per mirror that the projector shows.
+
+    Returns
+    -------
+    tuple of Pattern
+        One per image of the plan.
+
+    Raises
+    ------
+    ConfigError
+        The projector cannot resolve the stripes, or the plan was made for another size.
     """
     plan.check_projector(size, "plan")
     return _made(plan, size, lattice, bit_depth)
@@ -77,5 +135,18 @@ def _made(plan: Plan, size: tuple[int, int], lattice: Lattice, bit_depth: int) -
 
 
 def uniform_patterns(greys: list[int], size: tuple[int, int]) -> list[Pattern]:
-    """Uniform images of the given grey levels 0 … 255, for the response and for alignment."""
+    """Make uniform grey-level images, for measuring the response and for alignment.
+
+    Parameters
+    ----------
+    greys : list of int
+        Grey levels 0 … 255.
+    size : tuple of int
+        Width and height of the projector in px.
+
+    Returns
+    -------
+    list of Pattern
+        One per grey level, in the order given.
+    """
     return [Pattern(f"grey-{grey:03d}", np.full((size[1], size[0]), grey, np.uint8)) for grey in greys]

@@ -1,12 +1,12 @@
-"""What a response does to the phase of fringes, and whether that matters for the steps planned.
+"""Phase error of phase shifting under a nonlinear (gamma) response, and how many steps keep it small.
 
-A response bends the sinusoid `w(φ) = (1 + cos φ)/2` to `a w^g + b = Σ_k c_k cos kφ`. N steps see of it the
-harmonics `mN + 1`, m any integer (negative ones are k = |mN + 1|: N - 1, N + 1, 2N - 1, …), which turn
-the decoded vector by
+A response turns the sinusoid `w(φ) = (1 + cos φ)/2` into `a w^g + b = Σ_k c_k cos kφ`. N-step phase shifting
+is sensitive to the harmonics `mN + 1`, m any integer (negative ones are k = |mN + 1|: N - 1, N + 1, 2N - 1,
+…), which rotate the decoded vector by
 
     Δφ(φ) = arg(1 + Σ_{m ≠ 0} c_|mN+1|/c_1 e^{imNφ})
 
-(Guo, He and Zhang, Opt. Lett. 29, 2004). a and b fall out. The error repeats N times in a fringe.
+(Guo, He and Zhang, Opt. Lett. 29, 2004). a and b cancel. The error repeats N times in a fringe.
 """
 
 from __future__ import annotations
@@ -19,26 +19,61 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 
 ALLOWED_RAD = 0.01
-"""RMS phase error that is good enough: about the noise of one pixel of twelve 8-bit frames, 0.02 px of
-a projector of 912 columns at 64 stripes."""
+"""Greatest acceptable RMS phase error in rad: about the noise of one pixel of twelve 8-bit frames, 0.02 px of
+a projector of 912 columns at 64 stripes.
+"""
 MOST_STEPS = 30
+"""Greatest number of steps that `least_steps` tries."""
 COVERAGE = 2.0
-"""A fit is judged at the worse end of g plus or minus so many of its standard uncertainties."""
+"""Coverage factor: a fit is judged at the worse end of g plus or minus so many of its standard
+uncertainties."""
 TABLE = (3, 4, 5, 6, 8, 12)
-"""Steps whose phase errors are always told."""
+"""Numbers of steps whose phase errors are always reported."""
 
 _SAMPLES = 1 << 14
 _PHASES = 512
 
 
 def harmonics(g: float, highest: int) -> Floats:
-    """`c_0 … c_highest` of `((1 + cos φ)/2)^g = c_0 + 2 Σ c_k cos kφ`, (highest + 1,)."""
+    """Compute the Fourier coefficients of a sinusoid under a power law.
+
+    `((1 + cos φ)/2)^g = c_0 + 2 Σ c_k cos kφ`.
+
+    Parameters
+    ----------
+    g : float
+        Exponent of the response.
+    highest : int
+        Highest harmonic.
+
+    Returns
+    -------
+    ndarray of float64, (highest + 1,)
+        `c_0 … c_highest`.
+    """
     light = (0.5 + 0.5 * np.cos(TWO_PI * np.arange(_SAMPLES) / _SAMPLES)) ** g
     return np.asarray(np.fft.rfft(light).real[: highest + 1] / _SAMPLES)
 
 
 def phase_error(g: float, steps: int) -> float:
-    """RMS phase error in rad of `steps` steps under the exponent g."""
+    """Compute the RMS phase error of phase shifting under a power-law response.
+
+    Parameters
+    ----------
+    g : float
+        Exponent of the response.
+    steps : int
+        Number N of equally spaced steps.
+
+    Returns
+    -------
+    float
+        RMS phase error in rad.
+
+    References
+    ----------
+    Guo, He and Zhang, Opt. Lett. 29, 2004
+    """
     reach = max(1, min(8, 512 // steps))
     amplitudes = harmonics(g, reach * steps + 1)
     turned = np.ones(_PHASES, np.complex128)
@@ -49,10 +84,26 @@ def phase_error(g: float, steps: int) -> float:
 
 
 def corrected_phase_error(g: float, steps: int, correction: float, greys: int = 256) -> float:
-    """RMS phase error in rad that is left when patterns were corrected for the exponent `correction`.
+    """Compute the RMS phase error that remains after the patterns were pre-corrected.
 
-    What the rounding to `greys` grey levels leaves is of one mirror; a camera pixel that averages over
+    What the rounding to `greys` grey levels leaves is that of one mirror; a camera pixel that averages over
     mirrors of different phase sees less of it.
+
+    Parameters
+    ----------
+    g : float
+        Exponent of the response.
+    steps : int
+        Number of equally spaced steps.
+    correction : float
+        Exponent that the patterns were corrected for.
+    greys : int
+        Number of grey levels of the projector.
+
+    Returns
+    -------
+    float
+        RMS phase error in rad.
     """
     phase = TWO_PI * (np.arange(16 * _PHASES) + 0.5) / (16 * _PHASES)
     shifts = phase_steps(steps)
@@ -63,7 +114,20 @@ def corrected_phase_error(g: float, steps: int, correction: float, greys: int = 
 
 
 def least_steps(g: float, allowed_rad: float = ALLOWED_RAD) -> int | None:
-    """The fewest steps with which the phase error is allowed, or None up to `MOST_STEPS`."""
+    """Find the fewest steps whose phase error is acceptable without correction.
+
+    Parameters
+    ----------
+    g : float
+        Exponent of the response.
+    allowed_rad : float
+        Greatest acceptable RMS phase error in rad.
+
+    Returns
+    -------
+    int or None
+        From 3 to `MOST_STEPS`; None where even `MOST_STEPS` are too few.
+    """
     return next((n for n in range(3, MOST_STEPS + 1) if phase_error(g, n) <= allowed_rad), None)
 
 
@@ -72,32 +136,56 @@ def _rms(error: Floats) -> float:
 
 
 class ResponseJudgement(Document):
-    """Whether a response is good enough for a plan: for its finest fringes, which make the points.
+    """Whether a response is good enough for a plan.
 
-    axis, stripes, steps: the set that suffers most. phase_rad, phase_px: its RMS phase error, in rad and
-    in projector px, patterns as the plan has them; worst_rad: at the worse end of g's uncertainty, by which
-    is judged. corrected_rad: what pre-correction by this response leaves, rounding to 256 greys
-    included. least_steps: with which uncorrected patterns would do. by_steps: `TABLE`, uncorrected.
+    Judged by the plan's finest fringe sets, from which the points are computed.
     """
 
     good_enough: bool
+    """Whether `worst_rad` is at most `ALLOWED_RAD`."""
     sentence: str
+    """The judgement in one sentence, with advice where it is not good enough."""
     axis: Axis
+    """Axis of the fringe set with the greatest error in projector px."""
     stripes: float
+    """Stripes of that set."""
     steps: int
+    """Phase-shifting steps of that set."""
     corrected_patterns: bool
+    """Whether the plan corrects its patterns for a response."""
     phase_rad: float
+    """RMS phase error of that set in rad, with the patterns as the plan has them."""
     phase_px: float
+    """The same in projector px."""
     worst_rad: float
+    """RMS phase error in rad at the worse end of g's uncertainty; the judgement is by this one."""
     corrected_rad: float
+    """RMS phase error in rad that pre-correction by this response leaves, rounding to 256 grey levels
+    included."""
     least_steps: int | None
+    """Fewest steps with which uncorrected patterns are good enough; None above `MOST_STEPS`."""
     by_steps: dict[str, float]
+    """RMS phase error in rad of uncorrected patterns for every number of steps of `TABLE`."""
 
 
 def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> ResponseJudgement:
-    """Judge a response for a plan on a projector of `size` (width, height).
+    """Judge whether a response is good enough for a plan.
 
     A plan that corrects its patterns is judged with that correction.
+
+    Parameters
+    ----------
+    response : Response
+        The measured response, with the uncertainty of its exponent.
+    plan : Plan
+        The plan.
+    size : tuple of int
+        Width and height of the projector in px.
+
+    Returns
+    -------
+    ResponseJudgement
+        The verdict with its figures.
     """
     ends = _ends(response)
 

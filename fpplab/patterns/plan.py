@@ -1,4 +1,4 @@
-"""A plan: what to project and capture, and nothing about devices."""
+"""A measurement plan: which patterns are projected and captured, independent of the devices."""
 
 from __future__ import annotations
 
@@ -30,42 +30,39 @@ def _known_method(name: str) -> str:
 
 
 class MaskRules(Document):
-    """What a pixel must satisfy to be measured; grey levels are of the 8-bit scale.
+    """What a pixel must satisfy to be measured.
 
-    modulation_min: least fringe amplitude B, in grey levels of 255.
-    contrast_min: least B / offset; ambient light and shadow lower it.
-    residual_max: greatest RMS misfit of the sinusoid as a share of B.
-    disagreement_max: greatest difference between the position that coarser fringes
-        predict and the one that finer fringes show, as a share of the finer period.
-    Saturated pixels are never measured.
+    Grey levels are of the 8-bit scale. Saturated pixels are never measured.
     """
 
     modulation_min: Annotated[float, Field(ge=0, le=127)] = 4.0
+    """Least fringe amplitude B, in grey levels of 255."""
     contrast_min: Annotated[float, Field(ge=0, le=1)] = 0.1
+    """Least B / offset; ambient light and shadow lower it."""
     residual_max: Annotated[float, Field(gt=0)] = 0.25
+    """Greatest RMS misfit of the sinusoid as a share of B."""
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
+    """Greatest difference between the position that coarser fringes predict and the one that finer fringes
+    show, as a share of the finer period.
+    """
 
 
 class FilterRules(Document):
-    """What a measured point must satisfy to be kept (`fpplab.reconstruction.filtering`).
-
-    disagreement_max: greatest contradiction between the fringe sets, in units of what noise explains.
-    light_min: least modulation of a point at an edge, as a share of that of the surface it continues.
-    patch_min: least number of pixels that a surface hangs together over. 25 are what a normal is taken from.
-    """
+    """What a measured point must satisfy to be kept (`fpplab.reconstruction.filtering`)."""
 
     disagreement_max: Annotated[float, Field(ge=2)] = 4.0
+    """Greatest disagreement between the fringe sets, in units of what noise explains."""
     light_min: Annotated[float, Field(ge=0, lt=1)] = 0.9
+    """Least modulation of a point at an edge, as a share of that of the surface it continues."""
     patch_min: Annotated[int, Field(ge=1)] = 25
+    """Least number of pixels of a connected region of the surface. A normal is computed from 25 pixels."""
 
 
 class OrderVote(Document):
-    """Repair of fringe orders by local majority, for coarse fringes biased by stray light.
-
-    window: side in camera pixels of the square whose pixels vote, odd.
-    """
+    """Repair of fringe orders by local majority, for coarse fringes biased by stray light."""
 
     window: Annotated[int, Field(ge=3, le=51)] = 7
+    """Side in camera pixels of the square whose pixels vote, odd."""
 
     @model_validator(mode="after")
     def _odd(self) -> OrderVote:
@@ -75,41 +72,52 @@ class OrderVote(Document):
 
 
 class GreyLevels(Document):
-    """How the response is measured: `levels` uniform greys from black to white, `repeats` times."""
+    """How the response is measured: with uniform grey-level images from black to white."""
 
     levels: Annotated[int, Field(ge=5, le=256)] = 16
+    """How many grey levels are shown, evenly spaced from 0 to 255."""
     repeats: Annotated[int, Field(ge=1, le=1000)] = 3
+    """How many times every level is shown."""
 
     @property
     def shown(self) -> list[int]:
-        """The greys, of 255, from black to white."""
+        """The grey levels, of 255, from black to white."""
         return [round(255 * k / (self.levels - 1)) for k in range(self.levels)]
 
 
 class Plan(Document):
-    """Fringe sets in the order they are shown, how to unwrap them, and the exposure.
-
-    response: patterns are shown through its inverse, so that the LIGHT is sinusoidal. In a plan file the name
-    of a response file, beside the plan or by path, or its `{a, b, g}`. It is a key of the plan and no option
-    of a command, because it is part of what is shown: a scan, its resumption, its replay and the
-    search that wrote the plan then cannot differ in it. `load` puts the values in place of the
-    name, so that a session's plan says by itself how its patterns were made.
-    filter: which points are removed as lying on no surface, `{}` for the usual rules; by default none.
-    greys: how the response itself is measured; uniform greys are never corrected.
-    stage_mm: where the rig's stage stands meanwhile; by default where it is.
-    """
+    """Fringe sets in the order they are shown, how to unwrap them, and the exposure."""
 
     fringes: Annotated[tuple[AnyFringeSet, ...], Field(min_length=1)]
+    """The fringe sets, in the order they are shown."""
     unwrapping: Annotated[str, AfterValidator(_known_method)] = "hierarchical"
+    """Name of the temporal unwrapping method (`fpplab.patterns.unwrapping`)."""
     exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
+    """Exposure of every frame, in s."""
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Wait between showing a pattern and exposing its frame in a stepped plan, in s."""
     trigger: Literal["stepped", "triggered"] = "stepped"
+    """How camera and projector are synchronised: "stepped" shows a pattern and then takes its frame,
+    "triggered" has the projector's trigger expose every frame.
+    """
     masks: MaskRules = MaskRules()
+    """Which pixels are measured."""
     order_vote: OrderVote | None = None
+    """Repair of fringe orders by local majority; by default none."""
     filter: FilterRules | None = None
+    """Which points are removed as lying on no surface, `{}` for the usual rules; by default none."""
     response: Curve | None = None
+    """Patterns are shown through the inverse of this response, so that the light is sinusoidal.
+
+    In a plan file the name of a response file, beside the plan or by path, or its `{a, b, g}`. It is a key
+    of the plan and no option of a command, because it is part of what is shown: a scan, its resumption, its
+    replay and the search that wrote the plan then cannot differ in it. `Plan.load` puts the values in place
+    of the name, so that a session's plan records how its patterns were made.
+    """
     greys: GreyLevels = GreyLevels()
+    """How the response itself is measured; uniform grey-level images are never corrected."""
     stage_mm: float | None = None
+    """Position of the rig's stage during the measurement, in mm; by default the stage is not moved."""
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:
@@ -126,7 +134,26 @@ class Plan(Document):
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:
-        """Read a plan file, by path or by the name of one that comes with fpplab."""
+        """Read a plan file, by path or by the name of one that comes with fpplab.
+
+        A response file that the plan names is read too, and its values are put in place of the name.
+
+        Parameters
+        ----------
+        path : path or str
+            The plan file, or the name of one of fpplab's own plans.
+
+        Returns
+        -------
+        Plan
+            The plan.
+
+        Raises
+        ------
+        ConfigError
+            The plan or its response file is missing or wrong; the message names file, field and what is
+            allowed.
+        """
         found = config.find_config(path)
         data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict) and isinstance(data.get("response"), str):
@@ -135,7 +162,7 @@ class Plan(Document):
 
     @property
     def images(self) -> int:
-        """How many images a measurement takes."""
+        """Number of images of a measurement."""
         return sum(f.images for f in self.fringes)
 
     @property
@@ -146,11 +173,23 @@ class Plan(Document):
 
     @property
     def projector_size(self) -> tuple[int, int] | None:
-        """The projector that the fringes were made for, where the plan says so."""
+        """Size (width, height) in px of the projector that the fringes were made for, None if the plan names
+        none."""
         return self.fringes[0].projector_size
 
     def sets_along(self, axis: Axis) -> tuple[int, ...]:
-        """Indices into `fringes` of the sets along one axis, fewest stripes first."""
+        """List the fringe sets along one axis.
+
+        Parameters
+        ----------
+        axis : str
+            x or y.
+
+        Returns
+        -------
+        tuple of int
+            Indices into `fringes`, fewest stripes first; empty where the axis is not coded.
+        """
         chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
         return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
 
@@ -186,13 +225,33 @@ class Plan(Document):
         return tuple(range(first, end))
 
     def steps(self) -> Iterator[tuple[int, int, str]]:
-        """(fringe set, step, pattern id) of every image, in the order shown."""
+        """Iterate over every image, in the order shown.
+
+        Yields
+        ------
+        tuple of int, int, str
+            Index of the fringe set in `fringes`, step within the set, id of the pattern.
+        """
         for index, fringe in enumerate(self.fringes):
             for n in range(fringe.images):
                 yield index, n, fringe.pattern_id(index, n)
 
     def check_projector(self, size: tuple[int, int], source: Path | str) -> None:
-        """Refuse stripes that the projector cannot resolve: `ConfigError`."""
+        """Refuse a plan whose stripes the projector cannot resolve, or that was made for another size.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height of the projector in px.
+        source : path or str
+            What the plan is called in the message.
+
+        Raises
+        ------
+        ConfigError
+            A fringe set has more stripes than half of the pixels along its axis, or `projector_size` is
+            another.
+        """
         for i, fringe in enumerate(self.fringes):
             length = axis_length(size, fringe.axis)
             if fringe.stripes > length / 2:

@@ -1,5 +1,4 @@
-"""A recording: the frames that a camera took of a plan's patterns, and all that decoding must know of
-them."""
+"""Recordings: the frames that a camera took of a plan's patterns, with all that decoding needs."""
 
 from __future__ import annotations
 

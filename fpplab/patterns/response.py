@@ -1,8 +1,8 @@
-"""The response of projector and camera together: from the level shown to the level seen.
+"""Response (gamma) of projector and camera together: from the level shown to the level seen.
 
 `I_out = a I_in^g + b`, levels as shares of full scale: a is the gain, b the level seen of a
-dark picture, g the exponent (gamma). What a camera sees of `I_in` fixes a and b only up to its own
-gain and black level; g it does not change, and g alone bends fringes.
+dark image, g the exponent (gamma). What a camera sees of `I_in` determines a and b only up to its own
+gain and black level. The exponent g does not depend on them, and only g distorts fringes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.files import write_text
 
 LEAST_LEVELS = 5
-"""Three parameters, and something left to judge the fit by."""
+"""Fewest levels that are fitted: three parameters, and two degrees of freedom to judge the fit by."""
 CORRECTABLE = (0.5, 5.0)
-"""Exponents whose inverse 256 greys can show: rounding leaves at most 0.007 rad of error in three steps."""
-CERTAIN = 0.05
-"""Greatest relative uncertainty of g with which patterns are corrected: what it leaves of the error."""
+"""Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
+three steps.
+"""
+MOST_UNCERTAINTY = 0.05
+"""Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
+remain."""
 
 Positive = Annotated[float, Field(gt=0)]
 Sigma = Annotated[float, Field(ge=0)]
@@ -33,32 +36,73 @@ LawParameters = tuple[float, float, float]
 
 
 class Curve(Document):
-    """A response as a law: `I_out = a I_in^g + b`."""
+    """A response as a power law: `I_out = a I_in^g + b`."""
 
     a: Positive
+    """Gain."""
     b: float
+    """Level seen of a dark image, as a share of full scale."""
     g: Positive
+    """Exponent (gamma)."""
 
     def apply(self, levels_in: ArrayLike) -> Floats:
-        """Levels seen for levels shown in [0, 1]."""
+        """Compute the levels seen for levels shown.
+
+        Parameters
+        ----------
+        levels_in : array_like
+            Levels shown, in [0, 1].
+
+        Returns
+        -------
+        ndarray of float64
+            Levels seen, as shares of full scale, of the same shape.
+        """
         return _model(np.asarray(levels_in, np.float64), self.a, self.b, self.g)
 
     def invert(self, levels_out: ArrayLike) -> Floats:
-        """Levels shown for levels seen; NaN below b, which no level shown gives."""
+        """Compute the levels shown for levels seen.
+
+        Parameters
+        ----------
+        levels_out : array_like
+            Levels seen, as shares of full scale.
+
+        Returns
+        -------
+        ndarray of float64
+            Levels shown, of the same shape; NaN below b, which no level shown gives.
+        """
         share = (np.asarray(levels_out, np.float64) - self.b) / self.a
         return np.asarray(np.where(share >= 0, np.abs(share) ** (1.0 / self.g), np.nan))
 
     def correct(self, levels: ArrayLike) -> Floats:
-        """The levels in [0, 1] to show so that light rises from black to white as `levels` do.
+        """Compute the levels to show so that the light rises from black to white in proportion to `levels`.
 
         The light that can be reached is b … a + b, so `levels` are shares of that:
-        `invert(a level + b) = level^(1/g)`. Gain, black level and exposure fall out, black stays
+        `invert(a level + b) = level^(1/g)`. Gain, black level and exposure cancel, black stays
         black and white stays white.
+
+        Parameters
+        ----------
+        levels : array_like
+            Wanted light, in [0, 1].
+
+        Returns
+        -------
+        ndarray of float64
+            Levels to show, in [0, 1], of the same shape.
         """
         return np.asarray(np.asarray(levels, np.float64) ** (1.0 / self.g))
 
     def check_correctable(self) -> None:
-        """Refuse an exponent whose inverse a projector cannot show: `ValueError`."""
+        """Refuse an exponent whose inverse a projector cannot show.
+
+        Raises
+        ------
+        ValueError
+            g is outside of `CORRECTABLE`.
+        """
         least, most = CORRECTABLE
         if not least <= self.g <= most:
             raise ValueError(
@@ -68,56 +112,69 @@ class Curve(Document):
 
 
 class ResponseLevel(Document):
-    """One level of the fit: shown, seen, the standard uncertainty of what was seen, seen minus fitted."""
+    """One level of the fit; levels are shares of full scale."""
 
     shown: float
+    """Level shown."""
     seen: float
+    """Level seen."""
     sigma: Sigma | None = None
+    """Standard uncertainty of the level seen, where it is known."""
     residual: float
+    """Level seen minus the fitted one."""
 
 
 class Region(Document):
-    """One region of the camera's image, by its place in the grid of regions from 0, and its own fit."""
+    """One region of the camera's image and its own fit."""
 
     row: int
+    """Row of the region in the grid of regions, from 0."""
     column: int
+    """Column of the region in the grid of regions, from 0."""
     a: Positive
+    """Gain."""
     b: float
+    """Level seen of a dark image, as a share of full scale."""
     g: Positive
+    """Exponent (gamma)."""
     sigma_g: Sigma
+    """Standard uncertainty of g."""
 
 
 class Response(Curve):
-    """A fitted response.
-
-    a, b, g: of `I_out = a I_in^g + b`. sigma: their standard uncertainties. covariance: (3, 3), of
-    a, b, g. residual: RMS misfit as a share of full scale; residual_sum: the sum of its squares.
-    misfit: how far the law itself is from what was seen, beyond the uncertainty of the levels, as a
-    standard deviation. levels: how many were fitted; measured: these; left_out: which levels and
-    regions were not, and why. regions: each with its own fit; region_spread: standard deviation of
-    their g, of which region_sigma is what their own uncertainties explain. dark: the level seen
-    with the projector off, with its uncertainty.
-    """
+    """A fitted response `I_out = a I_in^g + b` with its uncertainty and the levels that it was fitted to."""
 
     sigma: tuple[Sigma, Sigma, Sigma]
+    """Standard uncertainties of a, b and g."""
     residual: Annotated[float, Field(ge=0)]
+    """RMS misfit as a share of full scale."""
     levels: Annotated[int, Field(ge=LEAST_LEVELS)]
+    """Number of levels that were fitted."""
     covariance: tuple[LawParameters, LawParameters, LawParameters] | None = None
+    """Covariance (3, 3) of a, b and g."""
     residual_sum: Annotated[float, Field(ge=0)] | None = None
+    """Sum of the squares of the misfit."""
     misfit: Sigma | None = None
+    """Deviation of the law itself from the levels seen, beyond their uncertainty, as a standard deviation."""
     measured: tuple[ResponseLevel, ...] = ()
+    """The levels that were fitted."""
     regions: tuple[Region, ...] = ()
+    """The regions of the image that were fitted, each with its own fit."""
     region_spread: Sigma | None = None
+    """Standard deviation of the regions' g."""
     region_sigma: Sigma | None = None
+    """The part of `region_spread` that the regions' own uncertainties explain."""
     dark: tuple[float, Sigma] | None = None
+    """Level seen with the projector off, and its standard uncertainty."""
     left_out: tuple[str, ...] = ()
+    """Which levels and regions were not fitted, and why."""
 
     @property
     def normalised(self) -> dict[str, float] | None:
-        """The projector's own response with its white as 1: free of the camera's gain and black level.
+        """The projector's own response with its white as 1, without the camera's gain and black level.
 
         `a' = a/w`, `b' = (b - dark)/w` with `w = a + b - dark`, and the standard uncertainty that both
-        share, since they add up to 1. None where the dark was not seen.
+        share, since they add up to 1. None where the dark level was not measured.
         """
         if self.dark is None or self.covariance is None:
             return None
@@ -136,7 +193,13 @@ class Response(Curve):
         }
 
     def summary(self) -> dict[str, Any]:
-        """The figures for a machine to read, as the command line prints them."""
+        """Give the result as plain values, as the command line prints them with `--json`.
+
+        Returns
+        -------
+        dict
+            The fields, with the fitted levels under `levels`, and `normalised`.
+        """
         return {
             **self.model_dump(mode="json", exclude={"levels", "measured"}),
             "levels": [level.model_dump(mode="json") for level in self.measured],
@@ -144,27 +207,62 @@ class Response(Curve):
         }
 
     def save(self, path: Path) -> None:
-        """Write as YAML, whole or not at all."""
+        """Write a YAML file, whole or not at all.
+
+        Parameters
+        ----------
+        path : Path
+            The file; replaced if it exists.
+        """
         write_text(path, config.dump(self))
 
     @classmethod
     def load(cls, path: Path | str) -> Response:
-        """Read a response file. Raises `ConfigError`."""
+        """Read a response file.
+
+        Parameters
+        ----------
+        path : path or str
+            The file.
+
+        Returns
+        -------
+        Response
+            The response.
+
+        Raises
+        ------
+        ConfigError
+            The file is missing or wrong.
+        """
         return config.load_document(path, cls)
 
     def curve(self, source: Path | str) -> Curve:
-        """The law alone, for correcting patterns.
+        """Give the power law alone, for correcting patterns.
 
-        Raises `ConfigError`, naming `source`, when g cannot be inverted or is too uncertain.
+        Parameters
+        ----------
+        source : path or str
+            What the response is called in the message.
+
+        Returns
+        -------
+        Curve
+            a, b and g.
+
+        Raises
+        ------
+        ConfigError
+            g cannot be inverted or is too uncertain.
         """
         try:
             self.check_correctable()
         except ValueError as error:
             raise ConfigError(f"{source}: {error}") from error
-        if self.sigma[2] > CERTAIN * self.g:
+        if self.sigma[2] > MOST_UNCERTAINTY * self.g:
             raise ConfigError(
                 f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: at most "
-                f"{100 * CERTAIN:g} % to correct patterns with; measure it again with more levels and light"
+                f"{100 * MOST_UNCERTAINTY:g} % to correct patterns with; measure it again with more levels and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g)
 
@@ -178,16 +276,36 @@ def fit_response(
 ) -> Response:
     """Fit the response by nonlinear least squares, weighted by `1/sigma_out²` where given.
 
-    levels_in, levels_out, sigma_out: (n,) shares of full scale, shown, seen, and the standard
-    uncertainty of what was seen; without it the uncertainties come from the misfit.
-    saturation: levels seen at or above it are left out, and named in `Response.left_out`; so are
-    those of the mask `saturated` (n,), whose mean hides clipped pixels.
+    With `sigma_out`, a misfit that it does not explain is added to every level as a further, equal variance,
+    chosen so that chi² equals its degrees of freedom: levels known to a millionth must not bend the curve
+    where no law holds to a millionth.
 
-    With `sigma_out`, a misfit that it does not explain is a further, equal variance of every level,
-    chosen so that chi² is its degrees of freedom (Mandel and Paule, Anal. Chem. 42, 1970): levels
-    known to a millionth must not bend the curve where no law holds to a millionth.
+    Parameters
+    ----------
+    levels_in : array_like, (n,)
+        Levels shown, as shares of full scale.
+    levels_out : array_like, (n,)
+        Levels seen, as shares of full scale.
+    sigma_out : array_like, (n,), optional
+        Standard uncertainties of the levels seen; without them the uncertainties come from the misfit.
+    saturation : float
+        Levels seen at or above it are left out, and named in `Response.left_out`.
+    saturated : array_like of bool, (n,), optional
+        Further levels to leave out, whose mean hides clipped pixels.
 
-    Raises `CalibrationError` when the levels are no levels, too few remain, or they do not rise.
+    Returns
+    -------
+    Response
+        The fit; without regions and dark level.
+
+    Raises
+    ------
+    CalibrationError
+        A level is outside of [0, 1], too few remain, they do not rise, or they do not follow the law.
+
+    References
+    ----------
+    Mandel and Paule, Anal. Chem. 42, 1970 (the further variance)
     """
     shown, seen = _levels("levels_in", levels_in), _levels("levels_out", levels_out)
     sigma = None if sigma_out is None else np.asarray(sigma_out, np.float64)

@@ -1,7 +1,8 @@
-"""Frames of uniform greys -> levels with their uncertainty, by region -> the response.
+"""Fit of the response to frames of uniform grey-level images: levels with their uncertainty, region by
+region.
 
 The image is a grid of regions. Where light falls unevenly each region has its own gain, but all have the
-projector's exponent: their fits must agree, or something else than the response is at work.
+projector's exponent: their fits must agree, otherwise something else than the response changes the levels.
 """
 
 from __future__ import annotations
@@ -18,22 +19,34 @@ from fpplab.patterns.response import Region, Response, fit_response
 GRID = 3
 """Regions along each side of the image."""
 CLIPPED = 1e-3
-"""Share of pixels at full scale beyond which a mean is no longer what the light made."""
+"""Share of pixels at full scale beyond which a mean level counts as saturated."""
 LEAST_RISE = 0.05
-"""Rise from black to white, of full scale, below which a region is dark."""
+"""Rise from black to white, as a share of full scale, below which a region is dark."""
 DISAGREEMENT = 0.05
-"""Spread of the regions' g, relative, beyond which there is no one response: g of 1.05 instead of 1 bends the
-fringes of three steps by 0.01 rad."""
+"""Relative spread of the regions' g beyond which there is no common response: g of 1.05 instead of 1 changes
+the phase of three steps by 0.01 rad.
+"""
 
 MEAN, NOISE, SPREAD, WHITE = range(4)
-"""What `statistics` gives of each region."""
+"""Rows of the result of `statistics`."""
 
 
 def statistics(image: Image, bits: int) -> Floats:
-    """Of each of the `GRID²` regions, row by row, (4, GRID²), levels as shares of full scale.
+    """Compute mean, noise, variance and saturation of each region of a frame.
 
-    Mean; variance of a pixel's noise, from the differences of neighbours, which the unevenness of the
-    light leaves alone; variance of the pixels; share of pixels at full scale.
+    Parameters
+    ----------
+    image : ndarray, (height, width)
+        Raw frame.
+    bits : int
+        Its depth.
+
+    Returns
+    -------
+    ndarray of float64, (4, GRID²)
+        Of each of the `GRID²` regions, row by row, levels as shares of full scale. `MEAN`: mean level.
+        `NOISE`: variance of a pixel's noise, from the differences of neighbours, which uneven light does not
+        change. `SPREAD`: variance of the pixels. `WHITE`: share of pixels at full scale.
     """
     return np.stack([_of_region(part / full_scale(bits)) for part in _regions(image)], axis=1)
 
@@ -53,10 +66,20 @@ def _regions(image: Image) -> list[Image]:
 
 @dataclass(frozen=True)
 class GreyLevelImages:
-    """What was seen of uniform greys.
+    """Statistics of the frames of uniform grey-level images.
 
-    shown: (L,) levels, rising. seen: (R, L, 4, GRID²), `statistics` of every frame. dark: (4, GRID²), of the
-    frame with the projector off. pixels: (GRID²,), how many a region has. bits: of the frames.
+    Attributes
+    ----------
+    shown : ndarray of float64, (L,)
+        Levels shown, as shares of full scale, rising.
+    seen : ndarray of float64, (R, L, 4, GRID²)
+        `statistics` of the frame of every repeat and level.
+    dark : ndarray of float64, (4, GRID²)
+        `statistics` of the frame with the projector off.
+    pixels : ndarray of float64, (GRID²,)
+        Number of pixels of each region.
+    bits : int
+        Depth of the frames.
     """
 
     shown: Floats
@@ -67,16 +90,41 @@ class GreyLevelImages:
 
 
 def pixels_of_regions(image: Image) -> Floats:
-    """How many pixels each region has, (GRID²,)."""
+    """Count the pixels of each region.
+
+    Parameters
+    ----------
+    image : ndarray, (height, width)
+        A frame.
+
+    Returns
+    -------
+    ndarray of float64, (GRID²,)
+        Number of pixels, row by row of the grid.
+    """
     return np.array([float(part.size) for part in _regions(image)])
 
 
 def rounding_variance(spread: Floats) -> Floats:
-    """Variance of the mean's error by rounding to integers, of values of variance `spread` before it.
+    """Compute the variance of the error that rounding to integers leaves in a mean.
 
-    Rounding errors of alike values are alike, and a mean does not lessen them; values spread over more
-    than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for
-    s = 0 (Gaussian values; Widrow and Kollár, Quantization Noise, 2008).
+    Rounding errors of equal values are equal, and averaging does not reduce them; values spread over more
+    than half an integer dither them away: `Σ_k exp(-4π² k² s²)/(2π² k²)`, which is 1/12 for s = 0 (Gaussian
+    values).
+
+    Parameters
+    ----------
+    spread : ndarray of float64
+        Variance s² of the values before rounding, in integers squared, of any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Variance of the mean's error, in integers squared, of the same shape.
+
+    References
+    ----------
+    Widrow and Kollár, Quantization Noise, 2008
     """
     k = np.arange(1.0, 41.0)
     terms = np.exp(-4 * np.pi**2 * k**2 * spread[..., None]) / (2 * np.pi**2 * k**2)
@@ -84,11 +132,27 @@ def rounding_variance(spread: Floats) -> Floats:
 
 
 def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Mask]:
-    """Mean level over some regions, its standard uncertainty, whether it is clipped; (L,) each.
+    """Average the levels over some regions.
 
-    The uncertainty has three parts: the pixels' noise over all pixels and repeats; what the repeats
-    scatter beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does
-    not dither it away.
+    The uncertainty has three parts: the pixels' noise over all pixels and repeats; the scatter of the repeats
+    beyond it (an unsteady lamp), pooled over the levels; and rounding, as far as the noise does not dither
+    it away.
+
+    Parameters
+    ----------
+    greys : GreyLevelImages
+        Of all regions.
+    regions : ndarray of bool, (GRID²,)
+        Which regions to average over.
+
+    Returns
+    -------
+    levels : ndarray of float64, (L,)
+        Mean levels seen, as shares of full scale.
+    sigma : ndarray of float64, (L,)
+        Their standard uncertainties.
+    clipped : ndarray of bool, (L,)
+        Whether a level is saturated.
     """
     seen, weight = greys.seen[..., regions], greys.pixels[regions]
     pixels, step = weight.sum(), 1.0 / full_scale(greys.bits)
@@ -104,10 +168,25 @@ def levels_of(greys: GreyLevelImages, regions: Mask) -> tuple[Floats, Floats, Ma
 
 
 def fit_greys(greys: GreyLevelImages) -> Response:
-    """Fit the response to the regions that are lit and not saturated, together and each alone.
+    """Fit the response to the regions that are illuminated and not saturated, together and each alone.
 
-    When every lit region saturates, its saturated levels are left out instead. Both are named.
-    Raises `CalibrationError`: no region lit, too few levels, regions that do not agree.
+    When every illuminated region saturates, its saturated levels are left out instead. Both are named in
+    `Response.left_out`.
+
+    Parameters
+    ----------
+    greys : GreyLevelImages
+        The measurement.
+
+    Returns
+    -------
+    Response
+        The common fit, with the fits of the regions and the dark level.
+
+    Raises
+    ------
+    CalibrationError
+        No region is illuminated, there are too few levels, or the regions do not agree on one exponent.
     """
     chosen, left_out = _choose(greys)
     response = _fit(greys, chosen)

@@ -1,6 +1,6 @@
-"""Frames -> phase -> projector coordinates, with masks and uncertainty.
+"""Phase decoding: frames -> wrapped phase -> projector coordinates, with masks and uncertainty.
 
-`decode` is compiled; `fpplab.phase.reference` has the same in plain NumPy, to which a test holds it.
+`decode` is compiled; `fpplab.phase.reference` computes the same in plain NumPy, and a test compares the two.
 """
 
 from fpplab.phase.decoded import Decoded

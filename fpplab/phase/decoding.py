@@ -1,4 +1,5 @@
-"""Decode: frames -> projector coordinates with mask and uncertainty. Conventions: `fpplab.core.conventions`."""
+"""Decode: frames -> projector coordinates with mask and uncertainty. Conventions:
+`fpplab.core.conventions`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""One pass over the pixels: frames -> phase, modulation, coordinate, uncertainty, mask.
+"""Compiled decoder, one pass over the pixels: frames -> phase, modulation, coordinate, uncertainty, mask.
 
-What follows is shaped by the machine. A chunk of pixels is small enough that its
+The code is written for the processor's cache and vector units. A chunk of pixels is small enough that its
 sums stay in the cache while every frame is read once, four frames at a time; all
 sums lie in ONE buffer at constant distances, because only then can the compiler
 prove that they do not overlap and use vector instructions; constants are float32,
@@ -24,13 +24,15 @@ GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
 
 EDGE_SIGMAS = 1.5
-"""How many sigmas beyond the projector's edge noise is believed to carry a coordinate."""
+"""How many standard deviations of its noise a coordinate may lie beyond the projector's edge."""
 
 APART = 9.0
-"""Two hypotheses are told apart if their χ² differ by more than this …"""
+"""Least difference of χ² by which two hypotheses are distinguished."""
 
 APART_LEAST = 1e-5
-"""… and their costs, the weighted sums of squared disagreements in periods, by more than rounding does."""
+"""Least difference of their costs, the weighted sums of squared disagreements in periods, which rounding
+does not reach.
+"""
 
 _f = np.float32
 _u = np.uintp
@@ -72,17 +74,46 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent()
 
 
 class Recipe(NamedTuple):
-    """Everything the kernel needs to know about frames, plan, rules and noise.
+    """Everything that the compiled decoder needs to know about frames, plan, rules and noise.
 
     F is the padded number of frames, S of fringe sets, R of synthetic wavelengths over both axes.
-    addresses: (F,) of every frame's first pixel. weights: (F, 3) of sine, cosine and
-    mean, with the grey scale in them. first: (S + 1,) where each set starts among the
-    F. origin: (S,) turns. coefficients: (R, S) and stripes: (R,) of the synthetic wavelengths,
-    x's before y's, coarse to fine. wavelengths: (3,) where each axis starts among the R.
-    finest: (2,) the set that gives each axis its coordinate, -1 if none. length: (2,)
-    px. spread: (2,) px of coordinate per unit of u_I/B. reference: the set whose
-    modulation is reported. The rest are the rules of `MaskRules`, the edge margin in px, and
-    the variance of a grey level, `constant + per_level * level`, all in 8-bit greys.
+
+    Attributes
+    ----------
+    addresses : ndarray of uintp, (F,)
+        Address of every frame's first pixel.
+    weights : ndarray of float32, (F, 3)
+        Weights of every frame for sine, cosine and mean, with the grey scale in them.
+    first : ndarray of int64, (S + 1,)
+        Where each set starts among the F frames.
+    origin : ndarray of float32, (S,)
+        Phase origin of each set, in turns.
+    coefficients : ndarray of float32, (R, S)
+        Integer combination of phases of each synthetic wavelength, x's before y's, coarse to fine.
+    stripes : ndarray of float32, (R,)
+        Stripes of each synthetic wavelength.
+    trust : ndarray of float32, (R,)
+        Weight of each wavelength's squared disagreement with the one before, see `WavelengthSequence.trust`.
+    wavelengths : ndarray of int64, (3,)
+        Where each axis starts among the R wavelengths.
+    finest : ndarray of int64, (2,)
+        The set that gives each axis its coordinate, -1 if none.
+    length : ndarray of float32, (2,)
+        Projector width and height in px.
+    spread : ndarray of float32, (2,)
+        Standard uncertainty of each axis' coordinate in px per unit of u_I/B.
+    reference : int
+        The set whose modulation is reported.
+    grey : float32
+        8-bit grey levels per raw unit.
+    full_scale : float32
+        Raw value of a saturated pixel.
+    modulation_min, contrast_min, residual_max, disagreement_max : float32
+        As in `MaskRules`, in 8-bit grey levels.
+    edge_margin : float32
+        How near the projector's edge a coordinate may come, in px.
+    noise_constant, noise_per_level : float32
+        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels.
     """
 
     addresses: NDArray[np.uintp]
@@ -109,7 +140,23 @@ class Recipe(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Flat float32 maps of the camera that the kernel fills; an empty one is left out."""
+    """Flat float32 maps of the camera's P pixels that the compiled decoder fills.
+
+    An empty map of `u`, `v`, `doubt_u` or `doubt_v` is left out.
+
+    Attributes
+    ----------
+    u, v : ndarray of float32, (P,)
+        Projector coordinates in px, NaN where the pixel is not measured.
+    modulation : ndarray of float32, (P,)
+        Fringe amplitude B of the reference set, in 8-bit grey levels.
+    sigma : ndarray of float32, (P,)
+        Standard uncertainty of the coordinate of the first coded axis, in px.
+    disagreement : ndarray of float32, (P,)
+        Disagreement of the fringe sets: the root of χ² per degree of freedom.
+    doubt_u, doubt_v : ndarray of float32, (P,)
+        Greatest disagreement of the chosen hypothesis along each axis, in periods.
+    """
 
     u: NDArray[np.float32]
     v: NDArray[np.float32]
@@ -172,7 +219,7 @@ def _turns(s: Any, c: Any) -> Any:
 def _demodulate(
     sums: Any, turns: Any, modulation: Any, offset: Any, good: Any, n: int, origin: Any, recipe: Any
 ) -> None:
-    """Phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
+    """Compute phase, modulation and offset of one set, its masks, and the greatest raw values so far."""
     grey, full = recipe.grey, recipe.full_scale
     least, contrast = recipe.modulation_min, recipe.contrast_min
     misfit = recipe.residual_max * recipe.residual_max
@@ -198,7 +245,8 @@ def _demodulate(
 
 @_compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
-    """The wrapped phase of a synthetic wavelength, in turns: an integer combination of measured phases."""
+    """Compute the wrapped phase, in turns, of a synthetic wavelength: an integer combination of measured
+    phases."""
     for j in range(n):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):
@@ -215,7 +263,7 @@ def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
 
 @_compiled
 def _start(rows: Any, n: int, stripes: Any) -> None:
-    """Both hypotheses of the base: as measured, and one turn back or on where that is nearer."""
+    """Start both hypotheses: the base as measured, and one turn less or more, whichever is nearer."""
     period = _ONE / stripes
     for j in range(n):
         i = _u(j)
@@ -260,7 +308,7 @@ def _uncertainty(modulation: Any, offset: Any, spread: Any, recipe: Any, out: An
 def _choose(
     rows: Any, sigma: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any, out: Any
 ) -> None:
-    """The hypothesis that lies in the projector and agrees better; the coordinate in px."""
+    """Choose the hypothesis that lies in the projector and agrees better; write the coordinate in px."""
     edge_margin, share = recipe.edge_margin, recipe.disagreement_max
     apart = _APART * (stripes / length) * (stripes / length)
     for j in range(n):
@@ -326,10 +374,25 @@ def _erase(out: Any, good: Any, n: int) -> None:
 
 @_compiled
 def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
-    """Fill `maps` for the pixels `start` … `stop`; returns the greatest raw value met.
+    """Fill the maps for a range of pixels.
 
-    recipe: `Recipe`. like: an empty array of the frames' type. maps: `Maps`, flat.
     Releases the interpreter's lock, so that threads may share a frame's pixels.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Frames, plan, rules and noise.
+    like : ndarray
+        An empty array of the frames' type.
+    start, stop : int
+        The range of flat pixel indices.
+    maps : Maps
+        Filled in place, between `start` and `stop`.
+
+    Returns
+    -------
+    float32
+        The greatest raw value in these pixels of all frames.
     """
     sets = len(recipe.origin)
     sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_UNWRAP_ROWS * _ROW, np.float32)
@@ -387,7 +450,22 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
 
 @_compiled
 def read_all(addresses: Any, like: Any, start: int, stop: int) -> int:
-    """The sum of all pixels `start` … `stop` of all frames: what reading alone costs."""
+    """Sum a range of pixels of all frames, to measure the time of reading alone.
+
+    Parameters
+    ----------
+    addresses : ndarray of uintp, (F,)
+        Address of every frame's first pixel.
+    like : ndarray
+        An empty array of the frames' type.
+    start, stop : int
+        The range of flat pixel indices.
+
+    Returns
+    -------
+    int
+        The sum.
+    """
     total = 0
     for k in range(len(addresses)):
         pixels = _pixels(addresses[k], start, stop - start, like)

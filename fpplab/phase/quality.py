@@ -1,9 +1,8 @@
 """Which pixels are measured, and how well: masks, intensity noise, uncertainty.
 
-The noise of a pixel is got from the frames themselves, as photon transfer does: its
-variance is a linear function of the signal, `a + b I` (read-out noise and shot noise).
-Phase noise follows as `u_φ = √2/√(M N) · u_I/B` for N steps of M frames each, and
-the coordinate's as `u_φ W/(2π stripes)`.
+The noise of a pixel is estimated from the frames themselves by photon transfer: its variance is a linear
+function of the signal, `a + b I` (read-out noise and shot noise). Phase noise follows as `u_φ = √2/√(M N) ·
+u_I/B` for N steps of M frames each, and the coordinate's as `u_φ W/(2π stripes)`.
 """
 
 from __future__ import annotations
@@ -31,25 +30,76 @@ _SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared."""
+    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared.
+
+    Attributes
+    ----------
+    constant : float
+        Variance at level 0 (read-out noise and rounding), in grey levels squared.
+    per_level : float
+        Increase of the variance per grey level (shot noise), in grey levels.
+    """
 
     constant: float
     per_level: float
 
     def variance(self, level: Floats | float) -> Floats:
-        """Variance in grey levels squared at the given levels."""
+        """Compute the variance at the given levels.
+
+        Parameters
+        ----------
+        level : float or ndarray of float64
+            8-bit grey levels.
+
+        Returns
+        -------
+        ndarray of float64
+            Variance in grey levels squared, of the same shape.
+        """
         return np.asarray(self.constant + self.per_level * np.asarray(level))
 
 
 def phase_uncertainty(
     noise: float | Floats, modulation: float | Floats, steps: int, repeats: int = 1
 ) -> Floats:
-    """`u_φ = √2/√(M N) · u_I/B` in rad, for noise u_I and modulation B in the same grey levels."""
+    """Compute the standard uncertainty of the phase, `u_φ = √2/√(M N) · u_I/B`.
+
+    Parameters
+    ----------
+    noise : float or ndarray of float64
+        Standard deviation u_I of a grey level.
+    modulation : float or ndarray of float64
+        Fringe amplitude B, in the same grey levels.
+    steps : int
+        Number N of steps.
+    repeats : int
+        Number M of frames per step.
+
+    Returns
+    -------
+    ndarray of float64
+        In rad.
+    """
     return np.asarray(np.sqrt(2.0 / (repeats * steps)) * np.asarray(noise) / np.asarray(modulation))
 
 
 def coordinate_uncertainty(phase_sigma: float | Floats, stripes: float, length: int) -> Floats:
-    """1-sigma in projector px of a coordinate whose phase has the 1-sigma `phase_sigma` in rad."""
+    """Compute the standard uncertainty of a projector coordinate, `u_φ W/(2π stripes)`.
+
+    Parameters
+    ----------
+    phase_sigma : float or ndarray of float64
+        Standard uncertainty of its phase in rad.
+    stripes : float
+        Number of stripes of the fringe set.
+    length : int
+        Length W of the projector along the axis, in px.
+
+    Returns
+    -------
+    ndarray of float64
+        In projector px.
+    """
     return np.asarray(np.asarray(phase_sigma) * length / (TWO_PI * stripes))
 
 
@@ -61,10 +111,27 @@ def measurable(
     rules: MaskRules,
     full_scale: float,
 ) -> Mask:
-    """Where one fringe set satisfies the rules; all maps in 8-bit grey levels, but `peak` raw.
+    """Find the pixels where one fringe set satisfies the mask rules.
 
-    misfit: RMS of what the sinusoid leaves. peak: greatest raw value of the set's
-    frames; a pixel that reached `full_scale` in any of them is saturated.
+    Parameters
+    ----------
+    modulation : ndarray of float64
+        Fringe amplitude B, in 8-bit grey levels.
+    offset : ndarray of float64
+        Mean level, in 8-bit grey levels.
+    misfit : ndarray of float64
+        RMS residual of the sinusoid, in 8-bit grey levels.
+    peak : ndarray of float64
+        Greatest raw value of the set's frames; a pixel that reached `full_scale` in any of them is saturated.
+    rules : MaskRules
+        Of the plan.
+    full_scale : float
+        Raw value of a saturated pixel.
+
+    Returns
+    -------
+    ndarray of bool
+        Where the pixel is measured, of the maps' shape.
     """
     return np.asarray(
         (modulation > 0)
@@ -105,17 +172,29 @@ def _sample(recording: Recording) -> list[Floats]:
 def fit_noise(
     samples: Sequence[Floats], fringes: Sequence[FringeSet], saturation: float, grey: float
 ) -> NoiseModel:
-    """Photon transfer from the frames of a measurement, robust against scene and motion.
+    """Fit the noise model by photon transfer from the frames of a measurement, robust against scene and
+    motion.
 
-    Where a set has more than three steps, noise is what its sinusoid leaves, beyond the
-    second and third harmonic too where there are steps enough (a response that is not
-    linear is no noise). Where all have three, it is how far the sets' offsets differ. One
-    set of three steps tells nothing: the model is then the rounding alone, a lower bound.
+    Where a set has more than three steps, noise is the residual of its sinusoid, and of the second and third
+    harmonic too where there are steps enough (a nonlinear response is not noise). Where all have three, it is
+    the difference between the sets' offsets. One set of three steps does not reveal the noise: the model is
+    then the rounding alone, a lower bound.
 
     Parameters
     ----------
-    samples: of each fringe set (N, P) raw values, the same P pixels in all.
-    saturation: the raw value at which a pixel is saturated. grey: 8-bit grey levels per raw unit.
+    samples : sequence of ndarray of float64, (N, P)
+        Raw values of each fringe set, of the same P pixels in all.
+    fringes : sequence of FringeSet
+        The sets that the samples are of.
+    saturation : float
+        Raw value at which a pixel is saturated.
+    grey : float
+        8-bit grey levels per raw unit.
+
+    Returns
+    -------
+    NoiseModel
+        In 8-bit grey levels.
     """
     floor = QUANTISATION * grey**2
     lowest = np.min([s.min(axis=0) for s in samples], axis=0)

@@ -3,9 +3,9 @@
 Which wavelengths there are is said by the plan's method (`fpplab.patterns.unwrapping`). The position found on
 one says which period of the next finer one is meant; the last is the finest set itself.
 
-The base wraps at the projector's edges, where its noise would shift whole fringes. So there are two hypotheses:
-the base as measured, and one turn off. The one that ends inside the projector wins; where both do, the one that
-agrees better with the finer wavelengths.
+The base wraps at the projector's edges, where its noise would shift whole fringes. So there are two
+hypotheses: the base as measured, and one turn off. The one that ends inside the projector wins; where both
+do, the one that agrees better with the finer wavelengths.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
 from fpplab.core.errors import DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.acquisition.sync_check import Checked
+    from fpplab.acquisition.sync_check import SyncCheck
 
 
 @app.command("check", rich_help_panel=PREPARE)
@@ -52,7 +52,7 @@ def check_command(
         raise console.Answered(DeviceError.exit_code)
 
 
-def _show_check(found: Checked) -> None:
+def _show_check(found: SyncCheck) -> None:
     for run in found.runs:
         console.say(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"

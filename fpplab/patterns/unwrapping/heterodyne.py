@@ -1,5 +1,4 @@
-"""Heterodyne (multi-wavelength) temporal unwrapping: beats of neighbouring sets, beats of those, and so
-on."""
+"""Heterodyne (multi-wavelength) temporal unwrapping, by beats of neighbouring sets and beats of those."""
 
 from __future__ import annotations
 
