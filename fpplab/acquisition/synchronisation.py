@@ -232,7 +232,7 @@ class Moments:
     alike: Floats
 
 
-def check_synchronisation(recording: Recording) -> Verdict:
+def check_synchronisation(recording: Recording) -> SyncVerdict:
     """Ask the frames whether frame k shows pattern k.
 
     Parameters
@@ -246,7 +246,7 @@ def check_synchronisation(recording: Recording) -> Verdict:
         What they say.
     """
     moments = _moments(recording)
-    return Verdict(provable=False) if moments is None else _decide(moments, recording.plan)
+    return SyncVerdict(provable=False) if moments is None else _decide(moments, recording.plan)
 
 
 def require_in_step(recording: Recording, advice: str) -> None:

@@ -18,7 +18,7 @@ from fpplab import pipeline
 from fpplab.acquisition.synchronisation import (
     Cause,
     SyncFault,
-    Verdict,
+    SyncVerdict,
     check_synchronisation,
     faults,
     provable,
@@ -36,7 +36,7 @@ SIZE = (912, 1140)
 TRIGGERS = (Cause.LATE, Cause.EARLY, Cause.MISSED, Cause.DOUBLED)
 
 
-def judged(frames: Sequence[Image], plan: Plan, bits: int = 8) -> Verdict:
+def judged(frames: Sequence[Image], plan: Plan, bits: int = 8) -> SyncVerdict:
     """What the frames say of their synchronisation."""
     return check_synchronisation(Recording(frames, plan, SIZE, bits))
 
