@@ -32,7 +32,7 @@ from fpplab.core.progress import ignore
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.frame_writer import recording
+from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session
 
 SIZE = (5472, 3648)
@@ -133,7 +133,7 @@ def _record(camera: BaslerCamera, bench: EmulatedPylon, session: Session) -> Non
     camera.arm(FRAMES, "hardware")
     wire = threading.Thread(target=bench.pulse, args=(FRAMES,))
     wire.start()
-    with recording(session, ignore) as record:
+    with write_frames(session, ignore) as record:
         for _, _, name in PLAN.steps():
             frame = camera.read(TIMEOUT_S)
             record(frame.showing(name, frame.index))

@@ -21,7 +21,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.sessions.frame_writer import recording
+from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session
 
 PATIENCE_S = 10.0
@@ -66,7 +66,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     ends = uniform_patterns([0, 255], caps.size) if wanted and _needs_ends(plan) else []
     brightness = []
     with (
-        recording(session, observe) as record,
+        write_frames(session, observe) as record,
         closing(expose(rig, [*(patterns[i] for i in wanted), *ends], settings, plan)) as shots,
     ):
         for index, shot in zip(wanted, shots, strict=False):

@@ -328,7 +328,8 @@ def _ripple(levels: Map) -> Map:
 
 def _waves(plan: Plan, harmonics: int) -> Floats:
     """Basis of what a pixel may see of every pattern: one offset for all, harmonics of its own for each
-    set."""
+    set.
+    """
     columns = 2 * harmonics
     waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
     waves[:, 0] = 1.0

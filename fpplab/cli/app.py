@@ -12,9 +12,26 @@ from fpplab.core.errors import Cancelled
 
 
 class Commands(TyperGroup):
-    """Turns Ctrl-C into the project's own word for it, with its exit code."""
+    """A group of commands that reports Ctrl-C as `Cancelled`, with its exit code."""
 
     def invoke(self, ctx: Any) -> Any:
+        """Run the command that was named.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            Of the command line.
+
+        Returns
+        -------
+        object
+            What the command returns.
+
+        Raises
+        ------
+        Cancelled
+            The user pressed Ctrl-C.
+        """
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

@@ -27,7 +27,18 @@ stdout = Console(highlight=False, soft_wrap=True)
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress]:
-    """A progress bar on stderr while the work lasts; one line where stderr is no terminal."""
+    """Show a progress bar on stderr while the work lasts; one line where stderr is no terminal.
+
+    Parameters
+    ----------
+    what : str
+        What is done.
+
+    Yields
+    ------
+    callable
+        Told the share done, 0 … 1.
+    """
     if not stderr.is_terminal:
         say(f"{what} …")
         yield no_progress
@@ -39,12 +50,28 @@ def progress(what: str) -> Iterator[Progress]:
 
 
 def say(sentence: str) -> None:
-    """One line to the operator, on stderr, so that stdout stays a result."""
+    """Print one line to the operator on stderr, so that stdout stays a result.
+
+    Parameters
+    ----------
+    sentence : str
+        The line; not read as markup.
+    """
     stderr.print(sentence, soft_wrap=True, markup=False)
 
 
 def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
-    """The command's result: exactly one JSON object, or words for a person."""
+    """Print the command's result: exactly one JSON object, or words for a person.
+
+    Parameters
+    ----------
+    result : dict
+        By the keys of the command's JSON.
+    as_json : bool
+        Whether `--json` was given.
+    words : callable, optional
+        Prints the result for a person; by default a line for each key.
+    """
     if as_json:
         sys.stdout.write(json.dumps(result, default=_plain, allow_nan=False) + "\n")
     elif words:
@@ -55,7 +82,17 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
 
 
 def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    """A table on stdout."""
+    """Print a table on stdout.
+
+    Parameters
+    ----------
+    title : str
+        Above it.
+    columns : list of str
+        Their heads.
+    rows : list of list
+        Their cells.
+    """
     grid = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):
         grid.add_column(column, justify="left" if i == 0 else "right")
@@ -82,7 +119,13 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def stopwatch() -> Iterator[Callable[[], float]]:
-    """Gives a function that tells the seconds since the beginning."""
+    """Measure time.
+
+    Yields
+    ------
+    callable
+        Without arguments, gives the seconds since the beginning.
+    """
     start = time.perf_counter()
     yield lambda: round(time.perf_counter() - start, 3)
 
@@ -94,8 +137,15 @@ class Answered(SystemExit):
 def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     """Run a program's whole command and leave with the exit code of its fault, or 0.
 
-    A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json);
-    SIGTERM is treated like Ctrl-C, so that the bench is left safe.
+    A foreseeable fault is one sentence on stderr (and `{"error": …}` on stdout with --json); SIGTERM is
+    treated like Ctrl-C, so that the bench is left safe.
+
+    Parameters
+    ----------
+    command : callable
+        The program.
+    as_json : bool
+        Whether `--json` was given.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -39,7 +39,19 @@ TRUTH, RESULT, BOARD = "truth.stl", "demo.json", "board"
 
 @dataclass(frozen=True)
 class Scan:
-    """One artefact, measured and compared with its true shape, and so without the plan's filter."""
+    """One artefact of the demonstration, measured and compared with its true shape.
+
+    Attributes
+    ----------
+    name : str
+        The artefact.
+    section : ScanSection
+        What the report shows of it.
+    comparison : Comparison
+        Of the cloud.
+    unfiltered : Comparison
+        The same without the plan's filter.
+    """
 
     name: str
     section: ScanSection
@@ -47,7 +59,13 @@ class Scan:
     unfiltered: Comparison
 
     def summary(self) -> dict[str, Any]:
-        """The keys of one scan in `fpplab demo --json`."""
+        """Give the keys of one scan in `fpplab demo --json`.
+
+        Returns
+        -------
+        dict
+            Plain values.
+        """
         return {
             "artefact": self.name,
             "images": self.section.images,
@@ -59,9 +77,28 @@ class Scan:
 
 
 def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
-    """Response, characterisation, three scans, comparison, report; the JSON of `fpplab demo`.
+    """Measure response, characterisation and three artefacts, compare them, and write a report.
 
-    The session of every measurement stays below `out`. Raises any `FppError`.
+    The session of every measurement stays below `out`.
+
+    Parameters
+    ----------
+    out : Path
+        The folder.
+    quick : bool
+        684 x 456 pixels instead of 1368 x 912.
+    force : bool
+        Whether results that are there already are replaced.
+
+    Returns
+    -------
+    dict
+        The JSON of `fpplab demo`.
+
+    Raises
+    ------
+    FppError
+        Any; nothing is left half-written.
     """
     for name in (RESULT, REPORT, CALIBRATION, BOARD, *artefacts.NAMES):
         refuse_existing(out / name, force)

@@ -16,11 +16,41 @@ class TakesLists(TyperCommand):
     """Lets the options of `LISTS` be followed by any number of paths."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of the command.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            Of the command line.
+        args : list of str
+            The words behind the command.
+
+        Returns
+        -------
+        list of str
+            What is left over.
+        """
         return super().parse_args(ctx, spread(args))
 
 
 def spread(words: Sequence[str]) -> list[str]:
-    """`--spheres A B` as `--spheres A --spheres B`."""
+    """Repeat an option before each of its paths: `--spheres A B` becomes `--spheres A --spheres B`.
+
+    Parameters
+    ----------
+    words : sequence of str
+        The words behind the command.
+
+    Returns
+    -------
+    list of str
+        The same with every option of `LISTS` repeated.
+
+    Raises
+    ------
+    ConfigError
+        No path follows such an option.
+    """
     plain: list[str] = []
     current, followed = "", True
     for word in [*words, "-"]:

@@ -55,8 +55,8 @@ class Device(ABC):
     """An instrument with a name, a state and a safe end.
 
     A backend is a subclass that fills in the hooks, the methods that begin with an underscore; the public
-    methods are final. It is constructed by the rig. Hooks are called one at a time, from the thread that calls
-    the public method, and only in the states that the public method allows.
+    methods are final. It is constructed by the rig. Hooks are called one at a time, from the thread that
+    calls the public method, and only in the states that the public method allows.
 
     Parameters
     ----------

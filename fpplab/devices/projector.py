@@ -204,8 +204,8 @@ class Projector(Device):
         """Start to show every loaded pattern once, in order, with a pulse at the beginning of each.
 
         Called by `play` in IDLE with an exposure that the depths allow; the camera is armed already. Return
-        once the sequence runs or is sure to: do not wait for its end. Both times in s; the darkness after each
-        pattern lasts `dark_s` at least. Only where `trigger_outputs` is not 0.
+        once the sequence runs or is sure to: do not wait for its end. Both times in s; the darkness after
+        each pattern lasts `dark_s` at least. Only where `trigger_outputs` is not 0.
         """
 
     @abstractmethod

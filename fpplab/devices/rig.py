@@ -39,6 +39,7 @@ class DeviceSection(Document):
     model_config = ConfigDict(extra="allow")
 
     backend: Annotated[str, Field(pattern=r"^\w+(\.\w+)*:\w+$")]
+    """The class that drives the device: `module:Class`."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -50,18 +51,32 @@ class CameraSection(DeviceSection):
     """The camera and its standing settings."""
 
     bits: Literal[8, 10, 12, 16] = 8
+    """Depth of the frames' grey levels."""
+
     gain_db: float = 0.0
+    """Gain in dB."""
 
 
 class RigFile(Document):
     """Schema of a rig file."""
 
     name: str
+    """What the rig is called in reports and messages."""
+
     camera: CameraSection
+    """The camera."""
+
     projector: DeviceSection
+    """The projector."""
+
     bench: DeviceSection | None = None
+    """What the devices share, where they share anything: a simulated world, a recording, emulated wires."""
+
     stage: DeviceSection | None = None
+    """The linear stage, if there is one."""
+
     fixture: DeviceSection | None = None
+    """What holds the object that is measured, if anything is known of it."""
 
 
 class Rig:
@@ -85,7 +100,23 @@ class Rig:
 
     @classmethod
     def load(cls, path: Path | str) -> Rig:
-        """Read a rig file, by path or by the name of one that comes with fpplab."""
+        """Read a rig file; its devices are not opened yet.
+
+        Parameters
+        ----------
+        path : Path or str
+            The file, or the name of one that comes with fpplab.
+
+        Returns
+        -------
+        Rig
+            To be opened by `with`.
+
+        Raises
+        ------
+        ConfigError
+            There is no such file, or it is wrong.
+        """
         found = config.find_config(path)
         return cls(config.load_document(found, RigFile), found.parent, found)
 
@@ -107,7 +138,18 @@ class Rig:
         self._stack.close()
 
     def camera_settings(self, exposure_s: float) -> CameraSettings:
-        """The rig's standing settings with a plan's exposure."""
+        """Give the rig's standing settings with a plan's exposure.
+
+        Parameters
+        ----------
+        exposure_s : float
+            Exposure in s.
+
+        Returns
+        -------
+        CameraSettings
+            For `Camera.configure`.
+        """
         return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
 
     def make_dark(self) -> None:
@@ -118,7 +160,18 @@ class Rig:
                     both.callback(safe)
 
     def described(self, mounted: Mounted | None = None) -> dict[str, Any]:
-        """The rig as resolved, for a session: the file, what the devices are, and what is mounted."""
+        """Describe the rig as resolved, for a session.
+
+        Parameters
+        ----------
+        mounted : tuple of str and int, optional
+            The item and its pose.
+
+        Returns
+        -------
+        dict
+            The rig file's data, and under `resolved` what the open devices are and what is mounted.
+        """
         caps = self.projector.caps
         resolved: dict[str, Any] = {
             "camera": {"model": self.camera.info().model, "size": list(self.camera.caps.size)},
@@ -133,15 +186,46 @@ class Rig:
         return {**config.plain(self.file), "resolved": resolved}
 
     def need_fixture(self, doing: str) -> Fixture:
-        """The fixture, or a `ConfigError` that says what it is needed for."""
+        """Give the fixture.
+
+        Parameters
+        ----------
+        doing : str
+            What it is needed for, for the message.
+
+        Returns
+        -------
+        Fixture
+            The rig's.
+
+        Raises
+        ------
+        ConfigError
+            The rig has none.
+        """
         if self.fixture is None:
             raise ConfigError(f"{self._source}: 'fixture' is missing, and {doing} needs one")
         return self.fixture
 
     def need_stage(self, mm: float) -> Stage:
-        """The stage, which can go there. Nothing moves.
+        """Give the stage, if it can go there; nothing moves.
 
-        Raises `ConfigError` for a rig without one, `LimitError` outside the travel.
+        Parameters
+        ----------
+        mm : float
+            The position that is wanted.
+
+        Returns
+        -------
+        Stage
+            The rig's.
+
+        Raises
+        ------
+        ConfigError
+            The rig has none.
+        LimitError
+            The position lies outside the travel.
         """
         if self.stage is None:
             raise ConfigError(f"{self._source}: 'stage' is missing, and the plan's stage_mm {mm:g} needs one")
@@ -149,7 +233,18 @@ class Rig:
         return self.stage
 
     def place_stage(self, mm: float) -> None:
-        """Bring the stage to a position, homed first where it is not. Raises as `need_stage`."""
+        """Bring the stage to a position, homed first where it is not.
+
+        Parameters
+        ----------
+        mm : float
+            The position in mm.
+
+        Raises
+        ------
+        ConfigError, DeviceError
+            As `need_stage`; it does not arrive.
+        """
         stage = self.need_stage(mm)
         if not stage.homed:
             stage.home()

@@ -174,7 +174,8 @@ class Plan(Document):
     @property
     def projector_size(self) -> tuple[int, int] | None:
         """Size (width, height) in px of the projector that the fringes were made for, None if the plan names
-        none."""
+        none.
+        """
         return self.fringes[0].projector_size
 
     def sets_along(self, axis: Axis) -> tuple[int, ...]:

@@ -246,7 +246,8 @@ def _demodulate(
 @_compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
     """Compute the wrapped phase, in turns, of a synthetic wavelength: an integer combination of measured
-    phases."""
+    phases.
+    """
     for j in range(n):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):

@@ -11,16 +11,29 @@ from fpplab.devices import Frame
 from fpplab.sessions.session import Session
 
 MOST_WAITING = 4
-"""Frames that may wait for the disk; who brings more waits for it too."""
+"""Frames that may wait for the disk; beyond them a full queue blocks the caller."""
 
 
 @contextmanager
-def recording(session: Session, observe: Callable[[Frame], None]) -> Iterator[Callable[[Frame], None]]:
-    """Gives a function that has a frame written into the session, in a thread beside the caller.
+def write_frames(session: Session, observe: Callable[[Frame], None]) -> Iterator[Callable[[Frame], None]]:
+    """Write frames into a session, in a thread beside the caller.
 
-    Frames are written one by one, in the order they are given, and none after one that could not be. The
-    caller's thread shows each to `observe` once it is on disk. What was given is written also when the block
-    ends by an exception. Raises, from the function or at the end of the block, what `Session.write` raised.
+    Frames are written one by one, in the order in which they are given, and none after one that could not
+    be. The caller's thread shows each to `observe` once it is on disk. What was given is written also when
+    the block ends by an exception. What `Session.write` raises is raised by the function or at the end of
+    the block.
+
+    Parameters
+    ----------
+    session : Session
+        Where they go.
+    observe : callable
+        Given every frame once it is on disk.
+
+    Yields
+    ------
+    callable
+        Takes a frame; a full queue blocks it.
     """
     waiting: deque[tuple[Frame, Future[None]]] = deque()
 

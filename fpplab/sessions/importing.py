@@ -28,12 +28,38 @@ def import_images(
     force: bool = False,
     progress: Progress = no_progress,
 ) -> Session:
-    """Bring `plan.images` grey images of `folder` into a new session, in the plan's order.
+    """Bring grey images of a folder into a new session, in the plan's order.
 
-    names: a format of the index, such as "f_{index:02d}.png". bits: depth of the images' grey
-    levels; 8-bit files hold 8, 16-bit files 10, 12 or 16. Every file is checked before the session is
-    made. Raises `ConfigError`, `DataError` (missing, damaged, colour, other size or depth, one image
-    under two names).
+    Every file is checked before the session is made.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the images are.
+    plan : Plan
+        What they show: `plan.images` of them.
+    names : str
+        A format of the index, from 0, such as "f_{index:02d}.png".
+    out : Path
+        Directory of the session.
+    bits : int
+        Depth of the images' grey levels; 8-bit files hold 8, 16-bit files 10, 12 or 16.
+    force : bool
+        Whether a session that is there already is replaced.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    Session
+        Complete.
+
+    Raises
+    ------
+    ConfigError
+        The folder or the format of the names is wrong, or the output exists.
+    DataError
+        An image is missing, damaged, coloured, of another size or depth, or there twice under two names.
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: is not a folder")

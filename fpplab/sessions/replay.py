@@ -52,7 +52,13 @@ class RecordedSession:
         """Nothing is held open between frames."""
 
     def first(self) -> FrameRecord:
-        """The record that speaks for the settings of all."""
+        """Give the record that stands for the settings of all.
+
+        Returns
+        -------
+        FrameRecord
+            Of the first frame.
+        """
         return self.session.records[0]
 
 

@@ -55,16 +55,27 @@ class FrameRecord(Document):
     """One line of the journal."""
 
     index: int
+    """Of the image in the plan, from 0."""
     pattern: str
+    """The pattern that was on show."""
     file: str
+    """The frame's file, relative to the session."""
     sha256: str
+    """Checksum of the pixels."""
     width: int
+    """px."""
     height: int
+    """px."""
     bits: int
+    """Depth of the grey levels."""
     exposure_s: float
+    """Exposure in s, as read back."""
     gain_db: float
+    """Gain in dB, as read back."""
     host_time_s: float
+    """When the frame arrived, s since 1970."""
     device_time_s: float | None = None
+    """By the camera's clock in s; None where it has none."""
 
     @property
     def format(self) -> tuple[int, int, int]:
@@ -78,9 +89,14 @@ class FrameRecord(Document):
 
 
 class Session:
-    """A recorded, or growing, measurement.
+    """A recorded, or growing, measurement; made by `create`, `open` or `resume`.
 
-    Make one with `create`, `open` or `resume`; `path` is its directory and `plan` its plan.
+    Attributes
+    ----------
+    path : Path
+        Its directory.
+    plan : Plan
+        What was projected.
     """
 
     def __init__(self, path: Path, plan: Plan, records: dict[int, FrameRecord]) -> None:
@@ -88,7 +104,31 @@ class Session:
 
     @classmethod
     def create(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
-        """A new, empty session. Raises `ConfigError` when `path` exists and `force` is not said."""
+        """Make a new, empty session.
+
+        Parameters
+        ----------
+        path : Path
+            Its directory.
+        plan : Plan
+            What will be projected.
+        rig : dict or None
+            The rig as `Rig.described` gives it; None for images from elsewhere.
+        force : bool
+            Whether a session that is there already is replaced.
+
+        Returns
+        -------
+        Session
+            Without frames.
+
+        Raises
+        ------
+        ConfigError
+            `path` exists and `force` is not said.
+        DataError
+            What is there is no session, or the disk is full.
+        """
         refuse_existing(path, force)
         if path.exists():
             _remove(path)
@@ -97,7 +137,23 @@ class Session:
 
     @classmethod
     def open(cls, path: Path | str) -> Session:
-        """An existing session. Raises `DataError` when it is none or its journal is damaged."""
+        """Open an existing session.
+
+        Parameters
+        ----------
+        path : Path or str
+            Its directory.
+
+        Returns
+        -------
+        Session
+            With the frames that its journal has.
+
+        Raises
+        ------
+        DataError
+            There is none, or its journal is damaged.
+        """
         path = Path(path)
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
@@ -113,10 +169,32 @@ class Session:
         force: bool = False,
         complete_too: bool = False,
     ) -> Session:
-        """The interrupted session at `path`, or a new one.
+        """Open the interrupted session at a place, or make a new one.
 
-        One that is complete (unless `complete_too`), or of another plan, rig or mounted item, is refused;
-        with `force` it is replaced.
+        Parameters
+        ----------
+        path : Path
+            Its directory.
+        plan : Plan
+            What is to be projected.
+        rig : dict or None
+            The rig as `Rig.described` gives it.
+        force : bool
+            Whether a session that is there already is replaced.
+        complete_too : bool
+            Whether one that is complete is opened, instead of refused.
+
+        Returns
+        -------
+        Session
+            With the frames recorded until now.
+
+        Raises
+        ------
+        ConfigError
+            It is complete.
+        DataError
+            It is of another plan, rig or mounted item.
         """
         if force or not (path / JOURNAL).is_file():
             return cls.create(path, plan, rig, force)
@@ -134,7 +212,13 @@ class Session:
         return session
 
     def rig(self) -> RigRecord:
-        """The rig as resolved when the session was made, or None for imported images."""
+        """Give the rig as resolved when the session was made.
+
+        Returns
+        -------
+        dict or None
+            As `Rig.described` gave it; None for imported images.
+        """
         path = self.path / RIG
         return config.parse_yaml(config.read_text(path), path) if path.is_file() else None
 
@@ -144,19 +228,49 @@ class Session:
         return [self._records[i] for i in sorted(self._records)]
 
     def record(self, index: int) -> FrameRecord:
-        """The journal's line of one frame. Raises `DataError` when it is not recorded."""
+        """Give the journal's line of one frame.
+
+        Parameters
+        ----------
+        index : int
+            Of the image in the plan.
+
+        Returns
+        -------
+        FrameRecord
+            The line.
+
+        Raises
+        ------
+        DataError
+            The frame is not recorded.
+        """
         if index not in self._records:
             raise DataError(f"{self.path}: frame {index} is not recorded")
         return self._records[index]
 
     def missing(self) -> list[int]:
-        """Indices of the plan's images that are not recorded yet."""
+        """List the plan's images that are not recorded yet.
+
+        Returns
+        -------
+        list of int
+            Their indices, in order.
+        """
         return [i for i in range(self.plan.images) if i not in self._records]
 
     def write(self, frame: Frame) -> None:
         """Put one frame on disk and then into the journal.
 
-        Raises `DataError` (no space, index taken, another pattern than the plan has there).
+        Parameters
+        ----------
+        frame : Frame
+            With the plan's index and pattern id.
+
+        Raises
+        ------
+        DataError
+            There is no space, the frame is recorded already, or the plan has another pattern there.
         """
         pattern = frame.pattern_id or ""
         _check_place(frame.index, pattern, _pattern_ids(self.plan), self._records, self.path)
@@ -183,9 +297,24 @@ class Session:
         self._records[frame.index] = record
 
     def read(self, index: int, verify: bool = True) -> Image:
-        """One frame, memory-mapped and read-only, checked against the journal.
+        """Read one frame, checked against the journal.
 
-        Raises `DataError` when it is missing, truncated, altered or of another kind than journalled.
+        Parameters
+        ----------
+        index : int
+            Of the image in the plan.
+        verify : bool
+            Whether its checksum is compared.
+
+        Returns
+        -------
+        ndarray of uint8 or uint16, (height, width)
+            Memory-mapped and read-only.
+
+        Raises
+        ------
+        DataError
+            It is missing, truncated, altered or of another kind than the journal says.
         """
         record = self.record(index)
         path = self.path / record.file
@@ -206,9 +335,24 @@ class Session:
         return image
 
     def stack(self, verify: bool = True, progress: Progress = no_progress) -> list[Image]:
-        """Every frame of the plan in its order, memory-mapped.
+        """Read every frame of the plan.
 
-        Raises `DataError` naming the frames that are missing, or of another size than the first.
+        Parameters
+        ----------
+        verify : bool
+            Whether checksums are compared.
+        progress : callable
+            Told the share done, 0 … 1.
+
+        Returns
+        -------
+        list of ndarray, (height, width) each
+            In the plan's order, memory-mapped and read-only.
+
+        Raises
+        ------
+        DataError
+            Frames are missing, or of another size than the first; the message names them.
         """
         if missing := self.missing():
             shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
@@ -252,19 +396,42 @@ class Session:
         size, _ = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
-        return Recording(frames, self.plan, size, self.format[2], str(self.path))
+        return Recording(frames, self.plan, size, self.bits, str(self.path))
+
+    @property
+    def bits(self) -> int:
+        """Depth of the frames' grey levels."""
+        return self.format[2]
 
     @property
     def format(self) -> tuple[int, int, int]:
-        """(width, height, bits) of the first frame."""
+        """(width, height, bits) of the first frame.
+
+        Raises
+        ------
+        DataError
+            There are no frames yet.
+        """
         if not self._records:
             raise DataError(f"{self.path}: has no frames yet")
         return self.records[0].format
 
     def projector(self) -> tuple[tuple[int, int], Lattice]:
-        """Size and lattice of the projector that showed the patterns.
+        """Tell which projector showed the patterns.
 
         From the rig as recorded, or for images from elsewhere from the plan, on a square lattice.
+
+        Returns
+        -------
+        size : tuple of int
+            (width, height) in px.
+        lattice : Lattice
+            How the mirrors lie.
+
+        Raises
+        ------
+        DataError
+            Neither says.
         """
         rig = self.rig()
         if rig is None and self.plan.projector_size:
@@ -295,7 +462,20 @@ def _shown(form: tuple[int, int, int]) -> str:
 
 @cache
 def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
-    """What stands before the pixels of an image in the file that tifffile writes."""
+    """Give what stands before the pixels of an image in the file that tifffile writes.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (height, width).
+    dtype : dtype
+        Of the pixels.
+
+    Returns
+    -------
+    bytes
+        The head of the file.
+    """
     image, file = np.zeros(shape, dtype), io.BytesIO()
     tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
     return file.getvalue()[: -image.nbytes]
@@ -359,16 +539,41 @@ def _remove(path: Path) -> None:
 
 
 def refuse_foreign(path: Path) -> None:
-    """Refuse, before anything is done, an output for a session that is something else: `ConfigError`."""
+    """Refuse, before anything is done, an output for a session that is something else.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+
+    Raises
+    ------
+    ConfigError
+        It exists and is no session.
+    """
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")
 
 
 def recorded_sessions(paths: list[Path]) -> list[Session]:
-    """Sessions named one by one, or by the directory that holds them, all of one plan and format.
+    """Open sessions that are named one by one, or by the directory that holds them.
 
-    Raises `ConfigError` when one is given twice, `DataError` when a path holds none, or when they do not
-    belong together.
+    Parameters
+    ----------
+    paths : list of Path
+        Sessions, or directories of sessions.
+
+    Returns
+    -------
+    list of Session
+        All of one plan and format.
+
+    Raises
+    ------
+    ConfigError
+        One is given twice.
+    DataError
+        A path holds none, or they do not belong together.
     """
     sessions: list[Session] = []
     for path in paths:

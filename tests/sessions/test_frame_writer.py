@@ -26,7 +26,7 @@ from fpplab.core.progress import ignore
 from fpplab.devices import Frame
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.frame_writer import MOST_WAITING, recording
+from fpplab.sessions.frame_writer import MOST_WAITING, write_frames
 from fpplab.sessions.session import FRAMES, JOURNAL, Session, tiff_head
 from tests.support.recorded import frame, image_of, in_a_child
 
@@ -60,7 +60,7 @@ def check_begun(session: Session, length: int) -> None:
 
 def give(session: Session, given: Iterator[Frame], observe: FrameObserver = ignore) -> None:
     """Have them all recorded."""
-    with recording(session, observe) as record:
+    with write_frames(session, observe) as record:
         for one in given:
             record(one)
 
@@ -111,7 +111,7 @@ def test_frames_are_taken_while_others_are_written(session: Session, monkeypatch
 def test_frames_on_disk_are_let_go(session: Session) -> None:
     alive: list[weakref.ref[Image]] = []
     most = 0
-    with recording(session, lambda frame: None) as record:
+    with write_frames(session, lambda frame: None) as record:
         for one in frames():
             alive.append(weakref.ref(one.image))
             record(one)
@@ -154,7 +154,7 @@ class AtOnce(ThreadPoolExecutor):
 def test_what_is_done_is_told_at_once(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fpplab.sessions.frame_writer.ThreadPoolExecutor", AtOnce)
     seen: list[Frame] = []
-    with recording(session, seen.append) as record:
+    with write_frames(session, seen.append) as record:
         for count, one in enumerate(frames(), 1):
             record(one)
             assert len(seen) == count
