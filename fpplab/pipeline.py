@@ -145,7 +145,7 @@ def _decode_in_step(recording: Recording, progress: Progress) -> Decoded:
 def _out_of_step(recording: Recording) -> str | None:
     """How the frames are out of step with the plan, and what to see to."""
     verdict = check_synchronisation(recording.frames, recording.plan, recording.bits)
-    return None if verdict.in_step else f"{verdict.words()}; {remedy(recording.plan)}"
+    return None if verdict.in_step else f"{verdict.describe()}; {remedy(recording.plan)}"
 
 
 def reconstruct(

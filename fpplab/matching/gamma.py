@@ -1,4 +1,4 @@
-"""Gamma matching: the twin's response to uniform greys made that of the bench.
+"""Gamma matching: the twin's response to uniform grey-level images made that of the bench.
 
 Least squares of mean DC levels, `min Σ (x_i - x̂_i(W, a, b, g))²`, as in the paper. W and a are one factor of
 the levels, so a + b = 1 here and W takes the scale; the dark level, which is not the projector's, is matched
@@ -63,7 +63,7 @@ class GammaMatch:
 
 
 def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSettings) -> GammaMatch:
-    """Make the twin see a card `item` in uniform greys as the bench did.
+    """Make the twin see a card `item` in uniform grey-level images as the bench did.
 
     response: the bench's, with the levels that were fitted. Starts from its fit. Leaves the twin matched.
     Raises `CalibrationError` when the response holds no levels or the twin cannot come near.
@@ -103,7 +103,7 @@ class Card:
     response: Response
 
     def levels(self, shown: Floats) -> Floats:
-        """Mean levels (L,) of uniform greys, as shares of full scale."""
+        """Mean levels (L,) of uniform grey-level images, as shares of full scale."""
         greys = [round(255 * level) for level in shown.tolist()]
         return self._means(uniform_patterns(greys, self.twin.parameters.calibration.projector.size))
 

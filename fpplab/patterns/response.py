@@ -26,7 +26,7 @@ CORRECTABLE = (0.5, 5.0)
 """Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
 three steps.
 """
-MOST_UNCERTAINTY = 0.05
+MOST_SIGMA_G = 0.05
 """Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
 remain."""
 
@@ -107,7 +107,7 @@ class Curve(Document):
         if not least <= self.g <= most:
             raise ValueError(
                 f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
-                "beyond which the projector has too few greys; see to its own gamma setting"
+                "beyond which the projector has too few grey levels; change its own gamma setting"
             )
 
 
@@ -259,10 +259,10 @@ class Response(Curve):
             self.check_correctable()
         except ValueError as error:
             raise ConfigError(f"{source}: {error}") from error
-        if self.sigma[2] > MOST_UNCERTAINTY * self.g:
+        if self.sigma[2] > MOST_SIGMA_G * self.g:
             raise ConfigError(
                 f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: at most "
-                f"{100 * MOST_UNCERTAINTY:g} % to correct patterns with; measure it again with more levels and light"
+                f"{100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more levels and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g)
 

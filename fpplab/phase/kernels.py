@@ -245,8 +245,7 @@ def _demodulate(
 
 @_compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
-    """Compute the wrapped phase, in turns, of a synthetic wavelength: an integer combination of measured
-    phases."""
+    """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
     for j in range(n):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):

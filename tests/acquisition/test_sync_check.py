@@ -1,4 +1,4 @@
-"""A marker of uniform greys tells every slip by its levels, whatever the response and the room."""
+"""The marker of uniform grey-level images reveals every slip by its levels, for any response and ambient light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpplab.acquisition.sync_check import marker, slips
+from fpplab.acquisition.sync_check import marker, matching_faults
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults
 from fpplab.core.conventions import Floats
 
@@ -35,12 +35,12 @@ def test_the_marker_holds_every_grey_once_and_neighbours_differ_by_a_third() -> 
 
 @given(HONEST)
 def test_levels_that_follow_are_in_step(bench: tuple[float, float, float, int]) -> None:
-    assert slips(SHOWN, levels(None, *bench)) == ()
+    assert matching_faults(SHOWN, levels(None, *bench)) == ()
 
 
 @given(st.sampled_from(ALL), HONEST)
 def test_every_slip_is_named(fault: SyncFault, bench: tuple[float, float, float, int]) -> None:
-    found = slips(SHOWN, levels(fault, *bench))
+    found = matching_faults(SHOWN, levels(fault, *bench))
     assert found is not None
     if fault.cause is not Cause.FOREIGN or SHOWN[fault.frame] > 100:  # darkness for a dark grey may pass
         assert fault in found
@@ -51,15 +51,15 @@ def test_a_slip_of_the_trigger_is_named_alone(cause: Cause) -> None:
     for fault in ALL:
         if fault.cause is cause:
             for gamma in (0.5, 1.0, 2.2):
-                assert slips(SHOWN, levels(fault, gamma, 0.1, 0.0, 0)) == (fault,)
+                assert matching_faults(SHOWN, levels(fault, gamma, 0.1, 0.0, 0)) == (fault,)
 
 
 @pytest.mark.parametrize("missed", range(1, GREYS - 1))
 def test_a_missed_trigger_is_named_where_its_frame_never_comes(missed: int) -> None:
     seen = levels(SyncFault(Cause.MISSED, missed), 1.0, 0.1, 0.0, 0)
     seen[-1] = np.nan
-    assert slips(SHOWN, seen) == (SyncFault(Cause.MISSED, missed),)
+    assert matching_faults(SHOWN, seen) == (SyncFault(Cause.MISSED, missed),)
 
 
 def test_levels_of_something_else_are_not_explained() -> None:
-    assert slips(SHOWN, np.random.default_rng(3).uniform(0, 1, GREYS)) is None
+    assert matching_faults(SHOWN, np.random.default_rng(3).uniform(0, 1, GREYS)) is None

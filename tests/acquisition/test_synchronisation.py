@@ -132,7 +132,7 @@ HONEST = st.builds(
 @given(plans(), HONEST, st.integers(0, 99))
 def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
     verdict = check_synchronisation(scene.frames(plan, seed), plan, scene.bits)
-    assert verdict.in_step, (verdict.words(), verdict.misfit)
+    assert verdict.in_step, (verdict.describe(), verdict.misfit)
 
 
 @settings(max_examples=25, deadline=None)
@@ -165,7 +165,7 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
         if fault.cause in TRIGGERS:
             verdict = check_synchronisation(spoilt(frames, fault), plan)
             assert fault in verdict.causes or not verdict.fits, fault
-            assert fault.words() in verdict.words() or not verdict.fits
+            assert fault.describe() in verdict.describe() or not verdict.fits
 
 
 def coarser(fringe: Sinusoid) -> Sinusoid:

@@ -1,4 +1,4 @@
-"""Frames of uniform greys: means, uncertainties and regions, against frames of known making."""
+"""Frames of uniform grey-level images: means, uncertainties and regions, on synthetic frames."""
 
 from __future__ import annotations
 
