@@ -167,7 +167,7 @@ def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) ->
 
 
 def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
-    """RMS by which levels depart from any that rise with the greys shown, as a share of their range."""
+    """RMS by which levels depart from any that rise with the grey levels shown, as a share of their range."""
     known = np.array([k is not None for k in shown]) & np.isfinite(levels)
     grey, level = greys[[k or 0 for k in shown]][known], levels[known]
     _, place, frames = np.unique(grey, return_inverse=True, return_counts=True)
@@ -256,10 +256,10 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
                 raise
     seen = np.stack(samples)
     change = np.ptp(seen, axis=0)
-    lit = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
+    illuminated = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
     levels = np.full(len(shown), np.nan)
-    levels[: len(lit)] = lit.mean(axis=1)
-    return MarkerRun(plan.trigger, levels, float((lit >= 1.0).any(axis=0).mean()))
+    levels[: len(illuminated)] = illuminated.mean(axis=1)
+    return MarkerRun(plan.trigger, levels, float((illuminated >= 1.0).any(axis=0).mean()))
 
 
 def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:

@@ -261,8 +261,9 @@ class Response(Curve):
             raise ConfigError(f"{source}: {error}") from error
         if self.sigma[2] > MOST_SIGMA_G * self.g:
             raise ConfigError(
-                f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: at most "
-                f"{100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more levels and light"
+                f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: "
+                f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more levels "
+                "and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g)
 

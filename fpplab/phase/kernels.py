@@ -111,7 +111,7 @@ class Recipe(NamedTuple):
     modulation_min, contrast_min, residual_max, disagreement_max : float32
         As in `MaskRules`, in 8-bit grey levels.
     edge_margin : float32
-        How near the projector's edge a coordinate may come, in px.
+        How far beyond the projector's edge a coordinate may lie besides its noise, in px.
     noise_constant, noise_per_level : float32
         Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels.
     """

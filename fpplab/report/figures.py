@@ -378,7 +378,7 @@ def pose_rms(names: Sequence[str], camera_px: Sequence[float], projector_px: Seq
 
 @picture
 def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -> Figure:
-    """Levels seen of a marker of uniform grey-level images, frame by frame, and those expected of frames in step.
+    """Levels seen of the uniform grey-level images of a marker, and those expected of frames in step.
 
     shown: (K,) greys in their order. seen: (K,) shares of full scale of each run, NaN where no frame came. A
     run's levels are expected to rise with the greys, so what is expected are the levels seen, in that order.

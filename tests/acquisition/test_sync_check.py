@@ -1,4 +1,4 @@
-"""The marker of uniform grey-level images reveals every slip by its levels, for any response and ambient light."""
+"""The marker of uniform grey-level images reveals every slip, for any response and ambient light."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ GREYS = len(SHOWN)
 ALL = [fault for fault in faults(GREYS) if fault.cause is not Cause.SWAPPED]
 
 
-def levels(fault: SyncFault | None, gamma: float, room: float, noise: float, seed: int) -> Floats:
-    """Mean levels that a camera sees; `noise` is a lamp's, as a share of white."""
+def levels(fault: SyncFault | None, gamma: float, ambient: float, noise: float, seed: int) -> Floats:
+    """Mean levels that a camera sees; `noise` is that of the lamp, as a share of white."""
     order = fault.shown(GREYS) if fault else list(range(GREYS))
     light = np.array([0.0 if k is None else (SHOWN[k] / 255) ** gamma for k in order])
     lamp = np.random.default_rng(seed).uniform(-noise, noise, GREYS)
-    return np.asarray((0.1 + light * (1 + lamp) + room) / (1.1 + room))
+    return np.asarray((0.1 + light * (1 + lamp) + ambient) / (1.1 + ambient))
 
 
-HONEST = st.tuples(st.floats(0.5, 2.4), st.floats(0.0, 3.0), st.floats(0.0, 0.02), st.integers(0, 1000))
+CONDITIONS = st.tuples(st.floats(0.5, 2.4), st.floats(0.0, 3.0), st.floats(0.0, 0.02), st.integers(0, 1000))
 
 
 def test_the_marker_holds_every_grey_once_and_neighbours_differ_by_a_third() -> None:
@@ -33,14 +33,14 @@ def test_the_marker_holds_every_grey_once_and_neighbours_differ_by_a_third() -> 
     assert SHOWN[0] > 127 < SHOWN[-1]
 
 
-@given(HONEST)
-def test_levels_that_follow_are_in_step(bench: tuple[float, float, float, int]) -> None:
-    assert matching_faults(SHOWN, levels(None, *bench)) == ()
+@given(CONDITIONS)
+def test_levels_that_follow_are_in_step(conditions: tuple[float, float, float, int]) -> None:
+    assert matching_faults(SHOWN, levels(None, *conditions)) == ()
 
 
-@given(st.sampled_from(ALL), HONEST)
-def test_every_slip_is_named(fault: SyncFault, bench: tuple[float, float, float, int]) -> None:
-    found = matching_faults(SHOWN, levels(fault, *bench))
+@given(st.sampled_from(ALL), CONDITIONS)
+def test_every_slip_is_named(fault: SyncFault, conditions: tuple[float, float, float, int]) -> None:
+    found = matching_faults(SHOWN, levels(fault, *conditions))
     assert found is not None
     if fault.cause is not Cause.FOREIGN or SHOWN[fault.frame] > 100:  # darkness for a dark grey may pass
         assert fault in found

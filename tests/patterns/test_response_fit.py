@@ -59,7 +59,7 @@ def make(
 
 
 def only(index: int, value: float, others: float) -> Floats:
-    """A picture with `value` in one region and `others` elsewhere."""
+    """An image with `value` in one region and `others` elsewhere."""
     picture = np.full(SHAPE, others)
     rows, columns = SHAPE[0] // GRID, SHAPE[1] // GRID
     row, column = divmod(index, GRID)

@@ -1,4 +1,4 @@
-"""Ladders, the projector's edges, and the repair of orders."""
+"""Synthetic wavelengths, the projector's edges, and the repair of fringe orders."""
 
 from __future__ import annotations
 
