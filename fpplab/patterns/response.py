@@ -30,19 +30,19 @@ MOST_SIGMA_G = 0.05
 """Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
 remain."""
 
-Positive = Annotated[float, Field(gt=0)]
-Sigma = Annotated[float, Field(ge=0)]
+_Positive = Annotated[float, Field(gt=0)]
+_Sigma = Annotated[float, Field(ge=0)]
 LawParameters = tuple[float, float, float]
 
 
 class Curve(Document):
     """A response as a power law: `I_out = a I_in^g + b`."""
 
-    a: Positive
+    a: _Positive
     """Gain."""
     b: float
     """Level seen of a dark image, as a share of full scale."""
-    g: Positive
+    g: _Positive
     """Exponent (gamma)."""
 
     def apply(self, levels_in: ArrayLike) -> Floats:
@@ -118,7 +118,7 @@ class ResponseLevel(Document):
     """Level shown."""
     seen: float
     """Level seen."""
-    sigma: Sigma | None = None
+    sigma: _Sigma | None = None
     """Standard uncertainty of the level seen, where it is known."""
     residual: float
     """Level seen minus the fitted one."""
@@ -131,20 +131,20 @@ class Region(Document):
     """Row of the region in the grid of regions, from 0."""
     column: int
     """Column of the region in the grid of regions, from 0."""
-    a: Positive
+    a: _Positive
     """Gain."""
     b: float
     """Level seen of a dark image, as a share of full scale."""
-    g: Positive
+    g: _Positive
     """Exponent (gamma)."""
-    sigma_g: Sigma
+    sigma_g: _Sigma
     """Standard uncertainty of g."""
 
 
 class Response(Curve):
     """A fitted response `I_out = a I_in^g + b` with its uncertainty and the levels that it was fitted to."""
 
-    sigma: tuple[Sigma, Sigma, Sigma]
+    sigma: tuple[_Sigma, _Sigma, _Sigma]
     """Standard uncertainties of a, b and g."""
     residual: Annotated[float, Field(ge=0)]
     """RMS misfit as a share of full scale."""
@@ -154,17 +154,17 @@ class Response(Curve):
     """Covariance (3, 3) of a, b and g."""
     residual_sum: Annotated[float, Field(ge=0)] | None = None
     """Sum of the squares of the misfit."""
-    misfit: Sigma | None = None
+    misfit: _Sigma | None = None
     """Deviation of the law itself from the levels seen, beyond their uncertainty, as a standard deviation."""
     measured: tuple[ResponseLevel, ...] = ()
     """The levels that were fitted."""
     regions: tuple[Region, ...] = ()
     """The regions of the image that were fitted, each with its own fit."""
-    region_spread: Sigma | None = None
+    region_spread: _Sigma | None = None
     """Standard deviation of the regions' g."""
-    region_sigma: Sigma | None = None
+    region_sigma: _Sigma | None = None
     """The part of `region_spread` that the regions' own uncertainties explain."""
-    dark: tuple[float, Sigma] | None = None
+    dark: tuple[float, _Sigma] | None = None
     """Level seen with the projector off, and its standard uncertainty."""
     left_out: tuple[str, ...] = ()
     """Which levels and regions were not fitted, and why."""
@@ -262,8 +262,8 @@ class Response(Curve):
         if self.sigma[2] > MOST_SIGMA_G * self.g:
             raise ConfigError(
                 f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: "
-                f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more levels "
-                "and light"
+                f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more "
+                "levels and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g)
 
