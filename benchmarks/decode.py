@@ -48,14 +48,14 @@ FrameStack = list[NDArray[np.uint8]]
 def run() -> list[Result]:
     """All figures of decoding; `DataError` when the package `fringes` cannot be installed."""
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
-        paths = write_frames(Path(folder), CAMERA)
+        paths = write_benchmark_frames(Path(folder), CAMERA)
         frames = [np.asarray(tifffile.memmap(p, mode="r")) for p in paths]
         _product(frames)  # compile, and map the files
         results = [_versus_numpy(frames), _bandwidth(frames), _memory(paths)]
         return [results[0], _versus_fringes(frames, paths), *results[1:]]
 
 
-def write_frames(folder: Path, size: tuple[int, int]) -> list[Path]:
+def write_benchmark_frames(folder: Path, size: tuple[int, int]) -> list[Path]:
     """A camera's view of the projector filling its width, with shading and noise, as TIFF files."""
     width, height = size
     columns = np.minimum(np.arange(width) * PROJECTOR[0] // width, PROJECTOR[0] - 1)

@@ -24,10 +24,10 @@ from fpplab.patterns.recording import Recording
 from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session
 
-PATIENCE_S = 10.0
+READ_TIMEOUT_S = 10.0
 """How long beyond its exposure a frame may take, in s."""
 
-UNENDED = "after the last pattern came no black and then white"
+NO_END_MARKER = "after the last pattern no black and then white image was seen"
 """Evidence of a slip: the black and white patterns at the end were not seen."""
 
 FrameObserver = Callable[[Frame], None]
@@ -75,7 +75,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
                 brightness.append(float(shot.image.mean()))
         brightness += [float(shot.image.mean()) for shot in shots]
     if ends and not _ended(brightness):
-        raise _out_of_step(rig, session, UNENDED)
+        raise _out_of_step(rig, session, NO_END_MARKER)
     if wanted:
         _prove(rig, session)
 
@@ -109,11 +109,11 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
     with closing(expose(rig, patterns, settings, plan)) as shots:
         frames = [shot.image for shot in shots]
     if ends and not _ended([float(frame.mean()) for frame in frames]):
-        raise SyncError(rig.camera.name, "capture", UNENDED, remedy(plan))
+        raise SyncError(rig.camera.name, "capture", NO_END_MARKER, remedy(plan))
     taken = Recording(frames[: plan.images], plan, caps.size, settings.bits, "frames")
     verdict = check_synchronisation(taken)
     if not verdict.in_step:
-        raise SyncError(rig.camera.name, "capture", verdict.words(), remedy(plan))
+        raise SyncError(rig.camera.name, "capture", verdict.describe(), remedy(plan))
     return frames[: plan.images]
 
 
@@ -131,7 +131,7 @@ def _ended(brightness: Sequence[float]) -> bool:
 def _prove(rig: Rig, session: Session) -> None:
     verdict = check_synchronisation(session.recording(verify=False))
     if not verdict.in_step:
-        raise _out_of_step(rig, session, verdict.words())
+        raise _out_of_step(rig, session, verdict.describe())
 
 
 def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
@@ -201,7 +201,7 @@ def _stepped(
     for i, pattern in enumerate(patterns):
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states
-        yield _in_step(camera, camera.snap(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
+        yield _in_step(camera, camera.snap(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
 
 
 def _triggered(
@@ -210,7 +210,7 @@ def _triggered(
     camera.arm(len(patterns), "hardware")
     projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)
     for pattern in patterns:
-        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + PATIENCE_S), pattern)
+        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
 
 
 def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
@@ -220,6 +220,6 @@ def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
             camera.name,
             "read",
             f"the frame shows '{frame.pattern_id}' instead of '{pattern.id}'",
-            "see that nothing else drives the projector, and scan again",
+            "make sure that nothing else drives the projector, and scan again",
         )
     return frame

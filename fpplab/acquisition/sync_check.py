@@ -27,7 +27,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
-ORDER = (7, 0, 5, 9, 4, 8, 3, 10, 1, 6, 2, 11)
+MARKER_ORDER = (7, 0, 5, 9, 4, 8, 3, 10, 1, 6, 2, 11)
 """Levels by their rank, 0 the darkest. Twelve fill the places of four 24-bit images. Of orders whose
 neighbours differ by four steps or more this one, of many tried, leaves the greatest departure between any two
 slips: 6 % of the range, 2 % at a gamma of 2.2. Both its ends are brighter than the darkness around it.
@@ -36,7 +36,7 @@ LEAST_RISE = 0.05
 """Share of full scale by which white must be brighter than black."""
 SATURATED = 0.01
 """Share of the illuminated pixels at full scale beyond which the exposure is too long."""
-FOLLOWS = 0.015
+MOST_DEPARTURE = 0.015
 """Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
 SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Settling times that are tried, in s."""
@@ -135,10 +135,10 @@ def marker() -> NDArray[np.int64]:
     ndarray of int64, (12,)
         Grey levels of 255 in the order shown.
     """
-    return np.asarray(np.rint(np.array(ORDER) * 255 / (len(ORDER) - 1)), np.int64)
+    return np.asarray(np.rint(np.array(MARKER_ORDER) * 255 / (len(MARKER_ORDER) - 1)), np.int64)
 
 
-def slips(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
+def matching_faults(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[SyncFault, ...] | None:
     """Find the synchronisation faults under which the levels seen rise with the grey levels shown.
 
     Of the faults that fit, those that explain the most frames are returned. Swapped frames are not tried,
@@ -157,17 +157,17 @@ def slips(shown: Sequence[int] | NDArray[np.int64], levels: Floats) -> tuple[Syn
         Empty when in step, None when no fault explains the levels.
     """
     greys, in_step = np.asarray(shown), list(range(len(shown)))
-    if _departure(greys, levels, in_step) <= FOLLOWS:
+    if _departure(greys, levels, in_step) <= MOST_DEPARTURE:
         return ()
     rows = {f: f.shown(len(greys)) for f in faults(len(greys)) if f.cause is not Cause.SWAPPED}
-    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= FOLLOWS]
+    fitting = [fault for fault, row in rows.items() if _departure(greys, levels, row) <= MOST_DEPARTURE]
     explained = {f: sum(k is not None for k in np.array(rows[f])[np.isfinite(levels)]) for f in fitting}
     most = max(explained.values(), default=0)
     return tuple(fault for fault in fitting if explained[fault] == most) or None
 
 
 def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | None]) -> float:
-    """RMS by which levels depart from any that rise with the greys shown, as a share of their range."""
+    """RMS by which levels depart from any that rise with the grey levels shown, as a share of their range."""
     known = np.array([k is not None for k in shown]) & np.isfinite(levels)
     grey, level = greys[[k or 0 for k in shown]][known], levels[known]
     _, place, frames = np.unique(grey, return_inverse=True, return_counts=True)
@@ -232,14 +232,14 @@ class _RigInspection:
         self.findings += _of_light(run)
         if run.rise < LEAST_RISE:
             return
-        if (slipped := slips(shown, run.levels)) != ():
+        if (slipped := matching_faults(shown, run.levels)) != ():
             self.settle_s = _settling(rig, stepped, shown)
             self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s))
         progress(0.7)
         if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
             triggered = self._plan.model_copy(update={"trigger": "triggered"})
             self.runs.append(run := _run(rig, triggered, shown))
-            self.findings += _of_trigger(slips(shown, run.levels), run, remedy(triggered))
+            self.findings += _of_trigger(matching_faults(shown, run.levels), run, remedy(triggered))
 
 
 def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
@@ -256,10 +256,10 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
                 raise
     seen = np.stack(samples)
     change = np.ptp(seen, axis=0)
-    lit = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
+    illuminated = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
     levels = np.full(len(shown), np.nan)
-    levels[: len(lit)] = lit.mean(axis=1)
-    return MarkerRun(plan.trigger, levels, float((lit >= 1.0).any(axis=0).mean()))
+    levels[: len(illuminated)] = illuminated.mean(axis=1)
+    return MarkerRun(plan.trigger, levels, float((illuminated >= 1.0).any(axis=0).mean()))
 
 
 def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
@@ -267,7 +267,7 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
     for settle_s in SETTLE_S:
         if settle_s > plan.settle_s:
             run = _run(rig, plan.model_copy(update={"settle_s": settle_s}), shown)
-            if slips(shown, run.levels) == ():
+            if matching_faults(shown, run.levels) == ():
                 return settle_s
     return None
 
@@ -275,10 +275,10 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
 def _of_light(run: MarkerRun) -> list[Finding]:
     seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
     if run.saturated > SATURATED:
-        share = f"{100 * run.saturated:.2g} % of the lit pixels are at full scale"
+        share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
         return [Finding("the image is saturated", share, "shorten the plan's exposure_s or close the lens")]
     if run.rise < LEAST_RISE:
-        advice = "see to lens caps, the projector's light, where both inspection, and the plan's exposure_s"
+        advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
         return [Finding("the projector's light does not reach the camera", seen, advice)]
     return []
 
@@ -293,7 +293,7 @@ def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: 
     return Finding(
         "stepped frames are out of step",
         _words(slipped),
-        f"no settle_s up to {SETTLE_S[-1]:g} s helps: see that nothing else drives the projector",
+        f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector",
     )
 
 
@@ -312,7 +312,11 @@ def _of_device(error: DeviceError) -> Finding:
 
 
 def _words(slipped: tuple[SyncFault, ...] | None) -> str:
-    return "; or ".join(f.words() for f in slipped) if slipped else "the levels do not follow the greys"
+    return (
+        "; or ".join(f.describe() for f in slipped)
+        if slipped
+        else "the levels do not rise with the grey levels"
+    )
 
 
 def _or_none(level: float) -> float | None:

@@ -34,20 +34,20 @@ ROWS, PIXELS = 24, 1_500
 """How many rows and pixels of a frame are evaluated, at least where it has as many."""
 LEAST_PIXELS = 40
 """Fewest pixels that see the fringes from which a fault is concluded."""
-HONEST = 0.04
+MISFIT_IN_STEP = 0.04
 """RMS misfit, as a share of the modulation, that frames in step may leave besides noise: a response of gamma
 0.5 leaves 0.03 beyond its second harmonic.
 """
-FOREIGN = 0.12
+MISFIT_FOREIGN = 0.12
 """RMS misfit, noise aside, beyond which the frames are not the plan's."""
-CERTAIN = 3.0
+LEAST_LOG_RATIO = 3.0
 """By how much the logarithm of a hypothesis' likelihood must exceed that of frames in step, per pixel."""
-EQUALLY = 0.05
+EQUAL_LOG_RATIO = 0.05
 """Hypotheses whose log-likelihoods differ by less explain the frames equally well."""
 PRIOR = 0.5
 """Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
 pattern."""
-STRAIGHT, BENT = 1, 2
+LINEAR, NONLINEAR = 1, 2
 """Harmonics of a fringe that a pixel may see: with a linear response, and with a nonlinear one."""
 
 
@@ -111,7 +111,7 @@ class SyncFault:
             case Cause.SWAPPED:
                 return [*k[:at], at + 1, at, *k[at + 2 :]]
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """Describe what was seen, and what probably happened.
 
         Returns
@@ -127,9 +127,9 @@ class SyncFault:
             "was missed",
             Cause.MISSED: f"from frame {at} on every frame shows the pattern after its own: the trigger of "
             f"pattern {at} was missed",
-            Cause.DOUBLED: f"frame {at} shows pattern {at - 1} again, and so on: there was a trigger too "
+            Cause.DOUBLED: f"frame {at} shows pattern {at - 1} again, and so on: there was one trigger too "
             f"many before frame {at}",
-            Cause.FOREIGN: f"frame {at} shows none of the plan's patterns: it is dark, or torn between two",
+            Cause.FOREIGN: f"frame {at} shows none of the plan's patterns: it is dark, or shows parts of two",
             Cause.SWAPPED: f"frames {at} and {at + 1} show each other's pattern",
         }[self.cause]
 
@@ -182,7 +182,7 @@ class SyncVerdict:
         """Whether nothing speaks against the frames showing their own patterns."""
         return self.fits and not self.causes
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """Describe what is wrong.
 
         Returns
@@ -195,7 +195,7 @@ class SyncVerdict:
                 "the frames do not fit the plan: they are out of step with it, or the scene or its light "
                 "changed while they were taken"
             )
-        return "; or ".join(fault.words() for fault in self.causes)
+        return "; or ".join(fault.describe() for fault in self.causes)
 
 
 def remedy(plan: Plan) -> str:
@@ -213,7 +213,7 @@ def remedy(plan: Plan) -> str:
     """
     if plan.trigger == "stepped":
         return "give the plan a longer settle_s: `fpplab check --rig` measures what the display needs"
-    return "see to the trigger's cable, edge and delay; `fpplab check --rig` shows what arrives"
+    return "check the trigger's cable, edge and delay; `fpplab check --rig` shows which triggers arrive"
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +266,7 @@ def require_in_step(recording: Recording, advice: str) -> None:
     """
     verdict = check_synchronisation(recording)
     if not verdict.in_step:
-        raise DataError(f"{recording.name}: {verdict.words()}; {remedy(recording.plan)}; {advice}")
+        raise DataError(f"{recording.name}: {verdict.describe()}; {remedy(recording.plan)}; {advice}")
 
 
 def provable(plan: Plan) -> bool:
@@ -285,7 +285,7 @@ def provable(plan: Plan) -> bool:
     bool
         Whether the frames of the plan reveal such a fault.
     """
-    return plan.images > 1 + sum(min(2 * BENT, fringe.images - 1) for fringe in plan.fringes)
+    return plan.images > 1 + sum(min(2 * NONLINEAR, fringe.images - 1) for fringe in plan.fringes)
 
 
 def _moments(recording: Recording) -> Moments | None:
@@ -327,9 +327,7 @@ def _ripple(levels: Map) -> Map:
 
 
 def _waves(plan: Plan, harmonics: int) -> Floats:
-    """Basis of what a pixel may see of every pattern: one offset for all, harmonics of its own for each
-    set.
-    """
+    """Basis of what a pixel may see of every pattern: one common offset, own harmonics for each set."""
     columns = 2 * harmonics
     waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
     waves[:, 0] = 1.0
@@ -363,7 +361,7 @@ class _Spaces:
     def likelihood(self, moments: Moments) -> Floats:
         """Logarithm of each hypothesis' marginal likelihood per pixel, up to a constant, (H,)."""
         left, foreign = self.left(moments.all), self.known.shape[1] - self.known.sum(axis=1)
-        variance = np.maximum(left / np.maximum(self.rest, 1), HONEST**2)
+        variance = np.maximum(left / np.maximum(self.rest, 1), MISFIT_IN_STEP**2)
         volume = np.where(self.free, np.log(self.square * PRIOR), 0.0).sum(axis=1)
         deviance = self.rest * np.log(variance) + left / variance + volume
         return np.asarray(-0.5 * (deviance + foreign * (np.log(PRIOR) + 1.0)))
@@ -388,14 +386,14 @@ def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _S
 
 def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     # No fault can be likelier by more than the misfit that it takes away.
-    if _spaces(plan, STRAIGHT).left(moments.all)[0] <= 2 * CERTAIN * HONEST**2:
-        return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, BENT).misfit(moments))
+    if _spaces(plan, LINEAR).left(moments.all)[0] <= 2 * LEAST_LOG_RATIO * MISFIT_IN_STEP**2:
+        return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, NONLINEAR).misfit(moments))
     named = tuple(faults(plan.images))
-    spaces = [_spaces(plan, harmonics, named) for harmonics in (STRAIGHT, BENT)]
+    spaces = [_spaces(plan, harmonics, named) for harmonics in (LINEAR, NONLINEAR)]
     likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))
     misfit = spaces[-1].misfit(moments)
     best = likelihood.max()
-    if best > likelihood[0] + CERTAIN:
-        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUALLY))
+    if best > likelihood[0] + LEAST_LOG_RATIO:
+        causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUAL_LOG_RATIO))
         return SyncVerdict(causes, misfit=misfit)
-    return SyncVerdict(fits=misfit <= FOREIGN, provable=provable(plan), misfit=misfit)
+    return SyncVerdict(fits=misfit <= MISFIT_FOREIGN, provable=provable(plan), misfit=misfit)

@@ -1,5 +1,4 @@
-"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own by entry
-points.
+"""The command line: every file of `fpplab.cli.commands` is a command; drivers bring their own.
 
 Heavy modules are imported where they are used, so that `--help` is at once.
 """

@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.errors import ConfigError
 
@@ -26,6 +26,9 @@ class Document(BaseModel):
 
 
 D = TypeVar("D", bound=Document)
+
+Positive = Annotated[float, Field(gt=0)]
+"""A number above zero."""
 
 
 class _Loader(yaml.SafeLoader):

@@ -34,7 +34,7 @@ SAME_LEVEL = 0.2
 
 
 @dataclass(frozen=True)
-class NoiseModel:
+class ReferenceNoise:
     """Noise of frames at their bit depth: variance `constant + per_level * (level - black)`, and vibration.
 
     Attributes
@@ -138,7 +138,7 @@ class _View:
         return np.array(shifts), np.array(variances), np.array(rest)
 
 
-def _noise(reference: Reference, views: Sequence[_View], poses: Sequence[Sequence[Image]]) -> NoiseModel:
+def _noise(reference: Reference, views: Sequence[_View], poses: Sequence[Sequence[Image]]) -> ReferenceNoise:
     squares, weights, levels, variances = 0.0, 0.0, [], []
     for view, frames in zip(views, poses, strict=True):
         shifts, variance, rest = view.separate(frames)
@@ -151,7 +151,7 @@ def _noise(reference: Reference, views: Sequence[_View], poses: Sequence[Sequenc
         variances.append(spread)
     vibration = float(np.sqrt(max(squares / weights, 0.0))) if weights else 0.0
     constant, per_level, sigma = _line(np.concatenate(levels), np.concatenate(variances))
-    return NoiseModel(constant, sigma, per_level, vibration)
+    return ReferenceNoise(constant, sigma, per_level, vibration)
 
 
 def _transfer(expected: Floats, rest: Floats, full_scale: int) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from fpplab.core import config
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Axis
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind, members_by_kind
@@ -34,7 +34,6 @@ Objective = Literal["surface_smcd_um", "worst_smcd_um", "surface_rms_um", "compl
 """What a study may ask for: completeness is maximised, all others are minimised."""
 
 StepRange = tuple[Annotated[int, Field(ge=3, le=1000)], Annotated[int, Field(ge=3, le=1000)]]
-Positive = Annotated[float, Field(gt=0)]
 Positives = tuple[Positive, Positive]
 Range = tuple[float, float]
 

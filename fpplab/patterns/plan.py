@@ -173,9 +173,7 @@ class Plan(Document):
 
     @property
     def projector_size(self) -> tuple[int, int] | None:
-        """Size (width, height) in px of the projector that the fringes were made for, None if the plan names
-        none.
-        """
+        """Projector size (width, height) in px that the fringes were made for; None if not given."""
         return self.fringes[0].projector_size
 
     def sets_along(self, axis: Axis) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from fpplab.core import config
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.files import write_text
@@ -26,12 +26,11 @@ CORRECTABLE = (0.5, 5.0)
 """Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
 three steps.
 """
-MOST_UNCERTAINTY = 0.05
+MOST_SIGMA_G = 0.05
 """Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
 remain."""
 
-Positive = Annotated[float, Field(gt=0)]
-Sigma = Annotated[float, Field(ge=0)]
+_Sigma = Annotated[float, Field(ge=0)]
 LawParameters = tuple[float, float, float]
 
 
@@ -107,7 +106,7 @@ class Curve(Document):
         if not least <= self.g <= most:
             raise ValueError(
                 f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
-                "beyond which the projector has too few greys; see to its own gamma setting"
+                "beyond which the projector has too few grey levels; change its own gamma setting"
             )
 
 
@@ -118,7 +117,7 @@ class ResponseLevel(Document):
     """Level shown."""
     seen: float
     """Level seen."""
-    sigma: Sigma | None = None
+    sigma: _Sigma | None = None
     """Standard uncertainty of the level seen, where it is known."""
     residual: float
     """Level seen minus the fitted one."""
@@ -137,14 +136,14 @@ class Region(Document):
     """Level seen of a dark image, as a share of full scale."""
     g: Positive
     """Exponent (gamma)."""
-    sigma_g: Sigma
+    sigma_g: _Sigma
     """Standard uncertainty of g."""
 
 
 class Response(Curve):
     """A fitted response `I_out = a I_in^g + b` with its uncertainty and the levels that it was fitted to."""
 
-    sigma: tuple[Sigma, Sigma, Sigma]
+    sigma: tuple[_Sigma, _Sigma, _Sigma]
     """Standard uncertainties of a, b and g."""
     residual: Annotated[float, Field(ge=0)]
     """RMS misfit as a share of full scale."""
@@ -154,17 +153,17 @@ class Response(Curve):
     """Covariance (3, 3) of a, b and g."""
     residual_sum: Annotated[float, Field(ge=0)] | None = None
     """Sum of the squares of the misfit."""
-    misfit: Sigma | None = None
+    misfit: _Sigma | None = None
     """Deviation of the law itself from the levels seen, beyond their uncertainty, as a standard deviation."""
     measured: tuple[ResponseLevel, ...] = ()
     """The levels that were fitted."""
     regions: tuple[Region, ...] = ()
     """The regions of the image that were fitted, each with its own fit."""
-    region_spread: Sigma | None = None
+    region_spread: _Sigma | None = None
     """Standard deviation of the regions' g."""
-    region_sigma: Sigma | None = None
+    region_sigma: _Sigma | None = None
     """The part of `region_spread` that the regions' own uncertainties explain."""
-    dark: tuple[float, Sigma] | None = None
+    dark: tuple[float, _Sigma] | None = None
     """Level seen with the projector off, and its standard uncertainty."""
     left_out: tuple[str, ...] = ()
     """Which levels and regions were not fitted, and why."""
@@ -259,10 +258,11 @@ class Response(Curve):
             self.check_correctable()
         except ValueError as error:
             raise ConfigError(f"{source}: {error}") from error
-        if self.sigma[2] > MOST_UNCERTAINTY * self.g:
+        if self.sigma[2] > MOST_SIGMA_G * self.g:
             raise ConfigError(
-                f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: at most "
-                f"{100 * MOST_UNCERTAINTY:g} % to correct patterns with; measure it again with more levels and light"
+                f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: "
+                f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more "
+                "levels and light"
             )
         return Curve(a=self.a, b=self.b, g=self.g)
 

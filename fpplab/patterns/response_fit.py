@@ -1,5 +1,4 @@
-"""Fit of the response to frames of uniform grey-level images: levels with their uncertainty, region by
-region.
+"""Fit of the response to frames of uniform grey-level images, region by region, with uncertainties.
 
 The image is a grid of regions. Where light falls unevenly each region has its own gain, but all have the
 projector's exponent: their fits must agree, otherwise something else than the response changes the levels.

@@ -1,5 +1,6 @@
-"""Decode: frames -> projector coordinates with mask and uncertainty. Conventions:
-`fpplab.core.conventions`.
+"""Decode frames into projector coordinates with mask and uncertainty.
+
+Conventions: `fpplab.core.conventions`.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class Recipe(NamedTuple):
     modulation_min, contrast_min, residual_max, disagreement_max : float32
         As in `MaskRules`, in 8-bit grey levels.
     edge_margin : float32
-        How near the projector's edge a coordinate may come, in px.
+        How far beyond the projector's edge a coordinate may lie besides its noise, in px.
     noise_constant, noise_per_level : float32
         Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels.
     """
@@ -245,9 +245,7 @@ def _demodulate(
 
 @_compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
-    """Compute the wrapped phase, in turns, of a synthetic wavelength: an integer combination of measured
-    phases.
-    """
+    """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
     for j in range(n):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):

@@ -172,8 +172,7 @@ def _sample(recording: Recording) -> list[Floats]:
 def fit_noise(
     samples: Sequence[Floats], fringes: Sequence[FringeSet], saturation: float, grey: float
 ) -> NoiseModel:
-    """Fit the noise model by photon transfer from the frames of a measurement, robust against scene and
-    motion.
+    """Fit the noise model by photon transfer, robust against scene and motion.
 
     Where a set has more than three steps, noise is the residual of its sinusoid, and of the second and third
     harmonic too where there are steps enough (a nonlinear response is not noise). Where all have three, it is

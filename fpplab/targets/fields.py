@@ -6,9 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 
-Positive = Annotated[float, Field(gt=0)]
 GridCount = Annotated[int, Field(ge=2, le=200)]
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 

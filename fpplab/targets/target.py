@@ -16,7 +16,7 @@ from pydantic import create_model, model_validator
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.targets.detection import detect
-from fpplab.targets.drawing import coverage
+from fpplab.targets.drawing import covered_share
 from fpplab.targets.fields import GridFields, PrintFields
 from fpplab.targets.kinds import KINDS, OWN_FIELDS
 from fpplab.targets.layout import BoardLayout
@@ -124,7 +124,7 @@ class Target(PrintFields, _KindFields, GridFields):  # type: ignore[misc] # fiel
         NDArray[np.uint8]
             Reflectance 0 to 255 (height, width).
         """
-        share = coverage(self.layout.shapes(), self.size_mm, px_per_mm)
+        share = covered_share(self.layout.shapes(), self.size_mm, px_per_mm)
         level = self.background + (self.foreground - self.background) * share
         return np.asarray(np.rint(255.0 * level), np.uint8)
 

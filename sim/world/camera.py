@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fpplab.calibration.model import Distortion
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from fpplab.core.geometry import Pinhole
-from sim.world.numbers import NotNegative, PixelSize, Positive, Share
+from sim.world.numbers import NotNegative, PixelSize, Share
 
 Binning = Literal[1, 2, 4, 8]
 """Pixels of the sensor along each side of a pixel of a frame."""

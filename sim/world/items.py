@@ -9,8 +9,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from fpplab.calibration.model import PoseFile
 from fpplab.core import config
-from fpplab.core.config import Document
-from sim.world.numbers import NotNegative, Positive, Share
+from fpplab.core.config import Document, Positive
+from sim.world.numbers import NotNegative, Share
 
 FileName = Annotated[str, Field(min_length=1)]
 

@@ -6,8 +6,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-Positive = Annotated[float, Field(gt=0)]
-"""A number greater than 0."""
 NotNegative = Annotated[float, Field(ge=0)]
 """A number of at least 0."""
 Share = Annotated[float, Field(ge=0, le=1)]

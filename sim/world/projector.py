@@ -7,11 +7,11 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from fpplab.calibration.model import Distortion, PoseFile
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
 from sim.texture import MirrorTexture, least_blur
-from sim.world.numbers import NotNegative, PixelSize, Positive, Share
+from sim.world.numbers import NotNegative, PixelSize, Share
 
 
 class ResponseSection(Document):

@@ -1,4 +1,4 @@
-"""Frames prove that each shows its own pattern: every fault is named, and honest frames are left in peace."""
+"""Frames prove that each shows its own pattern: every fault is named, and frames in step are accepted."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Scene:
 
 
 def spoilt(frames: list[Image], fault: SyncFault) -> list[Image]:
-    """The frames as a fault has them taken; what is no pattern is as dark as anything that is seen."""
+    """Frames taken with a fault; a frame without a pattern is as dark as the darkest that is seen."""
     nothing = np.min(frames, axis=0)
     return [nothing if k is None else frames[k] for k in fault.shown(len(frames))]
 
@@ -122,7 +122,7 @@ def plans(draw: st.DrawFn, least_steps: int = 3, least_sets: int = 1) -> Plan:
     )
 
 
-HONEST = st.builds(
+SCENES = st.builds(
     Scene,
     noise=st.floats(0.0, 0.4),
     gamma=st.sampled_from((0.5, 0.8, 1.0, 1.4, 1.8, 2.2)),
@@ -136,10 +136,10 @@ HONEST = st.builds(
 
 
 @settings(max_examples=25, deadline=None)
-@given(plans(), HONEST, st.integers(0, 99))
-def test_honest_frames_are_in_step(plan: Plan, scene: Scene, seed: int) -> None:
+@given(plans(), SCENES, st.integers(0, 99))
+def test_frames_in_step_are_accepted(plan: Plan, scene: Scene, seed: int) -> None:
     verdict = judged(scene.frames(plan, seed), plan, scene.bits)
-    assert verdict.in_step, (verdict.words(), verdict.misfit)
+    assert verdict.in_step, (verdict.describe(), verdict.misfit)
 
 
 @settings(max_examples=25, deadline=None)
@@ -155,7 +155,7 @@ def test_every_fault_is_named(data: st.DataObject, plan: Plan, noise: float) -> 
 def test_a_trigger_out_of_step_is_noticed_wherever_the_plan_can_tell(
     data: st.DataObject, plan: Plan, noise: float, gamma: float
 ) -> None:
-    """Whatever the response; where frames could not tell, that is said."""
+    """For any response; where the frames cannot reveal the fault, the verdict says so."""
     fault = data.draw(st.sampled_from([f for f in faults(plan.images) if f.cause in TRIGGERS]))
     verdict = judged(spoilt(Scene(noise=noise, gamma=gamma).frames(plan), fault), plan)
     assert not verdict.in_step or not provable(plan), (fault, verdict)
@@ -172,11 +172,11 @@ def test_every_trigger_fault_of_a_plan_that_comes_with_fpplab_is_named(name: str
         if fault.cause in TRIGGERS:
             verdict = judged(spoilt(frames, fault), plan)
             assert fault in verdict.causes or not verdict.fits, fault
-            assert fault.words() in verdict.words() or not verdict.fits
+            assert fault.describe() in verdict.describe() or not verdict.fits
 
 
 def coarser(fringe: Sinusoid) -> Sinusoid:
-    """Stripes that a camera of so few pixels resolves."""
+    """A plan whose stripes a camera of so few pixels resolves."""
     return fringe.model_copy(update={"stripes": min(fringe.stripes, 12.0), "projector_size": None})
 
 
@@ -208,7 +208,7 @@ def test_a_plan_says_whether_its_frames_prove_anything(plan: Plan, proves: bool)
 
 
 def test_the_brightness_of_a_frame_is_nobodys_fault() -> None:
-    """A lamp that is a fifth brighter in one frame, as a shutter or the mains may have it."""
+    """A lamp that is a fifth brighter in one frame, as a shutter or the mains may cause."""
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(exposure=0.7).frames(plan)
     frames[4] = np.rint(frames[4] * 1.2).astype(np.uint8)
@@ -236,7 +236,7 @@ def test_where_nothing_is_seen_nothing_is_proven(scene: Scene) -> None:
 
 
 def test_a_few_pixels_that_see_fringes_are_enough() -> None:
-    """A small part before a dark room."""
+    """A small part in front of a dark background."""
     plan = sets(("x", 1, 6), ("x", 8, 6))
     frames = Scene(noise=0.0).frames(plan)
     part = np.zeros(frames[0].shape, bool)

@@ -362,10 +362,10 @@ IN_STEP = [
         "out of step is taken for noise",
         SYNCHRONISATION,
         "_decide",
-        "likelihood[0] + CERTAIN",
+        "likelihood[0] + LEAST_LOG_RATIO",
         "likelihood[0] + 1e3",
     ),
-    Fault("a marker that follows anything", MARKER, "FOLLOWS", "0.015", "1.0"),
+    Fault("a marker that follows anything", MARKER, "MOST_DEPARTURE", "0.015", "1.0"),
     Fault(
         "a wrong pattern id",
         ACQUISITION,

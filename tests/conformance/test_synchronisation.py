@@ -89,7 +89,7 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_trigger_that_slips_is_named_and_the_frames_stay(fault: SyncFault, tmp_path: Path) -> None:
     with pytest.raises(SyncError) as told:
         taken(slipping(fault), plan("triggered"), tmp_path / "s")
-    assert fault.words() in str(told.value)
+    assert fault.describe() in str(told.value)
     assert "cable" in str(told.value)
     assert "--force" in str(told.value)
     assert Session.open(tmp_path / "s").missing() == []
@@ -98,7 +98,7 @@ def test_a_trigger_that_slips_is_named_and_the_frames_stay(fault: SyncFault, tmp
 def test_a_display_that_is_slower_than_the_plan_waits_is_named(tmp_path: Path) -> None:
     with pytest.raises(SyncError) as told:
         taken(rig(latency_s=LATENCY_S), plan("stepped"), tmp_path / "short")
-    assert SyncFault(Cause.LATE).words() in str(told.value)
+    assert SyncFault(Cause.LATE).describe() in str(told.value)
     assert "longer settle_s" in str(told.value)
     taken(rig(latency_s=LATENCY_S), plan("stepped", settle_s=LATENCY_S), tmp_path / "long")
 
@@ -118,7 +118,7 @@ def test_what_is_in_step_is_taken(trigger: str, fringes: tuple[Sinusoid, ...], t
 def test_frames_that_cannot_prove_themselves_are_followed_by_a_marker(
     fault: SyncFault, tmp_path: Path
 ) -> None:
-    with pytest.raises(SyncError, match="no black and then white"):
+    with pytest.raises(SyncError, match="no black and then white image"):
         taken(slipping(fault), plan("triggered", fringes=COARSE), tmp_path / "s")
 
 
@@ -233,7 +233,7 @@ def test_a_sound_bench_passes(folder: Path) -> None:
 def test_the_check_names_a_trigger_that_slips(folder: Path, fault: SyncFault) -> None:
     (finding,) = checked(folder, slipping(fault))["findings"]
     assert finding["cause"] == "triggered frames are out of step"
-    assert finding["evidence"] == fault.words()
+    assert finding["evidence"] == fault.describe()
     assert "cable" in finding["remedy"]
 
 

@@ -1,4 +1,4 @@
-"""Patterns show what the conventions say, on both lattices, at every bit depth."""
+"""Patterns follow the conventions, on both lattices, at every bit depth."""
 
 from __future__ import annotations
 

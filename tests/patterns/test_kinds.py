@@ -1,4 +1,4 @@
-"""A new kind of fringe set, and a new unwrapping method, are one class each: here they are, in this file."""
+"""A new kind of fringe set, and a new unwrapping method, need one class each, defined in this file."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Reordered(FringeSet):
         return (left**2).sum(axis=0), max(self.images - 3, 0)
 '''
 NEW_METHOD = '''
-"""Sets as they are, under another name."""
+"""Uses the sets as they are, under another name."""
 
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
 

@@ -1,4 +1,4 @@
-"""Phase errors of a bent sinusoid, against closed forms and against fringes that are really decoded."""
+"""Phase errors of a distorted sinusoid, against closed forms and against decoded fringes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan says, and what it refuses."""
+"""Reading plans: values, and refusal of invalid ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The response: parameters come back with an honest uncertainty, and nonsense is refused."""
+"""The response: parameters are recovered with a correct uncertainty, and invalid input is refused."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_covariance_is_that_of_the_linearised_fit() -> None:
 
 
 def test_what_the_law_cannot_follow_widens_the_uncertainty() -> None:
-    """Levels known to a millionth that lie off the law by 0.01 at random: as if known to 0.01."""
+    """Levels known to a millionth that scatter about the law by 0.01 are treated as known to 0.01."""
     random, off = np.random.default_rng(8), 0.01
     levels = seen() + random.normal(0, off, 18)
     found = fit_response(SHOWN, levels, np.full(18, 1e-6))

@@ -1,4 +1,4 @@
-"""Frames of uniform greys: means, uncertainties and regions, against frames of known making."""
+"""Frames of uniform grey-level images: means, uncertainties and regions, on synthetic frames."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def make(
 
 
 def only(index: int, value: float, others: float) -> Floats:
-    """A picture with `value` in one region and `others` elsewhere."""
+    """An image with `value` in one region and `others` elsewhere."""
     picture = np.full(SHAPE, others)
     rows, columns = SHAPE[0] // GRID, SHAPE[1] // GRID
     row, column = divmod(index, GRID)

@@ -1,4 +1,4 @@
-"""Encoding and decoding are one identity; noise, masks and refusals are as stated."""
+"""Decoding inverts encoding; noise, masks and refusals are as documented."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def make_plan(*sets, **more):
 
 
 def render(plan, size=SIZE, lattice=Lattice.SQUARE, offset=0.5, amplitude=0.4):
-    """What a perfect camera, one pixel per mirror, sees: levels 0 … 1 of every image."""
+    """Levels 0 … 1 of every image, seen by a perfect camera with one pixel per mirror."""
     return [
         offset + 2 * amplitude * (plan.fringes[i].level(n, size, lattice) - 0.5) for i, n, _ in plan.steps()
     ]
 
 
 def record(levels, bits=8, noise=0.0, seed=0):
-    """Levels as a camera's integers; noise in 8-bit grey levels."""
+    """Quantise levels as a camera does, with noise in 8-bit grey levels."""
     generator, full = np.random.default_rng(seed), (1 << bits) - 1
     dtype = np.uint8 if bits == 8 else np.uint16
     return [

@@ -1,4 +1,4 @@
-"""Noise from the frames themselves, the law of phase noise, and the masks."""
+"""Noise from the frames themselves, the formula of phase noise, and the masks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PIXELS = 20_000
 
 
 def scene(generator, offset=(40, 160), modulation=30.0, harmonics=()):
-    """A maker of noise-free samples (N, P): offsets of all levels, phases at random, harmonics if wanted."""
+    """A generator of noise-free samples (N, P): all offsets, random phases, harmonics if wanted."""
     a = generator.uniform(*offset, PIXELS)
     phase = generator.uniform(0, 2 * np.pi, PIXELS)
 

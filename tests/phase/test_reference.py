@@ -1,4 +1,4 @@
-"""The compiled decoder does what the reference does in NumPy, for any plan, noise, depth and response."""
+"""The compiled decoder agrees with the NumPy reference, for any plan, noise, depth and response."""
 
 from __future__ import annotations
 

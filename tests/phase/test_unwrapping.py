@@ -1,4 +1,4 @@
-"""Ladders, the projector's edges, and the repair of orders."""
+"""Synthetic wavelengths, the projector's edges, and the repair of fringe orders."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ def make_plan(stripes, unwrapping="hierarchical", steps=4, axis="x", **more):
     return Plan(fringes=fringes, unwrapping=unwrapping, **more)
 
 
-def wrapped(ladder_plan, position, noise=0.0, seed=0):
+def wrapped(plan, position, noise=0.0, seed=0):
     """Wrapped phases (K, P) in rad of positions 0 … 1, fewest stripes first."""
     generator = np.random.default_rng(seed)
-    stripes = [ladder_plan.fringes[i].stripes for i in ladder_plan.sets_along("x")]
+    stripes = [plan.fringes[i].stripes for i in plan.sets_along("x")]
     phase = 2 * np.pi * np.multiply.outer(stripes, position)
     return (phase + generator.normal(0, noise, phase.shape) if noise else phase) % (2 * np.pi)
 
 
-def test_hierarchical_rungs_are_the_sets_by_their_stripes():
+def test_hierarchical_wavelengths_are_the_sets_by_their_stripes():
     sequence = wavelength_sequence(make_plan([64, 1, 8]), "x", "plan")
     assert sequence.sets == (1, 2, 0)
     assert [r.stripes for r in sequence.wavelengths] == [1, 8, 64]
     assert [r.coefficients for r in sequence.wavelengths] == [(1, 0, 0), (0, 1, 0), (0, 0, 1)]
 
 
-def test_heterodyne_rungs_are_the_beats_and_the_sets():
+def test_heterodyne_wavelengths_are_the_beats_and_the_sets():
     sequence = wavelength_sequence(make_plan([64, 49, 56], "heterodyne"), "x", "plan")
     assert [(r.stripes, r.coefficients) for r in sequence.wavelengths] == [
         (1, (1, -2, 1)),

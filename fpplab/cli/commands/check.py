@@ -26,9 +26,9 @@ def check_command(
 ) -> None:
     """Open the rig, see that each frame shows its own pattern, and name what is wrong.
 
-    Shows twelve uniform greys, stepped and, where camera and projector can, triggered, with the plan's
-    exposure and settling time; says which settling time the display needs. The exit code is 0 when all is
-    well, 3 with findings.
+    Shows twelve uniform grey-level images, stepped and, where camera and projector can, triggered, with the
+    plan's exposure and settling time; says which settling time the display needs. The exit code is 0 when
+    all is well, 3 with findings.
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --out check.png`
     """

@@ -35,8 +35,8 @@ def gamma_command(
 ) -> None:
     """Fit the response `I_out = a I_in^g + b` of projector and camera together.
 
-    Shows uniform greys, says whether the response is good enough for the plan, and leaves OUT and a picture
-    beside it. The line `response: OUT` in a plan has its patterns corrected with it.
+    Shows uniform grey-level images, says whether the response is good enough for the plan, and writes OUT and
+    a picture beside it. The line `response: OUT` in a plan has its patterns corrected with it.
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkBox, InkShape
-from fpplab.targets.fields import Positive
 from fpplab.targets.profiles import PointModel, crossing_edges
 from fpplab.targets.squares import SquareLayout
 from fpplab.targets.views import LEAST_POINTS, Detection

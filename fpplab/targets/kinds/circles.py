@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.config import Positive
 from fpplab.core.conventions import Floats
 from fpplab.targets.drawing import InkDisc, InkShape
-from fpplab.targets.fields import Positive
 from fpplab.targets.layout import BoardLayout, GridPatch, PointLattice
 from fpplab.targets.ordering import in_order
 from fpplab.targets.patches import patch_of_blobs

@@ -7,9 +7,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from fpplab.core.config import Document
+from fpplab.core.config import Document, Positive
 from sim import scene
-from sim.world.numbers import Positive
 
 
 class Ridges(Document):

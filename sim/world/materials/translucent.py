@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from fpplab.core.config import Positive
 from sim.scene import BaseLayer, Paint
 from sim.world.materials.base import Material
 from sim.world.materials.relief import GrainSection, Ridges, grain_of, relief_of
-from sim.world.numbers import Positive, Share
+from sim.world.numbers import Share
 
 
 class Translucent(Material):
