@@ -120,7 +120,7 @@ def test_the_base_may_wrap_at_the_edges(stripes):
     assert found.is_unambiguous.mean() > 0.999
 
 
-def test_what_lies_on_the_seam_of_repeating_stripes_is_not_certain():
+def test_what_lies_at_the_edge_of_repeating_stripes_is_not_certain():
     plan = make_plan([1, 8, 64])
     sequence = wavelength_sequence(plan, "x", "plan")
     found = unwrap(wrapped(plan, np.array([0.0, 1e-5, 0.01, 1 - 1e-5])), sequence, sigma=1e-5)
