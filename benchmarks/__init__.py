@@ -18,7 +18,21 @@ from fpplab.core.errors import ConfigError
 
 @dataclass(frozen=True)
 class Result:
-    """One figure: `ratio` is how many times better than `baseline` it is, in the same `unit`."""
+    """One figure beside its baseline, in the same unit.
+
+    Attributes
+    ----------
+    name : str
+        Of the figure.
+    value : float
+        What was measured.
+    unit : str
+        Of value and baseline.
+    baseline : float
+        What it is compared with.
+    ratio : float
+        How many times better than the baseline it is.
+    """
 
     name: str
     value: float
@@ -28,12 +42,46 @@ class Result:
 
 
 def below(name: str, value: float, unit: str, limit: float) -> Result:
-    """A figure beside what it must not exceed."""
+    """Put a figure beside what it must not exceed.
+
+    Parameters
+    ----------
+    name : str
+        Of the figure.
+    value : float
+        What was measured.
+    unit : str
+        Of both.
+    limit : float
+        What it must not exceed.
+
+    Returns
+    -------
+    Result
+        Its ratio is at least 1 where it does.
+    """
     return Result(name, value, unit, limit, limit / max(value, 1e-9))
 
 
 def above(name: str, value: float, unit: str, least: float) -> Result:
-    """A figure beside what it must reach."""
+    """Put a figure beside what it must reach.
+
+    Parameters
+    ----------
+    name : str
+        Of the figure.
+    value : float
+        What was measured.
+    unit : str
+        Of both.
+    least : float
+        What it must reach.
+
+    Returns
+    -------
+    Result
+        Its ratio is at least 1 where it does.
+    """
     return Result(name, value, unit, least, value / least)
 
 

@@ -12,7 +12,10 @@ from benchmarks import benchmark, benchmark_names
 from fpplab.cli import console
 from fpplab.cli.app import Json
 
+program = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+
+@program.command()
 def benchmarks_command(
     name: Annotated[
         str | None, typer.Argument(help=f"{', '.join(benchmark_names())}; all without a name.")
@@ -28,9 +31,6 @@ def benchmarks_command(
     columns = ["name", "value", "unit", "baseline", "ratio"]
     console.answer({"results": results}, json, lambda: console.table("Benchmarks", columns, rows))
 
-
-program = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-program.command()(benchmarks_command)
 
 if __name__ == "__main__":
     console.run_program(program, as_json="--json" in sys.argv)

@@ -52,7 +52,13 @@ BYTES = os.urandom(1 << 20) * (SIZE[0] * SIZE[1] >> 20)
 
 
 def run() -> list[Result]:
-    """All figures of acquisition; a lost frame is a `FrameLossError`."""
+    """Measure acquisition; a lost frame is a `FrameLossError`.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
     with _camera() as (camera, bench):
         memory = _memory(camera, bench)  # first, while none has been fetched yet
         speed = _speed(camera)
@@ -72,7 +78,7 @@ def _camera() -> Iterator[tuple[BaslerCamera, EmulatedPylon]]:
 
 
 def _speed(camera: BaslerCamera) -> list[Result]:
-    instant = camera._camera.instant
+    instant = camera._camera.instant  # noqa: SLF001 - pylon's own object is the baseline
     driver, bare = [], []
     for _ in range(REPEATS):
         driver.append(_timed(lambda: _drop(_take(camera, FRAMES))))

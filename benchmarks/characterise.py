@@ -70,7 +70,13 @@ fixture: {{backend: "sim.devices:SimFixture"}}
 
 
 def run() -> list[Result]:
-    """All figures; the baselines are the targets."""
+    """Measure how well characterisation does; the baselines are the targets.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return [*_characterisation(Path(folder)), *_response(Path(folder))]
 
@@ -137,8 +143,26 @@ def _in_parallel(pool: Pool, work: Any, items: Sequence[Any]) -> list[Any]:
 class BoardWindow:
     """What reaches the part of the sensor on which the board of one pose lies, under every pattern.
 
-    light: by image, (height, width) each. corner: its pixel (u, v) in the whole picture. first: number
-    of the pose's first frame, from which the noise follows. sensor: its seed is the repeat's to choose.
+    Attributes
+    ----------
+    name : str
+        Of the pose.
+    light : list of PatternLevels, (height, width) each
+        By image.
+    corner : ndarray of float64, (2,)
+        Its pixel (u, v) in the whole picture.
+    first : int
+        Number of the pose's first frame, from which the noise follows.
+    sensor : SensorModel
+        Its seed is chosen by the repeat.
+    settings : CameraSettings
+        Of every frame.
+    plan : Plan
+        What is projected.
+    projector_size : tuple of int
+        (width, height) in px.
+    target : Target
+        The board.
     """
 
     name: str
@@ -153,7 +177,24 @@ class BoardWindow:
 
     @classmethod
     def of(cls, rig: Rig, plan: Plan, target: Target, pose: int) -> BoardWindow:
-        """As the rig stands with the board in that pose."""
+        """Look at the board in one pose.
+
+        Parameters
+        ----------
+        rig : Rig
+            Open, of the twin.
+        plan : Plan
+            What is projected.
+        target : Target
+            The board.
+        pose : int
+            Of the fixture's poses.
+
+        Returns
+        -------
+        BoardWindow
+            Without noise.
+        """
         assert isinstance(rig.camera, SimCamera)
         fixture, caps, bench = rig.need_fixture("the benchmark"), rig.projector.caps, rig.camera.bench
         fixture.mount("board", pose)
@@ -185,7 +226,18 @@ class BoardWindow:
         )
 
     def observe(self, repeat: int) -> Observation:
-        """The board as found in one repeat, in pixels of the whole picture."""
+        """Observe the board in one repeat.
+
+        Parameters
+        ----------
+        repeat : int
+            Seed of the noise.
+
+        Returns
+        -------
+        Observation
+            In pixels of the whole picture.
+        """
         sensor, plan = replace(self.sensor, seed=repeat), self.plan
         frames = [sensor.expose(light, self.settings, self.first + i) for i, light in enumerate(self.light)]
         decoded = decode(Recording(frames, plan, self.projector_size, self.settings.bits))

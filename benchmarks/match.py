@@ -55,9 +55,24 @@ MOST_DELTA_UM, MOST_DELTA_PERCENT = 3.0, 10.0
 
 @dataclass(frozen=True)
 class MatchBenchmarkSetup:
-    """What is recorded and matched: rig and plan files, how many poses of the board, which artefacts.
+    """What is recorded and matched.
 
-    focus_moved_mm: how far, for a bench that is none.
+    The hidden bench is a simulated laboratory rig whose file the matching never reads.
+
+    Attributes
+    ----------
+    hidden, twin : str
+        Rig files of the hidden bench and of the twin.
+    board_plan, scan_plan : str
+        Plan files for the board and for the artefacts.
+    poses : int
+        How many of the board.
+    artefacts : tuple of str
+        Which are scanned.
+    limits : MatchingLimits
+        Of epochs and time.
+    focus_moved_mm : float
+        How far the focus is moved for recordings that no twin can match, in mm.
     """
 
     hidden: str = "rig_hidden.yaml"
@@ -79,14 +94,28 @@ FULL = MatchBenchmarkSetup()
 
 
 def run() -> list[Result]:
-    """All figures; the baselines are the targets. It takes some hour and a half on two cores."""
+    """Measure matching; the baselines are the targets. It takes some hour and a half on two cores.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         record(Path(folder))
         return match_figures(Path(folder))
 
 
 def record(folder: Path, trial: MatchBenchmarkSetup = FULL) -> None:
-    """Leave in `folder` what the hidden bench sees; sessions that are complete there are kept."""
+    """Record what the hidden bench sees; sessions that are complete are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    trial : MatchBenchmarkSetup
+        What is recorded.
+    """
     plan, scan_plan = Plan.load(trial.board_plan), Plan.load(trial.scan_plan)
     with Rig.load(trial.hidden) as rig:
         rig.need_fixture("the benchmark").mount(CARD, 0)
@@ -113,7 +142,20 @@ def _refocused(world: World, further_mm: float) -> World:
 
 
 def match_figures(folder: Path, trial: MatchBenchmarkSetup = FULL) -> list[Result]:
-    """All figures of the recording in `folder`; the twins are left there too, in place of earlier ones."""
+    """Match twins to a recording and compare them with the truth.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the recording; the twins are left there too, in place of earlier ones.
+    trial : MatchBenchmarkSetup
+        What was recorded.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
     sessions = recorded_sessions([folder / BOARD])
     response = Response.load(folder / RESPONSE)
     scans = {item: Session.open(folder / SCANS / item) for item in trial.artefacts}
@@ -142,7 +184,20 @@ def _matched(twin: Twin, sessions: Sequence[Session], out: Path, wanted: Matchin
 
 
 def truth_of(bench: Rig, nominal: World) -> TwinParameters:
-    """What a matching of the twin `nominal` ought to find of an open virtual bench."""
+    """Give what a matching ought to find of an open virtual bench.
+
+    Parameters
+    ----------
+    bench : Rig
+        The hidden bench, open.
+    nominal : World
+        The twin's world.
+
+    Returns
+    -------
+    TwinParameters
+        The truth.
+    """
     known = twin_of(bench, BOARD).parameters
     return replace(known, white=white_level_per_s(virtual_bench(bench).world) / white_level_per_s(nominal))
 
@@ -159,7 +214,18 @@ def _mounted(session: Session) -> int:
 
 
 def perturbed(parameters: TwinParameters) -> TwinParameters:
-    """Every pose of the board and the projector's off by `OFF_MM` and `OFF_DEG`, each to another side."""
+    """Move every pose of the board and the projector by `OFF_MM` and `OFF_DEG`, each to another side.
+
+    Parameters
+    ----------
+    parameters : TwinParameters
+        Where matching would begin.
+
+    Returns
+    -------
+    TwinParameters
+        The same, moved.
+    """
     random = np.random.default_rng(0)
 
     def off(pose: RigidTransform) -> RigidTransform:
@@ -187,7 +253,20 @@ def _convergence(name: str, found: MatchingResult, seconds: float) -> list[Resul
 
 
 def errors(name: str, found: TwinParameters, truth: TwinParameters) -> list[Result]:
-    """Against the truth, pose by pose the same: of the poses the worst, of light what images determine."""
+    """Compare what was found with the truth, pose by pose.
+
+    Parameters
+    ----------
+    name : str
+        Of the twin, for the figures.
+    found, truth : TwinParameters
+        Poses in the same order.
+
+    Returns
+    -------
+    list of Result
+        Of the poses the worst, of light what images determine.
+    """
     pairs = list(zip(found.poses, truth.poses, strict=True))
     away = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in pairs)
     turned = max(float(np.linalg.norm((a @ b.inverse()).rotation_vector)) for a, b in pairs)

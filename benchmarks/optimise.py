@@ -64,11 +64,27 @@ WARM = 6
 
 @dataclass(frozen=True)
 class OptimiseBenchmarkSetup:
-    """What is searched: rig and study files, and how much is timed.
+    """What is searched, and how much is timed.
 
-    search: the twin on which searches measure. wide: the rig of the baseline. epochs: of the gradient
-    descent. rendered: images of each artefact. measured: candidates, by one worker and by two. workers: who
-    search.
+    Attributes
+    ----------
+    search : str
+        Rig file of the twin on which searches measure.
+    twin, hidden : str
+        Rig files of the matched twin and of the hidden bench: a simulated laboratory rig that searches never
+        see.
+    wide : str
+        Rig file of the search of the baseline.
+    phases, stripes, gradient, baseline, pareto : str
+        Study files.
+    epochs : int
+        Of the gradient descent.
+    rendered : int
+        Images of each artefact that are rendered for comparison.
+    measured : int
+        Candidates that are measured by one worker and by two.
+    workers : int
+        Processes that search.
     """
 
     search: str = "rig_matched_still.yaml"
@@ -90,15 +106,38 @@ FULL = OptimiseBenchmarkSetup()
 
 
 def run() -> list[Result]:
-    """All figures; the baselines are the targets. It takes an hour or two on two cores."""
+    """Measure searches; the baselines are the targets. It takes an hour or two on two cores.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         return optimise_figures(Path(folder))
 
 
 def optimise_figures(folder: Path, trial: OptimiseBenchmarkSetup = FULL) -> list[Result]:
-    """All figures. Searches go on where their journals in `folder` end; what is timed is done anew.
+    """Search, and confirm what is found on the hidden bench.
 
-    Raises `DataError` when a search finds nothing that can be measured, and what measuring raises.
+    Searches go on where their journals end; what is timed is done anew.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the journals and plans.
+    trial : OptimiseBenchmarkSetup
+        What is searched.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+
+    Raises
+    ------
+    DataError
+        A search finds nothing that can be measured.
     """
     return [
         *_phases(folder, trial),
@@ -121,7 +160,26 @@ def _of_rig(rig: str, folder: Path) -> Path:
 
 
 def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int) -> SearchResult:
-    """What `fpplab optimise` finds; its plans and its journal stay in `folder`."""
+    """Search as `fpplab optimise` does; plans and journal stay in the folder.
+
+    Parameters
+    ----------
+    what : SearchScope
+        What is searched.
+    rig : str
+        Rig file.
+    name : str
+        Study file.
+    folder : Path
+        Where to.
+    workers : int
+        Processes that measure.
+
+    Returns
+    -------
+    SearchResult
+        What is found.
+    """
     study = _characterised(rig, name, folder)
     out = folder / (str(what) if what is SearchScope.PARETO else f"{what}.yaml")
     with console.progress(f"Searching {what} on {rig}"):
@@ -133,7 +191,22 @@ def searched(what: SearchScope, rig: str, name: str, folder: Path, workers: int)
 def on_both(
     trial: OptimiseBenchmarkSetup, found: SearchResult, folder: Path
 ) -> list[tuple[ConfirmedPlan, ConfirmedPlan]]:
-    """Every plan that is confirmed, on the twin and on the hidden bench: side by side by several workers."""
+    """Confirm plans on the twin and on the hidden bench, side by side by several workers.
+
+    Parameters
+    ----------
+    trial : OptimiseBenchmarkSetup
+        Names both rigs.
+    found : SearchResult
+        The plans.
+    folder : Path
+        Where to.
+
+    Returns
+    -------
+    list of tuple of ConfirmedPlan
+        Twin and hidden bench, for every plan that is confirmed.
+    """
     rigs = (trial.twin, trial.hidden)
     if trial.workers == 1:
         return list(zip(*(_confirmed(rig, found, folder) for rig in rigs), strict=True))
@@ -158,7 +231,20 @@ def _phases(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def no_worse(name: str, found: Confirmation) -> Result:
-    """The distance as a multiple of the start's, less what is uncertain of it, beside 1."""
+    """Give the distance as a multiple of the start's, less its uncertainty, beside 1.
+
+    Parameters
+    ----------
+    name : str
+        Of the figure.
+    found : Confirmation
+        Of a plan.
+
+    Returns
+    -------
+    Result
+        The figure.
+    """
     console.say(f"{name}: {1 - found.gain:.4f} ± {found.uncertainty:.4f} of the start's")
     least = 1.0 - found.gain - COVERAGE * found.uncertainty
     return below(name, least, f"of the start's, less {COVERAGE:g} u", 1.0)
@@ -177,7 +263,18 @@ def _stripes(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def wrong_percent(found: RepeatedFigures) -> float:
-    """Of all points those that are a fringe or more off."""
+    """Give how many of all points are a fringe or more off.
+
+    Parameters
+    ----------
+    found : RepeatedFigures
+        By artefact.
+
+    Returns
+    -------
+    float
+        Percent.
+    """
     measured = [one for repeats in found.values() for one in repeats]
     points = sum(one.points for one in measured)
     return 100 * sum(one.wrong_orders * one.points for one in measured) / points
@@ -197,7 +294,23 @@ def _baseline(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def gain_of(found: SearchResult) -> float:
-    """Of the optimum, as a share, with the seeds that chose nothing."""
+    """Give the gain of the optimum, with seeds that chose nothing.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Of a search.
+
+    Returns
+    -------
+    float
+        Share of the start's distance.
+
+    Raises
+    ------
+    DataError
+        Nothing was found that can be measured.
+    """
     if found.gain is None:
         raise DataError(f"{found.study.name}: start or optimum could not be measured with other seeds")
     return found.gain.down_percent / 100.0
@@ -217,10 +330,20 @@ def _pareto(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 
 def beside_singles(found: SearchResult) -> float:
-    """The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
+    """Compare a front with single-parameter searches.
 
     Of those with as many images, among all that were measured and keep the limits: the search of a front
     begins with searches of each kind of parameter by itself.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Of the search of a front.
+
+    Returns
+    -------
+    float
+        The greatest distance of a plan of the front, as a multiple of the best single-parameter plan's.
     """
     wanted = [trial for trial in found.trials if found.ranking.is_acceptable(trial)]
     single = [trial for trial in wanted if len(groups_changed(found, trial)) <= 1]
@@ -233,13 +356,37 @@ def beside_singles(found: SearchResult) -> float:
 
 
 def groups_changed(found: SearchResult, trial: objectives.MeasuredCandidate) -> set[str]:
-    """In which groups of parameters a trial differs from the start."""
+    """Find the groups of parameters in which a candidate differs from the start.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Of the search.
+    trial : MeasuredCandidate
+        The candidate.
+
+    Returns
+    -------
+    set of str
+        Groups.
+    """
     values = zip(found.space.parameters, trial.point, found.start.point, strict=True)
     return {parameter.group for parameter, value, begin in values if value != begin}
 
 
 def deviation(twin: ConfirmedPlan, hidden: ConfirmedPlan) -> float:
-    """Between the gains on the two, in standard uncertainties of their difference."""
+    """Compare the gains on twin and hidden bench.
+
+    Parameters
+    ----------
+    twin, hidden : ConfirmedPlan
+        Of the same plan.
+
+    Returns
+    -------
+    float
+        Difference in its standard uncertainties.
+    """
     one, other = twin.confirmation, hidden.confirmation
     for name, found in (("twin", one), ("hidden", other)):
         console.say(f"{twin.images} images, {name}: gain {found.gain:.4f} ± {found.uncertainty:.4f}")
@@ -279,7 +426,18 @@ def _speed(folder: Path, trial: OptimiseBenchmarkSetup) -> list[Result]:
 
 @contextmanager
 def own_cache(folder: Path) -> Iterator[None]:
-    """Processes that begin meanwhile find nothing on disk that an earlier one left."""
+    """Let processes that begin meanwhile find nothing on disk that an earlier one left.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the cache that they use.
+
+    Yields
+    ------
+    None
+        While it holds.
+    """
     name = "XDG_CACHE_HOME"
     before = os.environ.get(name)
     os.environ[name] = str(folder)
@@ -317,12 +475,27 @@ def _seconds_of_image(rig: Rig, pattern: int) -> float:
 
 @dataclass(frozen=True)
 class OnOneCore:
-    """Opens a rig in a process that measures on one core, which no other has claimed in the folder."""
+    """Opens a rig in a process that measures on one core, which no other has claimed.
+
+    Attributes
+    ----------
+    factory : EvaluatorFactory
+        Opens the rig.
+    claims : Path
+        Folder in which cores are claimed.
+    """
 
     factory: EvaluatorFactory
     claims: Path
 
     def __call__(self) -> Evaluator:
+        """Open the rig, on a core of its own.
+
+        Returns
+        -------
+        Evaluator
+            Open.
+        """
         numba.set_num_threads(1)
         if hasattr(os, "sched_setaffinity"):  # elsewhere a process cannot be held to a core
             cores = sorted(os.sched_getaffinity(0))
@@ -343,12 +516,27 @@ def _claimed(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class KilledOnce:
-    """Opens a rig of which one process is killed while it measures; `died` remembers it."""
+    """Opens a rig of which one process is killed while it measures.
+
+    Attributes
+    ----------
+    factory : EvaluatorFactory
+        Opens the rig.
+    died : Path
+        File that remembers the kill.
+    """
 
     factory: EvaluatorFactory
     died: Path
 
     def __call__(self) -> Evaluator:
+        """Open the rig.
+
+        Returns
+        -------
+        Evaluator
+            Kills its process once.
+        """
         return _Mortal(self.factory(), self.died)
 
 

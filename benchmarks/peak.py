@@ -9,9 +9,21 @@ from contextlib import contextmanager
 
 @contextmanager
 def peak_of(sample: Callable[[], int], every_s: float) -> Iterator[list[int]]:
-    """The greatest that `sample` gave while the block ran, as the list's one entry.
+    """Take the greatest that a figure comes to while the block runs.
 
-    It is taken before the block, every so many seconds by a thread of its own, and after the block.
+    It is taken before the block, regularly by a thread of its own, and after the block.
+
+    Parameters
+    ----------
+    sample : callable
+        Gives the figure.
+    every_s : float
+        s between samples.
+
+    Yields
+    ------
+    list of int
+        Its one entry is the greatest, once the block has ended.
     """
     peak, done = [sample()], threading.Event()
 

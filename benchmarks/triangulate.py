@@ -35,11 +35,20 @@ class _Maps:
 
 
 def run() -> list[Result]:
-    """Seconds for a two-axis decode of 5 Mpx, product and baseline in turn, medians.
+    """Measure seconds for a two-axis decode of 5 Mpx, product and baseline in turn, medians.
 
-    `triangulate_vs_cv2` gives points, pixels, sigma and epipolar distances with the camera's rays
-    at hand, as after the first scan; `..._first` has to make them; `..._normals` adds normals.
-    Raises `DataError` when the two differ by more than 1 µm anywhere.
+    `triangulate_vs_cv2` gives points, pixels, sigma and epipolar distances with the camera's rays at hand,
+    as after the first scan; `..._first` has to make them; `..._normals` adds normals.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+
+    Raises
+    ------
+    DataError
+        The two differ by more than 1 µm anywhere.
     """
     calibration = _bench()
     maps, pixels, coordinates = _scene(calibration)
