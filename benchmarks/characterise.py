@@ -240,9 +240,8 @@ class BoardWindow:
         """
         sensor, plan = replace(self.sensor, seed=repeat), self.plan
         frames = [sensor.expose(light, self.settings, self.first + i) for i, light in enumerate(self.light)]
-        decoded = decode(Recording(frames, plan, self.projector_size, self.settings.bits))
-        finest = plan.sets_along("x")[-1]
-        even = np.mean([f for f, (k, _, _) in zip(frames, plan.steps(), strict=True) if k == finest], axis=0)
+        recording = Recording(frames, plan, self.projector_size, self.settings.bits)
+        decoded, even = decode(recording), np.mean(recording.finest("x")[1], axis=0)
         seen = observe(self.name, even, decoded, self.target, finest_periods(plan, self.projector_size))
         return replace(seen, camera_px=seen.camera_px + self.corner)
 

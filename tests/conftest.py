@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests.support.commands import ROOT, Command, Demo, run
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -21,3 +24,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="run the conformance suite on this rig file instead of the ones that need no bench",
     )
+
+
+@pytest.fixture(scope="session")
+def fpplab() -> Command:
+    """The program."""
+    return run
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    """`fpplab demo --quick --json`, run once."""
+    folder = tmp_path_factory.mktemp("demo")
+    done = run("demo", "--quick", "--json", "--out", folder)
+    assert done.code == 0, done.err
+    return Demo(folder, done.json)
+
+
+@pytest.fixture(scope="session")
+def captures() -> Path:
+    """Recorded captures of a real rig, where this computer has them."""
+    folder = Path(os.environ.get("FPPLAB_DATA", ROOT.parent / "shared" / "data")) / "slstudio"
+    if not folder.is_dir():
+        pytest.skip(f"no recorded captures at {folder}; set FPPLAB_DATA to the folder that holds them")
+    return folder

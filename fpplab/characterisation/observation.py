@@ -84,7 +84,7 @@ def finest_periods(plan: Plan, projector_size: tuple[int, int]) -> tuple[float, 
     """
     if plan.axes != ("x", "y"):
         raise CalibrationError("characterisation needs fringes along x and y; use a plan that has both")
-    stripes = [plan.fringes[plan.sets_along(axis)[-1]].stripes for axis in plan.axes]
+    stripes = [plan.fringes[plan.finest_set(axis)].stripes for axis in plan.axes]
     return projector_size[0] / stripes[0], projector_size[1] / stripes[1]
 
 

@@ -114,7 +114,7 @@ class Reference:
     @cached_property
     def finest(self) -> tuple[int, ...]:
         """Two images of the finest set along each axis, a quarter of a period apart: not both extreme."""
-        wanted = {self.plan.sets_along(axis)[-1] for axis in self.plan.axes}
+        wanted = {self.plan.finest_set(axis) for axis in self.plan.axes}
         return tuple(
             index
             for index, (fringes, step, _) in enumerate(self.plan.steps())
@@ -124,7 +124,7 @@ class Reference:
     @cached_property
     def finest_spread(self) -> tuple[int, ...]:
         """Up to `SPREAD` images of the finest set along every axis, evenly spaced over the period."""
-        wanted = {self.plan.sets_along(axis)[-1] for axis in self.plan.axes}
+        wanted = {self.plan.finest_set(axis) for axis in self.plan.axes}
         found = []
         for index, (fringes, step, _) in enumerate(self.plan.steps()):
             every = max(1, self.plan.fringes[fringes].images // SPREAD)

@@ -234,7 +234,7 @@ class TrueShape:
         """
         wrong = 0
         for axis in plan.axes:
-            stripes = plan.fringes[plan.sets_along(axis)[-1]].stripes
+            stripes = plan.fringes[plan.finest_set(axis)].stripes
             half = axis_length(calibration.projector.size, axis) / stripes / 2.0
             coordinate = decoded.u if axis == "x" else decoded.v
             u, v = pixels.T

@@ -195,7 +195,7 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     def px(axis: Axis, stripes: float, rad: float) -> float:
         return rad / TWO_PI * axis_length(size, axis) / stripes
 
-    finest = [plan.fringes[plan.sets_along(axis)[-1]] for axis in plan.axes]
+    finest = [plan.fringes[plan.finest_set(axis)] for axis in plan.axes]
     fringe = max(finest, key=lambda f: px(f.axis, f.stripes, error(response.g, f.images)))
     rad = error(response.g, fringe.images)
     worst = max(error(g, fringe.images) for g in ends)

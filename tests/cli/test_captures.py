@@ -17,7 +17,7 @@ from fpplab.pipeline import decode_session
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.sessions.session import Session, recorded_sessions
 from fpplab.targets import Target
-from tests.cli.conftest import Command
+from tests.support.commands import Command
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ import pytest
 
 from fpplab.core import config
 from fpplab.dataset import Dataset
-from tests.cli.conftest import Command
 from tests.sim.conftest import RIG, plain, write_world
+from tests.support.commands import Command
 
 PLAN = {"fringes": [{"axis": "x", "stripes": stripes, "steps": 3} for stripes in (0.9, 8)]}
 

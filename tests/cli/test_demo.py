@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.cli.conftest import Command, Demo
+from tests.support.commands import Command, Demo
 
 COMPARED = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "completeness"}
 ARTEFACTS = ("pyramid", "pillars", "steps")

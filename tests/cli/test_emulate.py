@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from drivers.stage_grbl import GrblStage
-from tests.cli.conftest import ROOT, Command
+from tests.support.commands import ROOT, Command
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])

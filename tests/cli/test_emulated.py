@@ -9,7 +9,7 @@ import pytest
 
 from fpplab.core.config import find_config
 from fpplab.sessions.session import Session
-from tests.cli.conftest import Command, Demo
+from tests.support.commands import Command, Demo
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from fpplab.patterns.plan import Plan
-from tests.cli.conftest import Command
 from tests.sim.conftest import RIG, plain, write_world
+from tests.support.commands import Command
 
 PLAN = """
 fringes: [{axis: x, stripes: 16, steps: 3}]

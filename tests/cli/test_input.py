@@ -11,7 +11,7 @@ import pytest
 import yaml
 from PIL import Image as Pillow
 
-from tests.cli.conftest import ROOT, Command, Demo
+from tests.support.commands import ROOT, Command, Demo
 from tests.support.recorded import image_of
 
 

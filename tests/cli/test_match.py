@@ -13,7 +13,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
-from tests.cli.conftest import Command
+from tests.support.commands import Command
 
 PLAN = Plan(
     fringes=tuple(

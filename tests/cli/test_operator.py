@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.cli.conftest import ROOT, Command, Demo
+from tests.support.commands import ROOT, Command, Demo
 
 
 def _scan(demo: Demo, out: Path, *more: object) -> list[str]:

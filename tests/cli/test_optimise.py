@@ -16,7 +16,7 @@ import pytest
 from fpplab.core import config
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
-from tests.cli.conftest import ROOT, Command, Demo
+from tests.support.commands import ROOT, Command, Demo
 
 FRINGES = [{"axis": "x", "stripes": s, "steps": 3} for s in (1, 6, 24)]
 SMALL: dict[str, Any] = {

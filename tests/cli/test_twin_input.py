@@ -11,7 +11,7 @@ import trimesh
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from sim.world import World
-from tests.cli.conftest import Command
+from tests.support.commands import Command
 
 POSE = {"rotation_deg": [180, 0, 0], "translation_mm": [0, 0, 460]}
 AWAY = {"rotation_deg": [180, 0, 0], "translation_mm": [900, 0, 460]}

@@ -12,7 +12,7 @@ from fpplab.calibration.model import Calibration, Uncertainty
 from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import load_cloud
 from fpplab.patterns.plan import Plan
-from tests.cli.conftest import Command
+from tests.support.commands import Command
 from tests.support.recorded import frame
 
 BASELINE = small_rig().T_projector_camera.translation[[0, 2]]

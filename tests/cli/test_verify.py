@@ -11,7 +11,7 @@ import yaml
 
 from fpplab.calibration.model import Calibration
 from sim.world import World
-from tests.cli.conftest import ROOT, Command
+from tests.support.commands import ROOT, Command
 
 BARS, PLANES = ("ball_bar_2", "ball_bar_3"), ("plane_4",)
 

@@ -24,8 +24,8 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from tests.cli.conftest import run
 from tests.drivers.flash_files import BEHIND_PROGRAM, END, IMAGES, PROGRAM, maker_firmware
+from tests.support.commands import run
 
 WIDTH, HEIGHT = SIZE
 GREY = uniform_patterns([7], SIZE)[0]

@@ -25,8 +25,8 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceError
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
-from tests.cli.conftest import run
 from tests.drivers.projector_bench import Bench, greys
+from tests.support.commands import run
 
 OUT, IN = 0, 1
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4

@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 import fpplab
-from tests.cli.conftest import ROOT, Demo, demo
-
-__all__ = ["demo"]
+from tests.support.commands import ROOT, Demo
 
 EXAMPLES = ROOT / "examples"
 

@@ -11,7 +11,7 @@ import hidraw
 import usb.core
 
 from drivers.dlp4500.transport import PRODUCT, VENDOR
-from tests.cli.conftest import run
+from tests.support.commands import run
 from tests.vm.conftest import is_gone, is_on_usb, wait_until
 from tests.vm.projector import Projector
 

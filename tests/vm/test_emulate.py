@@ -22,9 +22,9 @@ from drivers.dlp4500.flash.upload import perform_upload, plan_upload, verify_ima
 from drivers.dlp4500.index import FlashIndex
 from drivers.dlp4500.transport import Link, connect
 from fpplab.core import config
-from tests.cli.conftest import ROOT
 from tests.drivers.flash_files import maker_firmware
 from tests.drivers.projector_bench import greys
+from tests.support.commands import ROOT
 from tests.vm.conftest import is_gone, is_on_usb, wait_until
 from tests.vm.projector import Projector
 

@@ -1,4 +1,4 @@
-"""Whole commands, run as a user runs them; the demonstration is run once for all tests."""
+"""Whole commands, run as a user runs them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,33 +49,9 @@ def run(*words: object, cwd: Path | None = None, env: dict[str, str] | None = No
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-@pytest.fixture(scope="session")
-def fpplab() -> Command:
-    """The program."""
-    return run
-
-
 @dataclass(frozen=True)
 class Demo:
     """The quick demonstration's folder and answer."""
 
     folder: Path
     answer: dict[str, Any]
-
-
-@pytest.fixture(scope="session")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    """`fpplab demo --quick --json`, run once."""
-    folder = tmp_path_factory.mktemp("demo")
-    done = run("demo", "--quick", "--json", "--out", folder)
-    assert done.code == 0, done.err
-    return Demo(folder, done.json)
-
-
-@pytest.fixture(scope="session")
-def captures() -> Path:
-    """Recorded captures of a real rig, where this computer has them."""
-    folder = Path(os.environ.get("FPPLAB_DATA", ROOT.parent / "shared" / "data")) / "slstudio"
-    if not folder.is_dir():
-        pytest.skip(f"no recorded captures at {folder}; set FPPLAB_DATA to the folder that holds them")
-    return folder
