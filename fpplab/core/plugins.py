@@ -63,12 +63,12 @@ def load_plugin(group: str, name: str) -> Any:
     ConfigError
         No package brings it, or it cannot be imported.
     """
-    kind = group.rpartition(".")[2]
+    kind = group.rpartition(".")[2].removesuffix("s")
     found = entry_points(group=group, name=name)
     if not found:
         known = ", ".join(plugin_names(group)) or "none; install fpplab anew, its entry points are missing"
-        raise ConfigError(f"there is no '{name}' among the {kind}; there are {known}")
+        raise ConfigError(f"there is no {kind} '{name}'; there are {known}")
     try:
         return next(iter(found)).load()
     except (ImportError, AttributeError) as error:
-        raise ConfigError(f"'{name}' of the {kind} cannot be loaded ({error})") from error
+        raise ConfigError(f"the {kind} '{name}' cannot be loaded ({error})") from error

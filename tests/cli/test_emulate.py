@@ -17,15 +17,22 @@ from tests.support.commands import ROOT, Command
 def test_a_stage_is_served_until_it_is_ended(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "fpplab", "emulate", "stage", "--json"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as served:
-        assert served.stdout is not None
-        port = json.loads(served.stdout.readline())["port"]
-        with GrblStage("stage", {"port": port}) as stage:
-            assert stage.info().model == "GRBL 1.1f"
-            assert stage.position_mm == 0.0
-        served.send_signal(ending)
-        _, errors = served.communicate(timeout=30)
-        assert served.returncode == 0, errors
-        assert b"Traceback" not in errors
+        try:
+            check_served(served, ending)
+        finally:
+            served.kill()  # leaving `with` waits for it, whatever failed
+
+
+def check_served(served: subprocess.Popen[bytes], ending: signal.Signals) -> None:
+    assert served.stdout is not None
+    port = json.loads(served.stdout.readline())["port"]
+    with GrblStage("stage", {"port": port}) as stage:
+        assert stage.info().model == "GRBL 1.1f"
+        assert stage.position_mm == 0.0
+    served.send_signal(ending)
+    _, errors = served.communicate(timeout=30)
+    assert served.returncode == 0, errors
+    assert b"Traceback" not in errors
 
 
 def test_an_unknown_emulator_is_refused(fpplab: Command) -> None:
