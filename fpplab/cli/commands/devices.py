@@ -7,12 +7,13 @@ from dataclasses import asdict
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Json, app
 from fpplab.core import plugins
-from fpplab.devices.discovery import FoundDevices
 
 
 @app.command("devices", rich_help_panel=PREPARE)
 def devices_command(json: Json = False) -> None:
     """List the cameras, projectors and stages that this computer sees, and what keeps others from showing."""
+    from fpplab.devices.discovery import FoundDevices
+
     found = FoundDevices.together(
         plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
     )
