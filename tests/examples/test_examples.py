@@ -81,7 +81,7 @@ def test_a_rig_scans_an_item(demo: Demo, tmp_path: Path) -> None:
     words = ("rig_demo_quick", demo.folder / "calibration.yaml", "steps", tmp_path / "steps")
     said = run("scan_with_a_rig.py", *words)
     scan = next(s for s in demo.answer["scans"] if s["artefact"] == "steps")
-    assert number(said, "points") == scan["points"]
+    assert number(said, "points") == pytest.approx(scan["points"], rel=0.01)  # other noise
     assert (tmp_path / "steps" / "cloud.ply").is_file()
 
 
