@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
+
+import fpplab
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
@@ -47,6 +50,23 @@ def test_hosted_tests_install_what_the_readme_names() -> None:
     workflow = text(".github/workflows/ci.yml")
     assert wanted <= set(workflow.split())
     assert yaml.safe_load(workflow)["jobs"]["all"]["steps"][-1]["run"] == ".ci/run"
+
+
+def test_the_readme_shows_the_plan_that_it_names() -> None:
+    ((name, shown),) = re.findall(r"`(\w+\.yaml)` is:\n\n```yaml\n(.*?)```", text("README.md"), re.DOTALL)
+    assert shown == text(f"configs/{name}")
+
+
+def test_the_readme_imports_public_names() -> None:
+    (example,) = re.findall(r"```python\n(.*?)```", text("README.md"), re.DOTALL)
+    (imported,) = [node for node in ast.walk(ast.parse(example)) if isinstance(node, ast.ImportFrom)]
+    assert imported.module == "fpplab"
+    assert {alias.name for alias in imported.names} <= set(fpplab.__all__)
+
+
+def test_links_of_the_readme_lead_to_files() -> None:
+    links = re.findall(r"\]\(([^)#]+)", text("README.md"))
+    assert [link for link in links if not (ROOT / link).exists()] == []
 
 
 @pytest.mark.parametrize(
