@@ -1,1 +1,1 @@
-"""The commands: each file here is one, named as it is; all are loaded (`import_` is `fpplab import`)."""
+"""The commands: each file defines the command of its name; all are loaded (`import_` is `fpplab import`)."""

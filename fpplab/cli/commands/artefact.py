@@ -29,8 +29,8 @@ def artefact_command(
 ) -> None:
     """Write the true shape of an artefact as STL, in mm: to print it, and to compare with it.
 
-    Print it as drawn, but compare the print with the sliced shape: in layers of 0.2 mm a slope is a staircase
-    up to 0.1 mm off, and walls are marked, which would count as errors of the measurement.
+    Print the exact shape, but compare the print with the sliced shape: in layers of 0.2 mm a slope is a
+    staircase up to 0.1 mm off, and walls have layer marks, which would count as errors of the measurement.
 
     Example: `fpplab artefact pyramid --out pyramid.stl`, and once it is printed
     `fpplab artefact pyramid --layer 0.2 --bead 0.03 --out printed.stl`

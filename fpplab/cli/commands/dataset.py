@@ -1,4 +1,4 @@
-"""Labelled captures for those who learn from them."""
+"""`fpplab dataset`: labelled captures of random scenes, for machine learning."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def dataset_command(
     shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,
     json: Json = False,
 ) -> None:
-    """Make labelled captures of random scenes, on a rig that is simulated.
+    """Make labelled captures of random scenes on a simulated rig, for machine learning.
 
-    Each sample has the frames, wrapped phase, what decoding finds, and the truth: absolute phase, depth,
-    normals, mask, calibration, and all that was drawn. OUT holds shards of NumPy files, `card.json` and
+    Each sample has the frames, wrapped phase, decoded coordinates, and the truth: absolute phase, depth,
+    normals, mask, calibration, and all random parameters. OUT holds shards of NumPy files, `card.json` and
     `README.md`; `fpplab.dataset.Dataset(OUT)` reads it. An interrupted data set is completed by the same
     command; run twice at once, the two share the work.
 

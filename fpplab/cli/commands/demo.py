@@ -1,4 +1,4 @@
-"""The whole story on the virtual bench."""
+"""`fpplab demo`: a complete measurement on the virtual bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Devices that are not there, for training and for trying things out."""
+"""`fpplab emulate`: device emulators, for training and tests."""
 
 from __future__ import annotations
 

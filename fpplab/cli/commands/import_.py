@@ -1,4 +1,4 @@
-"""`fpplab import`: loose images into a session."""
+"""`fpplab import`: import image files as a session."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def import_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Bring loose images from elsewhere into a session.
+    """Import image files that other programs recorded as a session.
 
-    Every file is checked first: all there, grey, of one size and of the depth promised.
+    Every file is checked first: none missing, greyscale, of one size and of the bit depth given.
 
     Example: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out pose1`
     """

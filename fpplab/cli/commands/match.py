@@ -1,4 +1,4 @@
-"""A twin made of a bench's recordings."""
+"""`fpplab match`: fit a twin to the recordings of a bench."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def match_command(
 
     Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`. OUT gets the
     matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
-    An interrupted matching goes on by the same command.
+    The same command continues an interrupted matching.
 
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`
@@ -102,7 +102,7 @@ def match_command(
 
 
 def _make_way(out: Path, force: bool, record: str, page: str) -> None:
-    """A finished matching is not overwritten; an unfinished one goes on."""
+    """Refuse to overwrite a finished matching; an unfinished one is continued."""
     if (out / page).is_file() and not force:
         raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
     if out.exists() and not (out / record).is_file() and any(out.iterdir()):

@@ -1,4 +1,4 @@
-"""A better plan, found on a twin or on the rig itself."""
+"""`fpplab optimise`: search for a better plan, on a twin or on the rig itself."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
 
 
 def _make_way(what: SearchScope, out: Path, force: bool) -> None:
-    """A search that ended is not overwritten; one that did not goes on."""
+    """Refuse to overwrite a finished search; an unfinished one is continued."""
     from fpplab.core.files import need_suffix
     from fpplab.optimisation.run import journal_path, plan_paths
 

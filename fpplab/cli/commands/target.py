@@ -24,7 +24,7 @@ def target_command(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Draw a board for printing, at true scale, with a ruler to prove it.
+    """Draw a board for printing at true scale, with a ruler to check the scale.
 
     Example: `fpplab target target_paper --make board.pdf`
     """

@@ -1,4 +1,4 @@
-"""`fpplab verify`: whether a measuring system keeps what it promises."""
+"""`fpplab verify`: acceptance test of a measuring system."""
 
 from __future__ import annotations
 
