@@ -80,8 +80,7 @@ def confirm_result(
     """Measure the artefacts on a rig with the plan of the start and with the plans that were found.
 
     Of a front the first, the middle and the last plan are measured. The rig is characterised unless it is the
-    one
-    that was searched on.
+    one that was searched on.
 
     Parameters
     ----------
