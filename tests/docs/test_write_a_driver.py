@@ -52,6 +52,7 @@ def test_the_camera_of_the_page_passes_the_conformance_suite(tmp_path: Path) -> 
     assert int(re.findall(r"(\d+) passed", done.stdout)[0]) > 30, done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("good", "bad"),
     [

@@ -65,6 +65,7 @@ def test_a_session_is_reconstructed_and_compared(demo: Demo, tmp_path: Path) -> 
     assert (tmp_path / "errors.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_rig_is_characterised(demo: Demo, tmp_path: Path) -> None:
     poses = tmp_path / "poses"
     poses.mkdir()
