@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from fpplab.acquisition.acquire import FrameObserver, acquire, expose
-from fpplab.acquisition.synchronisation import require_in_step
+from fpplab.acquisition.synchronisation import fault_in_step, require_in_step
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
@@ -26,7 +26,7 @@ from fpplab.characterisation import (
 )
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import CalibrationError, DataError
+from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
@@ -375,10 +375,8 @@ def characterise_sessions(
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
     name, recording = session.path.name, session.recording()
-    try:
-        require_in_step(recording, "take this pose again")
-    except DataError as error:
-        raise CalibrationError(str(error).replace(recording.name, name, 1)) from error
+    if fault := fault_in_step(recording):
+        raise CalibrationError(f"{name}: {fault}; take this pose again")
     return observe(name, recording.mean_image(), decode(recording), target, periods)
 
 

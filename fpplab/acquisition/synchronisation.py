@@ -249,6 +249,23 @@ def check_synchronisation(recording: Recording) -> SyncVerdict:
     return SyncVerdict(provable=False) if moments is None else _decide(moments, recording.plan)
 
 
+def fault_in_step(recording: Recording) -> str | None:
+    """Say how the frames of a recording are out of step with their plan.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+
+    Returns
+    -------
+    str or None
+        What happened and what to check, None when the frames show their patterns.
+    """
+    verdict = check_synchronisation(recording)
+    return None if verdict.in_step else f"{verdict.describe()}; {remedy(recording.plan)}"
+
+
 def require_in_step(recording: Recording, advice: str) -> None:
     """Refuse a recording whose frames do not show their patterns.
 
@@ -264,9 +281,8 @@ def require_in_step(recording: Recording, advice: str) -> None:
     DataError
         The frames are out of step with the plan; says how, and what to see to.
     """
-    verdict = check_synchronisation(recording)
-    if not verdict.in_step:
-        raise DataError(f"{recording.name}: {verdict.describe()}; {remedy(recording.plan)}; {advice}")
+    if fault := fault_in_step(recording):
+        raise DataError(f"{recording.name}: {fault}; {advice}")
 
 
 def provable(plan: Plan) -> bool:
