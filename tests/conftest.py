@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
 from tests.support.commands import ROOT, Command, Demo, run
+
+if TYPE_CHECKING:
+    from sim.worker import Blender
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -48,3 +53,13 @@ def captures() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recorded captures at {folder}; set FPPLAB_DATA to the folder that holds them")
     return folder
+
+
+@pytest.fixture(scope="module")
+def blender() -> Iterator[Blender]:
+    """One Blender process for the tests of a module."""
+    from sim.worker import Blender  # here, for most runs of a few tests need no Blender
+
+    process = Blender("bench")
+    yield process
+    process.close()

@@ -1,4 +1,4 @@
-"""Small worlds, and one Blender process for each module that needs one."""
+"""Small worlds, and what the camera sees of them."""
 
 from __future__ import annotations
 
@@ -112,14 +112,6 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
-
-
-@pytest.fixture(scope="module")
-def blender() -> Iterator[Blender]:
-    """One Blender process for the tests of a module."""
-    process = Blender("bench")
-    yield process
-    process.close()
 
 
 @pytest.fixture(scope="module")
