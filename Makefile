@@ -1,6 +1,8 @@
 # `make demo` and `make test` set everything up first, on a fresh machine with Python 3.11.
 PYTHON ?= python3.11
 VENV := .venv
+# Tests run side by side in so many processes; a process that has none left takes some of the other's.
+WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
@@ -19,10 +21,10 @@ demo: setup
 	$(BIN)/python -m fpplab demo --out out/demo --force
 
 test: setup
-	$(BIN)/python -m pytest -m 'not slow'
+	$(BIN)/python -m pytest -m 'not slow' -n $(WORKERS) --dist worksteal
 
 test-slow: setup
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -n $(WORKERS) --dist worksteal
 
 # The projector's driver through a real kernel: a virtual machine of Debian's packages, unpacked into build/vm.
 test-usb: setup

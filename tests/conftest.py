@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,9 @@ from tests.support.commands import ROOT, Command, Demo, run
 
 if TYPE_CHECKING:
     from sim.worker import Blender
+
+# A worker of a parallel run ignores Ctrl-C, as does a shell's background job, and what they start inherits that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.
 settings.register_profile("same", derandomize=True, deadline=None)
