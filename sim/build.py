@@ -133,11 +133,13 @@ def _lamp(world: World, T_projector_camera: RigidTransform, box: Floats) -> tupl
         aperture = Aperture(section.aperture_mm, section.focus_mm)
         circles = _circles(aperture, scale, T_projector_camera.apply(box)[:, 2])
         texture = replace(texture, widest=circles[-1])
+    fine = texture.places_per_mirror
     lamp = Lamp(
         optics=_optics(projector),
         T_camera_projector=T_projector_camera.inverse().matrix,
         affine=texture.affine,
-        texture_shape=texture.shape,
+        texture_shape=(fine * texture.shape[0], fine * texture.shape[1]),
+        places_per_mirror=fine,
         exact=texture.exact,
         fill=texture.fill,
         distance_mm=section.distance_mm,

@@ -75,11 +75,13 @@ class Lamp:
     T_camera_projector : Floats
         Pose (4, 4) of the projector in the camera's frame, in mm.
     affine : Floats
-        (2, 3), from projector pixels (u, v, 1) to columns and rows of the texture.
+        (2, 3), from projector pixels (u, v, 1) to columns and rows of mirrors.
     texture_shape : tuple of int
-        (rows, columns) of the texture.
+        (rows, columns) of the texture that is sent with the scene, if any.
+    places_per_mirror : int
+        Texels of that texture along each axis of a mirror.
     exact : bool
-        Whether mirrors have sharp edges; otherwise the texture is interpolated linearly.
+        Whether mirrors have sharp edges; otherwise that texture is interpolated by cubic splines.
     fill : float
         Side of a mirror with sharp edges, in texels.
     distance_mm : float
@@ -100,6 +102,7 @@ class Lamp:
     T_camera_projector: Floats
     affine: Floats
     texture_shape: tuple[int, int]
+    places_per_mirror: int
     exact: bool
     fill: float
     distance_mm: float
@@ -107,11 +110,6 @@ class Lamp:
     aperture: Aperture
     texels_per_slope: float
     circles: tuple[float, ...]
-
-    @property
-    def sharp_side(self) -> float | None:
-        """Side of mirrors with sharp edges, in texels; None for smooth optics."""
-        return self.fill if self.exact else None
 
 
 @dataclass(frozen=True)

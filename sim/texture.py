@@ -5,11 +5,12 @@ u = i + 0.5 (j mod 2), v = j, so with s = u + v/2 and t = u - v/2 every centre i
 diamond is a square lattice turned by 45 degrees. Its cells are squares also in space, where a row of mirrors
 is half a column high.
 
-Optics: a mirror fills the share f of its unit square, so it is a square of variance f/12 along each side, and
-the lens blurs it with a point-spread of standard deviation `blur`, in mirrors. Linear interpolation between
-texels is a tent of variance 1/6, so the texels are blurred by the Gaussian of variance `blur² + f/12 - 1/6`:
-together they have the variance of mirror and lens. Out of focus the circle of confusion, a disc of
-variance D²/16, comes on top. `blur = 0` means ideal mirrors with sharp edges, which no real lens shows.
+Optics: `sim.mirror_spread` says how the light of a mirror spreads and splits it in two, a filter of the
+mirrors' levels and an interpolation between the nearest mirrors. The texture holds the filtered levels. `blur
+= 0` means ideal mirrors with sharp edges, which no real lens shows; they are not interpolated.
+
+Where a renderer interpolates instead, it is given a finer texture: the light itself at several places of
+every mirror, as coefficients of cubic splines.
 """
 
 from __future__ import annotations
@@ -21,33 +22,43 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ive
+from scipy.ndimage import spline_filter
 
 from fpplab.core.conventions import Floats, Lattice, mirror_centres
+from sim.mirror_spread import TAPS, WIDEST_CIRCLE, Spread, disc_filter, interpolation
 
-
-def least_blur(fill_factor: float) -> float:
-    """Compute the smallest point spread that linear interpolation of texels can represent.
-
-    Parameters
-    ----------
-    fill_factor : float
-        Share of its square that a mirror fills.
-
-    Returns
-    -------
-    float
-        Standard deviation in mirrors.
-    """
-    return math.sqrt(1 / 6 - fill_factor / 12)
+SMOOTH_BLUR = 0.45
+"""Blur in mirrors from which two places of every mirror hold the light; below it takes three."""
 
 
 Texels = NDArray[np.float32]
 """A texture (rows, columns)."""
 Part = tuple[int, int, int, int]
 """Texels (left, top, right, bottom) of a texture, the right and bottom ones excluded."""
+
+
+@dataclass(frozen=True, eq=False)
+class PatternTextures:
+    """Textures of several patterns, or a part of them, as light is looked up in them.
+
+    Attributes
+    ----------
+    texels : Texels
+        (circles, rows, columns, patterns) of the filtered levels.
+    weights : Texels or None
+        Interpolation between texels (circles, STEPS + 1, TAPS); None for mirrors with sharp edges.
+    fill : float
+        Side of a mirror with sharp edges, in texels.
+    origin : tuple of int
+        (column, row) of the whole texture at which this part begins.
+    """
+
+    texels: Texels
+    weights: Texels | None = None
+    fill: float = 1.0
+    origin: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,7 @@ class MirrorTexture:
     lattice : Lattice
         How the mirrors are arranged.
     blur : float
-        Standard deviation of the lens's point spread in mirrors, 0 or at least `least_blur`.
+        Standard deviation of the lens's point spread in mirrors, 0 or at least `LEAST_BLUR`.
     fill_factor : float
         Share of its square that a mirror fills.
     widest : float
@@ -90,13 +101,15 @@ class MirrorTexture:
         return math.sqrt(2.0) if self.lattice is Lattice.DIAMOND else 1.0
 
     @property
-    def _variance(self) -> float:
-        """Variance of the Gaussian that remains to be applied, in texels squared."""
-        return 0.0 if self.exact else max(self.blur**2 + self.fill_factor / 12 - 1 / 6, 0.0)
+    def places_per_mirror(self) -> int:
+        """Places along each axis of a mirror at which `fine` has its light."""
+        if self.exact:
+            return 1
+        return 2 if self.blur >= SMOOTH_BLUR else 3
 
     @property
     def _margin(self) -> int:
-        return 2 + _reach(math.sqrt(self._variance)) + math.ceil(self.widest / 2)
+        return TAPS + sum(len(kernel) // 2 for kernel in self._filters(self.widest))
 
     @property
     def _layout(self) -> _Layout:
@@ -113,29 +126,27 @@ class MirrorTexture:
         rows, columns = self._layout.mirrors.shape
         return rows, columns
 
-    def spread(self, light: NDArray[np.float32], circle: float = 0.0, part: Part | None = None) -> Texels:
-        """Make the texture of mirrors with given light; dark outside.
+    def weights(self, circles: Sequence[float]) -> Texels | None:
+        """Give the interpolation between texels for several circles of confusion.
 
         Parameters
         ----------
-        light : ndarray of float32
-            Of every mirror, (rows, columns).
-        circle : float
-            Diameter of the circle of confusion in texels, at most `widest`.
-        part : Part or None
-            Region of the texture to return; None for all of it.
+        circles : sequence of float
+            L diameters in texels.
 
         Returns
         -------
-        Texels
-            (rows, columns) of the texture or of its part.
+        Texels or None
+            (L, STEPS + 1, TAPS), see `sim.mirror_spread.Interpolation`; None for mirrors with sharp edges.
         """
-        return self.spreads(light, (circle,), part)[0]
+        if self.exact:
+            return None
+        return np.stack([interpolation(self._spread(circle)).weights for circle in circles])
 
-    def spreads(
-        self, light: NDArray[np.float32], circles: Sequence[float], part: Part | None = None
+    def filtered(
+        self, light: NDArray[np.float32], circles: Sequence[float] = (0.0,), part: Part | None = None
     ) -> list[Texels]:
-        """Make the textures for several circles of confusion, placing the mirrors once.
+        """Make the textures of mirrors with given light for several circles of confusion; dark outside.
 
         Parameters
         ----------
@@ -149,21 +160,51 @@ class MirrorTexture:
         Returns
         -------
         list of Texels
-            One for each circle, as from `spread`.
+            (rows, columns) of the texture or of its part, one for each circle, to be interpolated with
+            `weights`.
         """
-        kernels = [self._kernels(circle) for circle in circles]
-        reach = max(sum(len(k) // 2 for k in pair if k is not None) for pair in kernels)
+        filters = [self._filters(circle) for circle in circles]
+        reach = max(sum(len(kernel) // 2 for kernel in of_circle) for of_circle in filters)
         sharp, inside = self._sharp(light, part, reach)
-        return [_blurred(sharp, *pair)[inside] for pair in kernels]
+        return [_convolved(sharp, of_circle)[inside] for of_circle in filters]
 
-    def _kernels(self, circle: float) -> tuple[Floats | None, Floats | None]:
-        """Make the kernel of the Gaussian along each axis, and that of the disc, None where not needed."""
-        variance, disc = self._variance, None
-        if circle > _SMALL_DISC:
-            disc = _disc_of(circle)
-        elif circle > 0:
-            variance += circle**2 / 16
-        return (_gaussian(math.sqrt(variance)) if variance > 0 else None), disc
+    def fine(self, light: NDArray[np.float32], circle: float = 0.0) -> Texels:
+        """Make the texture of mirrors with given light as a renderer interpolates it; dark outside.
+
+        Parameters
+        ----------
+        light : ndarray of float32
+            Of every mirror, (rows, columns).
+        circle : float
+            Diameter of the circle of confusion in texels, at most `widest`.
+
+        Returns
+        -------
+        Texels
+            (rows, columns) of the texture times `places_per_mirror`: coefficients of cubic splines, or the
+            light itself for mirrors with sharp edges.
+        """
+        sharp, _ = self._sharp(light, None, 0)
+        if self.exact:
+            return sharp
+        fine = self.places_per_mirror
+        narrow = Spread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
+        reach = fine * math.ceil(5 * self.blur + 1 + narrow.circle / 2)
+        profile = narrow.profile(np.arange(-reach, reach + 1) / fine)
+        disc = disc_filter(circle)
+        placed = np.zeros((fine * sharp.shape[0], fine * sharp.shape[1]), np.float32)
+        placed[::fine, ::fine] = sharp if disc is None else _convolved(sharp, (disc,))
+        return np.asarray(spline_filter(_convolved(placed, (profile,)), order=3, output=np.float32))
+
+    def _spread(self, circle: float) -> Spread:
+        return Spread(self.blur, self.fill, min(circle, WIDEST_CIRCLE))
+
+    def _filters(self, circle: float) -> tuple[Floats, ...]:
+        """Filters to apply one after the other: along each axis where they are (n,), else in the plane."""
+        if self.exact:
+            return (np.ones(1),)
+        along, disc = interpolation(self._spread(circle)).filter, disc_filter(circle)
+        return (along,) if disc is None else (along, disc)
 
     def _sharp(
         self, light: NDArray[np.float32], part: Part | None, reach: int
@@ -180,14 +221,14 @@ class MirrorTexture:
         return texture, (slice(top - y, bottom - y), slice(left - x, right - x))
 
 
-def _blurred(texture: Texels, gaussian: Floats | None, disc: Floats | None) -> Texels:
-    if gaussian is not None:
-        texture = np.asarray(
-            cv2.sepFilter2D(texture, -1, gaussian, gaussian, borderType=cv2.BORDER_CONSTANT), np.float32
-        )
-    if disc is not None:
-        texture = np.asarray(cv2.filter2D(texture, -1, disc, borderType=cv2.BORDER_CONSTANT), np.float32)
-    return texture
+def _convolved(texture: Texels, filters: Sequence[Floats]) -> Texels:
+    filtered: MatLike = texture
+    for kernel in filters:
+        if kernel.ndim == 1 and len(kernel) > 1:
+            filtered = cv2.sepFilter2D(filtered, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+        elif kernel.ndim == 2:
+            filtered = cv2.filter2D(filtered, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(filtered, np.float32)
 
 
 def _affine(size: tuple[int, int], lattice: Lattice, margin: int) -> Floats:
@@ -219,40 +260,3 @@ def _layout(size: tuple[int, int], lattice: Lattice, margin: int) -> _Layout:
     mirrors = np.full(shape, -1, np.int32)
     np.put(mirrors, places, np.arange(places.size, dtype=np.int32))
     return _Layout(places, mirrors)
-
-
-_SMALL_DISC = 2.0
-"""Diameter in texels up to which a disc is replaced by a Gaussian of the same variance."""
-
-
-@lru_cache(maxsize=64)
-def _disc_of(circle: float) -> Floats:
-    """Draw a disc whose variance on whole texels is that of a circle of confusion."""
-
-    def excess(diameter: float) -> float:
-        disc = _disc(diameter)
-        place = np.arange(len(disc)) - len(disc) // 2
-        return float(disc.sum(axis=0) @ place**2) - circle**2 / 16
-
-    return _disc(float(brentq(excess, 0.5, circle + 1, xtol=1e-4)))
-
-
-def _disc(diameter: float) -> Floats:
-    """Share of each texel that a disc covers, by 15 x 15 points in each, normalised."""
-    reach = math.ceil(diameter / 2 - 0.5)
-    fine = (np.arange((2 * reach + 1) * 15) + 0.5) / 15 - reach - 0.5
-    covered = (fine[:, None] ** 2 + fine**2 <= diameter**2 / 4).astype(np.float64)
-    side = 2 * reach + 1
-    shares = covered.reshape(side, 15, side, 15).mean(axis=(1, 3))
-    return np.asarray(shares / shares.sum())
-
-
-def _reach(sigma: float) -> int:
-    """Texels on either side that a blur spreads to."""
-    return 1 + math.ceil(5 * sigma)
-
-
-def _gaussian(sigma: float) -> Floats:
-    """Make the discrete Gaussian `exp(-t) I_n(t)`, t = σ², whose variance is σ² exactly (Lindeberg 1990)."""
-    kernel = ive(np.arange(-_reach(sigma), _reach(sigma) + 1), sigma**2)
-    return np.asarray(kernel / kernel.sum(), np.float64)

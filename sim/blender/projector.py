@@ -67,7 +67,7 @@ def _direction(nodes: Nodes) -> tuple[Any, Any, Any]:
 
 
 def _texel(nodes: Nodes, lamp: Lamp, x: Any, y: Any) -> tuple[Any, Any]:
-    """Column and row in the texture: lens distortion, then intrinsics and lattice as one affine map."""
+    """Column and row of mirrors: lens distortion, then intrinsics and lattice as one affine map."""
     k1, k2, p1, p2, k3, k4, k5, k6 = map(float, lamp.optics.distortion)
     r2 = nodes.total(nodes.times(x, x), nodes.times(y, y))
     radial = nodes.math(
@@ -128,11 +128,11 @@ def _circle_squared(nodes: Nodes, lamp: Lamp, cosine: Any) -> Any:
 def _look_up(nodes: Nodes, lamp: Lamp, column: Any, row: Any, texture: NDArray[np.float32]) -> Any:
     node = nodes.add("ShaderNodeTexImage")
     node.image, node.extension = float_image("pattern", texture), "CLIP"
-    node.interpolation = "Closest" if lamp.exact else "Linear"
-    rows, columns = lamp.texture_shape
+    node.interpolation = "Closest" if lamp.exact else "Cubic"
+    (rows, columns), fine = lamp.texture_shape, lamp.places_per_mirror
     place = (
-        nodes.times(nodes.total(column, 0.5), 1.0 / columns),
-        nodes.math("SUBTRACT", 1.0, nodes.times(nodes.total(row, 0.5), 1.0 / rows)),
+        nodes.times(nodes.total(nodes.times(column, float(fine)), 0.5), 1.0 / columns),
+        nodes.math("SUBTRACT", 1.0, nodes.times(nodes.total(nodes.times(row, float(fine)), 0.5), 1.0 / rows)),
         0.0,
     )
     nodes.join(nodes.combine("ShaderNodeCombineXYZ", place), node.inputs["Vector"])

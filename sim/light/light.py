@@ -15,10 +15,12 @@ Light is linear: a picture under a sum of patterns is the sum of the pictures. T
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
@@ -32,14 +34,14 @@ from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import LightTable
 from sim.scene import COLOURS, Effort, RenderScene, SubpixelView
-from sim.texture import MirrorTexture, Part
+from sim.texture import MirrorTexture, Part, PatternTextures
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
 
 KEEP_BYTES = 1 << 29
 """Size of the caches in memory; those of tables and bases are twice as large."""
-BATCH_PATTERNS, BATCH_BYTES = 12, 1 << 27
+BATCH_PATTERNS, BATCH_BYTES = 40, 1 << 28
 """Patterns that are looked up at once, and the greatest size of their pictures."""
 START_S, PATHS_PER_S = 60.0, 5e4
 """Time limit of a render: a fixed part, and the light paths that any computer traces in a second."""
@@ -302,9 +304,10 @@ class Light:
         basis: whose linear combinations are subtracted, so that only the quantisation residual is looked up.
         """
         width, height = self._world.camera.size
-        batch = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
+        most = max(1, min(BATCH_PATTERNS, BATCH_BYTES // (4 * width * height)))
         if any(setup.vibration_mm):
-            batch = 1  # the next frame has another displacement
+            most = 1  # the next frame has another displacement
+        batch = math.ceil(levels.count / math.ceil(levels.count / most))
         first = index - index % batch
         states = range(first, min(first + batch, levels.count))
         pictures = self._pictures.get(
@@ -326,19 +329,17 @@ class Light:
     def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
-        part = table.part(texture.shape)
-        return table.look_up(self._textures(setup, light, part), scene.lamp.sharp_side, part[:2])
+        return table.look_up(_textures(texture, scene.lamp.circles, light, table.part(texture.shape)))
 
     def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
 
     def _render_basis(self, setup: Setup, basis: Basis) -> Rendered:
         """Render three channels at a time; the first render, with white as first channel, gives the table."""
-        _, scene, _ = self._built(setup)
+        _, scene, texture = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
-        table = LightTable.of(first, scene).divided_by(
-            self._textures(setup, basis.channels[:1]), scene.lamp.sharp_side
-        )
+        white = _textures(texture, scene.lamp.circles, basis.channels[:1])
+        table = LightTable.of(first, scene).divided_by(white)
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)
         for start in range(COLOURS, len(basis.channels), COLOURS):
@@ -404,24 +405,13 @@ class Light:
 
     def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
         """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
-        dark = [np.zeros_like(channels[0])] * (COLOURS - len(channels))
-        render = self._world.render
-        effort = self._effort(render.bounces, render.samples, survey)
-        return self._render(setup, self._textures(setup, [*channels, *dark]), effort)
-
-    def _textures(
-        self, setup: Setup, levels: Sequence[PatternLevels] | PatternLevels, part: Part | None = None
-    ) -> PatternLevels:
-        """Make textures (circles, rows, columns, levels) of mirrors at these light levels, or a part."""
         _, scene, texture = self._built(setup)
-        circles, (rows, columns) = scene.lamp.circles, texture.shape
-        if part is not None:
-            columns, rows = part[2] - part[0], part[3] - part[1]
-        textures = np.empty((len(circles), rows, columns, len(levels)), np.float32)
-        for n, level in enumerate(levels):
-            for of_circle, texels in zip(textures, texture.spreads(level, circles, part), strict=True):
-                of_circle[..., n] = texels
-        return textures
+        fine = np.zeros((len(scene.lamp.circles), *scene.lamp.texture_shape, COLOURS), np.float32)
+        for of_circle, circle in zip(fine, scene.lamp.circles, strict=True):
+            for colour, light in enumerate(channels):
+                of_circle[..., colour] = texture.fine(light, circle)
+        render = self._world.render
+        return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
@@ -447,6 +437,21 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
+
+
+def _textures(
+    texture: MirrorTexture,
+    circles: Sequence[float],
+    levels: Sequence[PatternLevels] | PatternLevels,
+    part: Part | None = None,
+) -> PatternTextures:
+    """Make the textures of mirrors at these light levels, or a part of them, to look light up in."""
+    filtered = [texture.filtered(level, circles, part) for level in levels]
+    texels = np.stack([cv2.merge(of_circle) for of_circle in zip(*filtered, strict=True)])
+    shape = (*texels.shape[:3], len(levels))  # of a single pattern, OpenCV drops the axis
+    return PatternTextures(
+        texels.reshape(shape), texture.weights(circles), texture.fill, part[:2] if part else (0, 0)
+    )
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:

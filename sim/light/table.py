@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform, distort
+from sim.light.look_up import WINDOW, interpolated_light, sharp_light
 from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
-from sim.texture import Part
+from sim.texture import Part, PatternTextures
 
 Irradiance = NDArray[np.float32]
 """Arrays of a table, or pictures looked up in it."""
@@ -103,24 +104,19 @@ class LightTable:
         Part
             (left, top, right, bottom) in texels.
         """
-        last = np.array(shape[::-1]) - 2
-        left, top = np.clip(self.reach[0], 0, last).astype(int).tolist()
-        right, bottom = np.clip(self.reach[1], (left, top), last).astype(int).tolist()
-        return left, top, right + 2, bottom + 2
+        most = np.array(shape[::-1])
+        low = np.clip(np.rint(self.reach[0]) - WINDOW // 2, 0, most - WINDOW)
+        high = np.clip(np.rint(self.reach[1]) + WINDOW // 2 + 1, low + WINDOW, most)
+        (left, top), (right, bottom) = low.astype(int).tolist(), high.astype(int).tolist()
+        return left, top, right, bottom
 
-    def look_up(
-        self, textures: Irradiance, fill: float | None = None, origin: tuple[int, int] = (0, 0)
-    ) -> Irradiance:
-        """Compute pictures under textures of patterns.
+    def look_up(self, textures: PatternTextures) -> Irradiance:
+        """Compute pictures under patterns.
 
         Parameters
         ----------
-        textures : Irradiance
-            (circles, rows, columns, patterns).
-        fill : float or None
-            Side of sharp mirrors in texels; None for smooth optics.
-        origin : tuple of int
-            (column, row) of the whole texture at which these are cut out.
+        textures : PatternTextures
+            Of the patterns, at least the part that `part` gives.
 
         Returns
         -------
@@ -128,13 +124,13 @@ class LightTable:
             (patterns, height, width).
         """
         views, h, w, _ = self.samples.shape
-        seen = np.empty((textures.shape[-1], h * w), np.float32)
+        seen = np.empty((textures.texels.shape[-1], h * w), np.float32)
         flat = self.samples.reshape(views, h * w, 4)
-        x, y = map(np.float32, origin)
-        if fill is None:
-            _interpolated(textures, flat, x, y, seen)
+        x, y = map(np.float32, textures.origin)
+        if textures.weights is None:
+            sharp_light(textures.texels[0], flat, x, y, np.float32(textures.fill), seen)
         else:
-            _nearest(textures[0], flat, x, y, np.float32(fill), seen)
+            interpolated_light(textures.texels, textures.weights, flat, x, y, seen)
         pictures = seen.reshape(len(seen), h, w)
         if (h, w) == self.albedo.shape:
             return pictures
@@ -143,15 +139,13 @@ class LightTable:
         whole[:, top : top + h, left : left + w] = pictures
         return whole
 
-    def divided_by(self, white: Irradiance, fill: float | None = None) -> LightTable:
+    def divided_by(self, white: PatternTextures) -> LightTable:
         """Convert a table of light from white mirrors to one of uniform white light.
 
         Parameters
         ----------
-        white : Irradiance
-            Textures (circles, rows, columns, 1) of the white mirrors that this table was rendered under.
-        fill : float or None
-            Side of sharp mirrors in texels; None for smooth optics.
+        white : PatternTextures
+            Of the white mirrors that this table was rendered under.
 
         Returns
         -------
@@ -162,7 +156,7 @@ class LightTable:
         each = samples.reshape(1, 1, -1, 4)
         shade = each[0, 0, :, 3]
         # the shade already contains the white mirrors once; looked up it contains them twice
-        again = LightTable(each, each[0, ..., 0]).look_up(white, fill)[0, 0]
+        again = LightTable(each, each[0, ..., 0]).look_up(white)[0, 0]
         lit = again > LEAST_WHITE * shade
         shade[:] = np.divide(shade**2, again, out=np.zeros_like(again), where=lit)
         return LightTable(samples, self.albedo, self.corner)
@@ -239,63 +233,3 @@ def _extent(samples: Irradiance) -> tuple[Floats, Floats]:
                 low[axis] = min(low[axis], sample[axis])
                 high[axis] = max(high[axis], sample[axis])
     return low, high
-
-
-@numba.njit(parallel=True, cache=True, fastmath={"contract", "reassoc", "nsz"})
-def _interpolated(
-    textures: Irradiance, samples: Irradiance, left: np.float32, top: np.float32, out: Irradiance
-) -> None:
-    circles, rows, columns, patterns = textures.shape
-    views, pixels, _ = samples.shape
-    share = np.float32(1.0 / views)
-    one = np.float32(1.0)
-    for p in numba.prange(pixels):
-        total = np.zeros(patterns, np.float32)
-        for k in range(views):
-            x, y = samples[k, p, 0] - left, samples[k, p, 1] - top
-            shade = samples[k, p, 3]
-            if shade > 0 and 0 <= x < columns - 1 and 0 <= y < rows - 1:
-                i, j = int(x), int(y)
-                fx, fy = x - np.float32(i), y - np.float32(j)
-                a, b = shade * (one - fx) * (one - fy), shade * fx * (one - fy)
-                c, d = shade * (one - fx) * fy, shade * fx * fy
-                low = int(samples[k, p, 2])
-                high_share = samples[k, p, 2] - np.float32(low)
-                for level in range(low, min(low + 2, circles)):
-                    w = high_share if level > low else one - high_share
-                    for q in range(patterns):
-                        total[q] += w * (
-                            a * textures[level, j, i, q]
-                            + b * textures[level, j, i + 1, q]
-                            + c * textures[level, j + 1, i, q]
-                            + d * textures[level, j + 1, i + 1, q]
-                        )
-        for q in range(patterns):
-            out[q, p] = total[q] * share
-
-
-@numba.njit(parallel=True, cache=True)
-def _nearest(
-    textures: Irradiance,
-    samples: Irradiance,
-    left: np.float32,
-    top: np.float32,
-    fill: np.float32,
-    out: Irradiance,
-) -> None:
-    rows, columns, patterns = textures.shape
-    views, pixels, _ = samples.shape
-    share = np.float32(1.0 / (views * fill * fill))
-    half, reach = np.float32(0.5), np.float32(fill / 2)
-    for p in numba.prange(pixels):
-        for q in range(patterns):
-            out[q, p] = 0
-        for k in range(views):
-            x, y = samples[k, p, 0] - left, samples[k, p, 1] - top
-            shade = samples[k, p, 3]
-            i, j = np.floor(x + half), np.floor(y + half)
-            if not (shade > 0 and 0 <= i < columns and 0 <= j < rows):
-                continue
-            if fill == 1 or (abs(x - i) < reach and abs(y - j) < reach):
-                for q in range(patterns):
-                    out[q, p] += share * shade * textures[int(j), int(i), q]

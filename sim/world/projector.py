@@ -10,7 +10,8 @@ from fpplab.calibration.model import Distortion, PoseFile
 from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
-from sim.texture import MirrorTexture, least_blur
+from sim.mirror_spread import LEAST_BLUR
+from sim.texture import MirrorTexture
 from sim.world.numbers import NotNegative, PixelSize, Share
 
 
@@ -85,9 +86,8 @@ class ProjectorWorld(Document):
 
     @model_validator(mode="after")
     def _blur_can_be_drawn(self) -> ProjectorWorld:
-        least = least_blur(self.fill_factor)
-        if 0 < self.blur < least:
-            raise ValueError(f"'blur' is {self.blur:g}: must be 0 (ideal mirrors) or at least {least:.3f}")
+        if 0 < self.blur < LEAST_BLUR:
+            raise ValueError(f"'blur' is {self.blur:g}: must be 0 (ideal mirrors) or at least {LEAST_BLUR:g}")
         if self.blur == 0 and self.focus_mm is not None:
             raise ValueError("'blur' is 0, ideal mirrors, which have no 'focus_mm': remove one of the two")
         return self

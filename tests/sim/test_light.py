@@ -16,6 +16,8 @@ from fpplab.patterns.fringes import make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
 from sim.light.basis import smallest_basis
 from sim.light.table import LightTable
+from sim.mirror_spread import STEPS, TAPS
+from sim.texture import PatternTextures
 
 SIZE = (57, 64)
 ROUNDING = 1 / np.sqrt(12) / 255
@@ -71,24 +73,66 @@ def table(points: Floats, shade: float, circle: float = 0.0, views: int = 1) -> 
     return LightTable(samples, np.zeros(samples.shape[1:3], np.float32))
 
 
+def linear() -> NDArray[np.float32]:
+    """Weights (STEPS + 1, TAPS) of linear interpolation."""
+    away = np.linspace(-0.5, 0.5, STEPS + 1)[:, None] - (np.arange(TAPS) - TAPS // 2)
+    return np.maximum(1 - np.abs(away), 0).astype(np.float32)
+
+
+def textured(
+    stacked: NDArray[Any], fill: float | None = None, origin: tuple[int, int] = (0, 0)
+) -> PatternTextures:
+    """Textures (circles, rows, columns, patterns), of sharp mirrors where they have a side `fill`."""
+    texels = np.ascontiguousarray(stacked, np.float32)
+    weights = None if fill else np.stack([linear()] * len(texels))
+    return PatternTextures(texels, weights, fill or 1.0, origin)
+
+
 def seen(of: LightTable, *textures: NDArray[Any], fill: float | None = None) -> NDArray[np.float32]:
     """One row of pixels under one texture for each circle."""
-    stacked = np.stack(textures)[..., None].astype(np.float32)
-    row: NDArray[np.float32] = of.look_up(stacked, fill)[0, 0]
+    row: NDArray[np.float32] = of.look_up(textured(np.stack(textures)[..., None], fill))[0, 0]
     return row
 
 
 @settings(max_examples=30, deadline=None)
 @given(
-    st.lists(st.tuples(st.floats(0, 8.99), st.floats(0, 6.99)), min_size=1, max_size=20),
+    st.lists(st.tuples(st.floats(3, 10.99), st.floats(3, 8.99)), min_size=1, max_size=20),
     st.floats(0.015625, 1),
 )
 def test_look_up_interpolates_a_plane_exactly(points: list[tuple[float, float]], shade: float) -> None:
-    row, column = np.mgrid[0:8, 0:10]
+    row, column = np.mgrid[0:13, 0:15]
     texture = 0.1 + 0.03 * column - 0.02 * row
     x, y = np.array(points).T
     found = seen(table(np.array(points), shade), texture)
     np.testing.assert_allclose(found, shade * (0.1 + 0.03 * x - 0.02 * y), atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 4, 9]), st.floats(0, 6))
+def test_samples_of_a_pixel_are_averaged_wherever_they_lie(seed: int, views: int, apart: float) -> None:
+    """Near each other, between other mirrors, or at other circles of confusion."""
+    random = np.random.default_rng(seed)
+    textures = random.random((3, 24, 26, 2), np.float32)
+    weights = random.random((3, STEPS + 1, TAPS), np.float32)
+    middle = random.uniform(9, 14, (1, 7, 2)) + random.uniform(-apart, apart, (views, 7, 2))
+    samples = np.zeros((views, 1, 7, 4), np.float32)
+    samples[:, 0, :, :2] = middle
+    samples[..., 2] = random.choice([0, 0.3, 1, 1.9, 2], (views, 1, 7))
+    samples[..., 3] = random.choice([0, 0.4, 1], (views, 1, 7))
+    of = LightTable(samples, np.zeros((1, 7), np.float32))
+    expected = np.zeros((2, 7))
+    for k in range(views):
+        for n, (x, y, circle, shade) in enumerate(samples[k, 0].astype(np.float64)):
+            i, j, lower = int(np.floor(x + 0.5)), int(np.floor(y + 0.5)), int(circle)
+            for level, share in ((lower, 1 - circle + lower), (min(lower + 1, 2), circle - lower)):
+                across, down = (
+                    [np.interp(o, np.linspace(-0.5, 0.5, STEPS + 1), tap) for tap in weights[level].T]
+                    for o in (x - i, y - j)
+                )
+                around = textures[level, j - 2 : j + 3, i - 2 : i + 3]
+                expected[:, n] += shade * share * np.einsum("r,rcn,c->n", down, around, across) / views
+    found = of.look_up(PatternTextures(textures, weights))[:, 0]
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -96,15 +140,15 @@ def test_look_up_interpolates_a_plane_exactly(points: list[tuple[float, float]],
 )
 def test_look_up_mixes_neighbouring_circles(circle: float, expected: float) -> None:
     textures = [np.full((8, 10), value) for value in (1.0, 2.0, 5.0)]
-    assert seen(table(np.array([[4.3, 2.2]]), 1.0, circle), *textures)[0] == pytest.approx(expected)
+    assert seen(table(np.array([[4.3, 3.2]]), 1.0, circle), *textures)[0] == pytest.approx(expected)
 
 
 def test_many_patterns_are_looked_up_as_one_is() -> None:
     random = np.random.default_rng(5)
-    textures = random.random((2, 9, 11, 13), np.float32)
-    of = table(random.uniform(0, 7.9, (40, 2)), 0.7, 0.4, views=4)
-    together = of.look_up(textures)
-    alone = [of.look_up(np.ascontiguousarray(textures[..., k : k + 1]))[0] for k in range(13)]
+    textures = random.random((2, 15, 17, 13), np.float32)
+    of = table(random.uniform(3, 11, (40, 2)), 0.7, 0.4, views=4)
+    together = of.look_up(textured(textures))
+    alone = [of.look_up(textured(textures[..., k : k + 1]))[0] for k in range(13)]
     np.testing.assert_allclose(together, alone, rtol=1e-6)
 
 
@@ -132,8 +176,8 @@ def test_gaps_between_sharp_mirrors_are_dark_and_the_mirrors_brighter() -> None:
 
 def test_the_light_of_a_white_pattern_is_divided_out_of_a_table() -> None:
     _, column = np.mgrid[0:8, 0:10]
-    white = (0.5 + 0.02 * column)[None, ..., None].astype(np.float32)
-    found = table(np.array([[4.0, 3.0], [20.0, 3.0]]), 0.58).divided_by(white).samples[0, 0, :, 3]
+    white = (0.5 + 0.02 * column)[None, ..., None]
+    found = table(np.array([[4.0, 3.0], [20.0, 3.0]]), 0.58).divided_by(textured(white)).samples[0, 0, :, 3]
     np.testing.assert_allclose(found, [1.0, 0.0], rtol=1e-6)
 
 
@@ -141,7 +185,7 @@ def test_sharp_mirrors_are_divided_out_alike() -> None:
     places = np.array([[3.0, 2.0], [3.45, 2.0]])
     of_white = table(places, 0.5 / 0.64)  # Blender makes mirrors brighter for the dark between them
     of_white.samples[0, 0, 1, 3] = 0.0
-    found = of_white.divided_by(np.ones((1, 8, 10, 1), np.float32), fill=0.8).samples[0, 0, :, 3]
+    found = of_white.divided_by(textured(np.ones((1, 8, 10, 1)), 0.8)).samples[0, 0, :, 3]
     np.testing.assert_allclose(found, [0.5, 0.0], rtol=1e-6)
 
 
@@ -160,15 +204,13 @@ def test_a_table_of_a_window_is_the_whole_one_cut_out(fill: float | None) -> Non
     textures = random.random((2, 40, 30, 5), np.float32)
     for of in (whole, window):
         left, top, right, bottom = of.part((40, 30))
-        cut = np.ascontiguousarray(textures[:, top:bottom, left:right])
-        np.testing.assert_allclose(
-            of.look_up(cut, fill, (left, top)), whole.look_up(textures, fill), atol=2e-5
-        )
-    assert whole.look_up(textures, fill)[:, 3:9, 4:11].max() > 0.3
+        cut = textured(textures[:, top:bottom, left:right], fill, (left, top))
+        np.testing.assert_allclose(of.look_up(cut), whole.look_up(textured(textures, fill)), atol=2e-5)
+    assert whole.look_up(textured(textures, fill))[:, 3:9, 4:11].max() > 0.3
 
 
 def test_a_table_that_sees_nothing_lit_is_dark() -> None:
     dark = LightTable(np.zeros((1, 3, 0, 4), np.float32), np.zeros((3, 5), np.float32), (5, 0))
     left, top, right, bottom = dark.part((40, 30))
-    cut = np.ones((1, bottom - top, right - left, 2), np.float32)
-    np.testing.assert_array_equal(dark.look_up(cut, None, (left, top)), np.zeros((2, 3, 5)))
+    cut = textured(np.ones((1, bottom - top, right - left, 2)), origin=(left, top))
+    np.testing.assert_array_equal(dark.look_up(cut), np.zeros((2, 3, 5)))

@@ -252,8 +252,9 @@ def test_light_comes_from_the_mirrors_that_points_project_to(
     its light which mirror each point is lit by; the table of direct light must say the same."""
     of = _distorting(lattice, lens)
     scene, texture = build_scene(of, Setup("card"))
-    row, column = np.mgrid[0 : texture.shape[0], 0 : texture.shape[1]] / max(texture.shape)
-    ramps = np.stack([np.ones(texture.shape), column, row], axis=-1).astype(np.float32)[None]
+    rows, columns = scene.lamp.texture_shape
+    row, column = np.mgrid[0:rows, 0:columns] / (texture.places_per_mirror * max(texture.shape))
+    ramps = np.stack([np.ones((rows, columns)), column, row], axis=-1).astype(np.float32)[None]
     rendered = blender.render(scene, ramps, [SubpixelView((0.0, 0.0))], Effort(survey=True), 60)[
         0, ::2, ::2
     ].astype(np.float64)

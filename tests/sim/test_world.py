@@ -123,7 +123,7 @@ def test_a_board_that_does_not_fit_is_refused() -> None:
     [
         ("camera", {"binning": 3}, "binning"),
         ("camera", {"binning": 8, "sensor_size": [100, 100]}, "must divide"),
-        ("projector", {"blur": 0.1}, "must be 0 .ideal mirrors. or at least 0.289"),
+        ("projector", {"blur": 0.1}, "must be 0 .ideal mirrors. or at least 0.25"),
         ("projector", {"response": {"a": 0.9, "b": 0.2, "g": 1.0}}, "at most 1"),
         ("render", {"path": "transport", "bounces": 1}, "supports direct light only"),
         ("stage", {"travel_mm": [5.0, 10.0]}, "must contain 0"),

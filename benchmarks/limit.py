@@ -1,0 +1,20 @@
+"""Accuracy at the limit, each figure beside what theory or exact optics give.
+
+Every part draws its cases anew from fixed seeds and knows their truth from a generator of its own.
+"""
+
+from __future__ import annotations
+
+from benchmarks import Result
+from benchmarks.limit_lattice import lattice_figures
+
+
+def run() -> list[Result]:
+    """Measure everything; some minutes on two cores.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
+    return lattice_figures()

@@ -1,0 +1,219 @@
+"""Looking up the light of samples in mirrors' textures, the loops that every simulated picture goes through.
+
+The samples of a pixel mostly lie between the same mirrors. Their weights on those mirrors are therefore added
+up first, in a window of a few texels, and the window is multiplied by the levels of the patterns once instead
+of once for every sample.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.mirror_spread import STEPS, TAPS
+
+WINDOW = TAPS + 2
+"""Texels along a side of the window in which a pixel's weights are added up."""
+
+_PIXELS = 256
+"""Pixels for which one thread allocates its window."""
+_FAST = {"contract", "reassoc", "nsz"}
+
+
+@numba.njit(inline="always", fastmath=_FAST, error_model="numpy")
+def _taps(
+    weights: NDArray[np.float32], level: int, offset: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Interpolate the tabulated weights (TAPS,) at an offset of -0.5 to 0.5 texels."""
+    step = (offset + np.float32(0.5)) * np.float32(STEPS)
+    n = np.int64(step)
+    share = step - np.float32(n)
+    rest = np.float32(1.0) - share
+    # whole, unsigned places: numba then leaves out its check for places counted from the end
+    a = np.uint64((level * (STEPS + 1) + n) * TAPS)
+    b = a + np.uint64(TAPS) if n < STEPS else a
+    return (
+        rest * weights[a] + share * weights[b],
+        rest * weights[a + np.uint64(1)] + share * weights[b + np.uint64(1)],
+        rest * weights[a + np.uint64(2)] + share * weights[b + np.uint64(2)],
+        rest * weights[a + np.uint64(3)] + share * weights[b + np.uint64(3)],
+        rest * weights[a + np.uint64(4)] + share * weights[b + np.uint64(4)],
+    )
+
+
+@numba.njit(inline="always", fastmath=_FAST, error_model="numpy")
+def _add_row(
+    window: NDArray[np.float32],
+    start: np.uint64,
+    weight: np.float32,
+    taps: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
+) -> None:
+    window[start] += weight * taps[0]
+    window[start + np.uint64(1)] += weight * taps[1]
+    window[start + np.uint64(2)] += weight * taps[2]
+    window[start + np.uint64(3)] += weight * taps[3]
+    window[start + np.uint64(4)] += weight * taps[4]
+
+
+@numba.njit(fastmath=_FAST, error_model="numpy")
+def _empty(
+    windows: NDArray[np.float32],
+    sides: int,
+    low: int,
+    high: int,
+    texels: NDArray[np.float32],
+    first: int,
+    circle_stride: int,
+    stride: int,
+    total: NDArray[np.float32],
+) -> None:
+    """Multiply the windows' weights by the texels below, add the products to `total`, and clear the windows.
+
+    windows: of two neighbouring circles, `sides` of them in use. low, high: their rows with weights. first:
+    place of the first one's first texel in the flat texels, in which circles and rows follow each other by
+    the strides.
+    """
+    for side in range(sides):
+        _add_products(windows[side], low, high, texels, first + side * circle_stride, stride, total)
+        windows[side, low * WINDOW : high * WINDOW] = 0
+
+
+@numba.njit(fastmath=_FAST, error_model="numpy")
+def _add_products(
+    window: NDArray[np.float32],
+    low: int,
+    high: int,
+    texels: NDArray[np.float32],
+    first: int,
+    stride: int,
+    total: NDArray[np.float32],
+) -> None:
+    """Go row by row, for each sum is then read and written once for all columns."""
+    patterns = np.uint64(len(total))
+    for row in range(low, high):
+        a = np.uint64(row * WINDOW)
+        w0, w1, w2, w3 = (
+            window[a],
+            window[a + np.uint64(1)],
+            window[a + np.uint64(2)],
+            window[a + np.uint64(3)],
+        )
+        w4, w5, w6 = window[a + np.uint64(4)], window[a + np.uint64(5)], window[a + np.uint64(6)]
+        t0 = np.uint64(first + row * stride)
+        t1 = t0 + patterns
+        t2 = t1 + patterns
+        t3 = t2 + patterns
+        t4 = t3 + patterns
+        t5 = t4 + patterns
+        t6 = t5 + patterns
+        for n in range(patterns):
+            near = w0 * texels[t0 + n] + w1 * texels[t1 + n] + w2 * texels[t2 + n] + w3 * texels[t3 + n]
+            total[n] += near + w4 * texels[t4 + n] + w5 * texels[t5 + n] + w6 * texels[t6 + n]
+
+
+@numba.njit(parallel=True, cache=True, fastmath=_FAST, error_model="numpy")
+def interpolated_light(
+    textures: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    samples: NDArray[np.float32],
+    left: np.float32,
+    top: np.float32,
+    out: NDArray[np.float32],
+) -> None:
+    """Look up samples between mirrors that a lens blurs.
+
+    Parameters
+    ----------
+    textures : ndarray of float32
+        (circles, rows, columns, patterns).
+    weights : ndarray of float32
+        (circles, STEPS + 1, TAPS) of the interpolation.
+    samples : ndarray of float32
+        (views, pixels, 4): texture column and row, fractional index of the circle, and shade.
+    left, top : float
+        Column and row of the whole texture at which `textures` begins.
+    out : ndarray of float32
+        (patterns, pixels), filled in: the mean over views.
+    """
+    _, rows, columns, patterns = textures.shape
+    views, pixels, _ = samples.shape
+    texels, table = textures.reshape(-1), weights.reshape(-1)
+    share, stride, reach = np.float32(1.0 / views), columns * patterns, WINDOW // 2
+    for block in numba.prange((pixels + _PIXELS - 1) // _PIXELS):
+        windows, total = np.zeros((2, WINDOW * WINDOW), np.float32), np.zeros(patterns, np.float32)
+        for p in range(block * _PIXELS, min((block + 1) * _PIXELS, pixels)):
+            total[:] = 0
+            level, column, row, first, low, high, sides = -1, 0, 0, 0, WINDOW, 0, 1
+            for k in range(views):
+                x, y, circle = samples[k, p, 0] - left, samples[k, p, 1] - top, samples[k, p, 2]
+                i, j = int(np.floor(x + np.float32(0.5))), int(np.floor(y + np.float32(0.5)))
+                inside = reach <= i < columns - reach and reach <= j < rows - reach
+                if not (samples[k, p, 3] > 0 and inside):
+                    continue
+                if int(circle) != level or abs(i - column) > 1 or abs(j - row) > 1:
+                    if level >= 0:
+                        _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
+                    level, column, row, low, high, sides = int(circle), i, j, WINDOW, 0, 1
+                    first = ((level * rows + row - reach) * columns + column - reach) * patterns
+                upper = j - row + 1
+                low, high = min(low, upper), max(high, upper + TAPS)
+                start = np.uint64(upper * WINDOW + i - column + 1)
+                farther = circle - np.float32(level)
+                sides = max(sides, 2 if farther > 0 else 1)
+                for side in range(2 if farther > 0 else 1):
+                    weight = samples[k, p, 3] * (farther if side else np.float32(1.0) - farther)
+                    across = _taps(table, level + side, x - np.float32(i))
+                    down = _taps(table, level + side, y - np.float32(j))
+                    window = windows[side]
+                    _add_row(window, start, weight * down[0], across)
+                    _add_row(window, start + np.uint64(WINDOW), weight * down[1], across)
+                    _add_row(window, start + np.uint64(2 * WINDOW), weight * down[2], across)
+                    _add_row(window, start + np.uint64(3 * WINDOW), weight * down[3], across)
+                    _add_row(window, start + np.uint64(4 * WINDOW), weight * down[4], across)
+            if level >= 0:
+                _empty(windows, sides, low, high, texels, first, rows * stride, stride, total)
+            for n in range(patterns):
+                out[n, p] = total[n] * share
+
+
+@numba.njit(parallel=True, cache=True)
+def sharp_light(
+    textures: NDArray[np.float32],
+    samples: NDArray[np.float32],
+    left: np.float32,
+    top: np.float32,
+    fill: np.float32,
+    out: NDArray[np.float32],
+) -> None:
+    """Look up samples on mirrors with sharp edges.
+
+    Parameters
+    ----------
+    textures : ndarray of float32
+        (rows, columns, patterns).
+    samples : ndarray of float32
+        (views, pixels, 4): texture column and row, anything, and shade.
+    left, top : float
+        Column and row of the whole texture at which `textures` begins.
+    fill : float
+        Side of a mirror, in texels.
+    out : ndarray of float32
+        (patterns, pixels), filled in: the mean over views.
+    """
+    rows, columns, _ = textures.shape
+    views, pixels, _ = samples.shape
+    share = np.float32(1.0 / (views * fill * fill))
+    half, reach = np.float32(0.5), np.float32(fill / 2)
+    for p in numba.prange(pixels):
+        for q in range(len(out)):
+            out[q, p] = 0
+        for k in range(views):
+            x, y = samples[k, p, 0] - left, samples[k, p, 1] - top
+            shade = samples[k, p, 3]
+            i, j = np.floor(x + half), np.floor(y + half)
+            if not (shade > 0 and 0 <= i < columns and 0 <= j < rows):
+                continue
+            if fill == 1 or (abs(x - i) < reach and abs(y - j) < reach):
+                for q in range(len(out)):
+                    out[q, p] += share * shade * textures[int(j), int(i), q]
