@@ -209,7 +209,7 @@ class Plan(Document):
 
     @property
     def finest(self) -> FringeSet:
-        """The finest set along the first coded axis: it gives modulation, sigma and the scene's picture."""
+        """The finest set along the first coded axis: it gives modulation and the scene's picture."""
         return self.fringes[self.finest_set()]
 
     @property

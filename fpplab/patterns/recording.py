@@ -66,7 +66,7 @@ class Recording:
         return self.frames[first:end]
 
     def finest(self, axis: Axis | None = None) -> tuple[FringeSet, Sequence[Image]]:
-        """Take the finest fringe set, which gives the coordinate.
+        """Take the finest fringe set, which has most weight in the coordinate.
 
         Parameters
         ----------

@@ -25,13 +25,14 @@ class Decoded:
     modulation : ndarray of float32, (height, width)
         B of the finest set of the first coded axis (x before y), in 8-bit grey levels.
     sigma : ndarray of float32, (height, width)
-        1-sigma of that axis' coordinate in projector px.
+        1-sigma of that axis' coordinate in projector px, from the noise of all its sets that take part.
     v_per_u : float
         How many times greater v's sigma is than u's where both are coded, from the plan: their modulations
         are alike.
     disagreement : ndarray of float32, (height, width), or None
-        How much the fringe sets contradict one another, in units of what noise explains: the root of χ² per
-        degree of freedom; 0 where nothing can contradict, None where it is not known.
+        How much the fringe sets contradict one another, in units of what noise explains: the root of χ² of
+        all sets about their weighted mean, per degree of freedom; 0 where nothing can contradict, None where
+        it is not known.
     removed : ndarray of uint8, (height, width), or None
         By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
         none; None without a filter. The other maps keep what was decoded there.

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Map, axis_length, full_scale
+from fpplab.core.conventions import Map, axis_length, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
@@ -19,9 +20,10 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
-from fpplab.phase.quality import noise_of
+from fpplab.phase.precision import coordinate_spread
+from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.recipe import recipe_of
-from fpplab.phase.reference import unwrap, wrapped_phase
+from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 
 _BLOCK = 1 << 18
@@ -54,7 +56,8 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
     recording = recording.checked()
     plan, bits, source = recording.plan, recording.bits, recording.name
     sequences = [wavelength_sequence(plan, axis, source) for axis in plan.axes]
-    recipe = recipe_of(recording, sequences, noise_of(recording))
+    noise = noise_of(recording)
+    recipe = recipe_of(recording, sequences, noise)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)
     highest = _run(recipe, first.dtype, first.size, maps, progress)
@@ -63,10 +66,11 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
-    decoded = _decoded(recipe, maps, first.shape)
+    decoded = _decoded(recording, maps, first.shape)
     if plan.order_vote is not None:
         for sequence in sequences:
-            _repair(decoded, recording, sequence, maps.doubt_u if sequence.axis == "x" else maps.doubt_v)
+            doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
+            _repair(decoded, recording, sequence, noise, doubt)
     return decoded
 
 
@@ -78,9 +82,10 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     return Maps(*(np.empty(n, np.float32) for n in sizes))
 
 
-def _decoded(recipe: Recipe, maps: Maps, shape: tuple[int, ...]) -> Decoded:
-    spread_u, spread_v = recipe.spread
-    v_per_u = float(spread_v / spread_u) if spread_u and spread_v else 1.0
+def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...]) -> Decoded:
+    plan, size = recording.plan, recording.projector_size
+    spreads = [coordinate_spread(plan, axis, size) for axis in plan.axes]
+    v_per_u = spreads[1] / spreads[0] if len(spreads) == 2 else 1.0
     u, v, modulation, sigma, disagreement = (
         _shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma, maps.disagreement)
     )
@@ -114,20 +119,21 @@ def _processors() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def _repair(decoded: Decoded, recording: Recording, sequence: WavelengthSequence, doubt: Map) -> None:
+def _repair(
+    decoded: Decoded, recording: Recording, sequence: WavelengthSequence, noise: NoiseModel, doubt: Map
+) -> None:
     """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
     plan, vote = recording.plan, recording.plan.order_vote
     assert vote is not None
     coordinate = decoded.u if sequence.axis == "x" else decoded.v
     length = axis_length(recording.projector_size, sequence.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
-    phases = _phases_at(recording, sequence, pixels)
-    sigma, edge_margin = decoded.sigma.reshape(-1)[pixels] / length, EDGE_MARGIN_PX / length
-    if sequence.axis == "y":
-        sigma = sigma * decoded.v_per_u
-    found = unwrap(phases, sequence, sigma, edge_margin)
-    other = unwrap(phases, sequence, sigma, edge_margin, found.second_best_order)
-    alternative = np.where(other.is_unambiguous, other.position * length - 0.5, np.nan)
+    seen = _phases_at(recording, sequence, noise, pixels)
+    sigma, edge_margin = seen.position_sigma[-1], EDGE_MARGIN_PX / length
+    found = unwrap(seen.phases, sequence, sigma, edge_margin)
+    other = unwrap(seen.phases, sequence, sigma, edge_margin, found.second_best_order)
+    position = fuse(seen, other.position).position
+    alternative = np.where(other.is_unambiguous, position * length - 0.5, np.nan)
     period = length / plan.fringes[sequence.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, vote.window, period)
     dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
@@ -136,10 +142,9 @@ def _repair(decoded: Decoded, recording: Recording, sequence: WavelengthSequence
             values.reshape(-1)[dropped] = np.nan
 
 
-def _phases_at(recording: Recording, sequence: WavelengthSequence, pixels: NDArray[np.int64]) -> Floats:
-    """Wrapped phases in rad of a few pixels, (K, P), in float64."""
-    rows = []
-    for k in sequence.sets:
-        frames = [frame.reshape(-1)[pixels][None] for frame in recording.of_set(k)]
-        rows.append(wrapped_phase(frames, recording.plan.fringes[k]).phase[0])
-    return np.array(rows, np.float64)
+def _phases_at(
+    recording: Recording, sequence: WavelengthSequence, noise: NoiseModel, pixels: NDArray[np.int64]
+) -> AxisPhases:
+    """What a few pixels see of the sets of one axis, as maps (P,)."""
+    few = [frame.reshape(-1)[pixels] for frame in recording.frames]
+    return axis_phases(replace(recording, frames=few), sequence, noise)

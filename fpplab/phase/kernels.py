@@ -13,12 +13,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-CHUNK = 2048
-"""Pixels whose sums are kept in the cache at a time."""
+from fpplab.phase.chunks import CHUNK, ROW, compiled
+from fpplab.phase.fusion import FUSION_ROWS, add_set, finish_fusion, start_fusion, weigh
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
@@ -40,17 +40,14 @@ _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
 _TINY, _FAR = _f(1e-30), _f(100)
 _SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
 
-# Rows lie a little more than a chunk apart: at multiples of a memory page the processor
-# takes a row's element for the one it has just stored in another row, and waits.
-_ROW = CHUNK + 48
 # Rows of the buffer of sums, at constant distances.
-_COS, _MEAN, _SQUARE, _PEAK = _u(_ROW), _u(2 * _ROW), _u(3 * _ROW), _u(4 * _ROW)
+_COS, _MEAN, _SQUARE, _PEAK = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
 _SUM_ROWS = 5
 # … and behind them the greatest raw values of all sets and chunks, which are never cleared.
-_HIGHEST = _u(_SUM_ROWS * _ROW)
+_HIGHEST = _u(_SUM_ROWS * ROW)
 # Rows of the buffer of unwrapping: two hypotheses of position, cost and worst disagreement.
-_COST, _WORST = _u(_ROW), _u(2 * _ROW)
-_OTHER, _OTHER_COST, _OTHER_WORST, _PHASE = _u(3 * _ROW), _u(4 * _ROW), _u(5 * _ROW), _u(6 * _ROW)
+_COST, _WORST = _u(ROW), _u(2 * ROW)
+_OTHER, _OTHER_COST, _OTHER_WORST, _PHASE = _u(3 * ROW), _u(4 * ROW), _u(5 * ROW), _u(6 * ROW)
 _UNWRAP_ROWS = 7
 
 
@@ -97,11 +94,15 @@ class Recipe(NamedTuple):
     wavelengths : ndarray of int64, (3,)
         Where each axis starts among the R wavelengths.
     finest : ndarray of int64, (2,)
-        The set that gives each axis its coordinate, -1 if none.
+        The set that each axis is unwrapped to, -1 if none.
     length : ndarray of float32, (2,)
         Projector width and height in px.
-    spread : ndarray of float32, (2,)
-        Standard uncertainty of each axis' coordinate in px per unit of u_I/B.
+    axis : ndarray of int64, (S,)
+        Axis of each set, 0 or 1.
+    set_stripes : ndarray of float32, (S,)
+        Stripes of each set.
+    phase_noise : ndarray of float32, (S,)
+        Variance of each set's phase in turns squared, per unit of (u_I/B)².
     reference : int
         The set whose modulation is reported.
     grey : float32
@@ -126,7 +127,9 @@ class Recipe(NamedTuple):
     wavelengths: NDArray[np.int64]
     finest: NDArray[np.int64]
     length: NDArray[np.float32]
-    spread: NDArray[np.float32]
+    axis: NDArray[np.int64]
+    set_stripes: NDArray[np.float32]
+    phase_noise: NDArray[np.float32]
     reference: int
     grey: np.float32
     full_scale: np.float32
@@ -167,10 +170,6 @@ class Maps(NamedTuple):
     doubt_v: NDArray[np.float32]
 
 
-# NaN and infinity keep their meaning: only what cannot hide them is relaxed.
-_compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
-
-
 @intrinsic
 def _pointer(_typing: Any, address: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -179,14 +178,14 @@ def _pointer(_typing: Any, address: Any) -> Any:
     return types.voidptr(types.uintp), generate
 
 
-@_compiled
+@compiled
 def _pixels(address: Any, start: int, n: int, like: Any) -> Any:
     """`n` pixels of a frame from its `start`th on, as an array of the type of `like`."""
     at: Any = address + _u(start * like.itemsize)
     return carray(_pointer(at), (n,), like.dtype)  # type: ignore[call-arg]
 
 
-@_compiled
+@compiled
 def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -> None:
     s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
     c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
@@ -202,7 +201,7 @@ def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -
         sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w)
 
 
-@_compiled
+@compiled
 def _turns(s: Any, c: Any) -> Any:
     """atan2(s, c)/2π in [0, 1] in float32, without a branch; see `_arctangent`."""
     a, b = abs(s), abs(c)
@@ -215,7 +214,7 @@ def _turns(s: Any, c: Any) -> Any:
     return _ONE - p if s < _ZERO else p
 
 
-@_compiled
+@compiled
 def _demodulate(
     sums: Any, turns: Any, modulation: Any, offset: Any, good: Any, n: int, origin: Any, recipe: Any
 ) -> None:
@@ -243,7 +242,7 @@ def _demodulate(
         sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
 
 
-@_compiled
+@compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
     """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
     for j in range(n):
@@ -260,7 +259,7 @@ def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
         rows[i + _PHASE] -= np.floor(rows[i + _PHASE])
 
 
-@_compiled
+@compiled
 def _start(rows: Any, n: int, stripes: Any) -> None:
     """Start both hypotheses: the base as measured, and one turn less or more, whichever is nearer."""
     period = _ONE / stripes
@@ -272,7 +271,7 @@ def _start(rows: Any, n: int, stripes: Any) -> None:
         rows[i + _COST] = rows[i + _WORST] = rows[i + _OTHER_COST] = rows[i + _OTHER_WORST] = _ZERO
 
 
-@_compiled
+@compiled
 def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
     """Take both hypotheses to the next finer wavelength; disagreement is counted in its periods."""
     period = _ONE / stripes
@@ -293,26 +292,15 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
         rows[i + _OTHER_WORST] = max(rows[i + _OTHER_WORST], abs(d))
 
 
-@_compiled
-def _uncertainty(modulation: Any, offset: Any, spread: Any, recipe: Any, out: Any, n: int) -> None:
-    """1-sigma of a coordinate in px: `spread * u_I/B`."""
-    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+@compiled
+def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
+    """Choose the hypothesis that lies in the projector and agrees better."""
+    edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
+    apart = _APART * stripes * stripes
     for j in range(n):
         i = _u(j)
-        variance = constant + per_level * offset[i]
-        out[i] = spread * np.sqrt(variance) / max(modulation[i], _TINY)
-
-
-@_compiled
-def _choose(
-    rows: Any, sigma: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any, out: Any
-) -> None:
-    """Choose the hypothesis that lies in the projector and agrees better; write the coordinate in px."""
-    edge_margin, share = recipe.edge_margin, recipe.disagreement_max
-    apart = _APART * (stripes / length) * (stripes / length)
-    for j in range(n):
-        i = _u(j)
-        tolerance = (edge_margin + _SIGMAS * sigma[i]) / length
+        variance = _ONE / max(weights[i], _TINY)
+        tolerance = edge_margin + _SIGMAS * np.sqrt(variance)
         a, b = rows[i], rows[i + _OTHER]
         out_a = max(-a, a - _ONE, _ZERO)
         out_b = max(-b, b - _ONE, _ZERO)
@@ -320,41 +308,54 @@ def _choose(
         far_b = _FAR + out_b if out_b > tolerance else _ZERO
         cost_a, cost_b = rows[i + _COST] + far_a, rows[i + _OTHER_COST] + far_b
         worst_a, worst_b, kept = rows[i + _WORST], rows[i + _OTHER_WORST], good[i]
-        position = b if cost_b < cost_a else a
         worst = worst_b if cost_b < cost_a else worst_a
         far = far_b if cost_b < cost_a else far_a
         kept = kept if worst <= share else _ZERO
         kept = kept if far == _ZERO else _ZERO
         # Where one of them is far their costs differ by far more than this.
-        least = max(_APART_LEAST, apart * sigma[i] * sigma[i])
+        least = max(_APART_LEAST, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
         rows[i + _WORST] = worst
-        rows[i + _COST] = min(cost_a, cost_b)
-        out[i] = position * length - _HALF
+        rows[i] = b if cost_b < cost_a else a
 
 
-@_compiled
-def _axis(axis: int, recipe: Any, rows: Any, turns: Any, sigma: Any, good: Any, n: int, out: Any) -> None:
-    """Unwrap one axis and write its coordinate."""
+@compiled
+def _unwrap(axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, n: int) -> None:
+    """Unwrap one axis to the position of its finest set."""
     first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
     _combined_phase(rows, turns, recipe.coefficients[first], n)
     _start(rows, n, recipe.stripes[first])
     for r in range(first + 1, last):
         _combined_phase(rows, turns, recipe.coefficients[r], n)
         _refine(rows, n, recipe.stripes[r], recipe.trust[r])
-    _choose(rows, sigma, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe, out)
+    _choose(rows, weights, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
 
 
-@_compiled
-def _add_disagreement(rows: Any, sigma: Any, n: int, period: Any, out: Any) -> None:
-    """χ² of the chosen hypothesis: its cost in units of the finest phase's variance."""
-    for j in range(n):
-        i = _u(j)
-        turns = sigma[i] / period
-        out[i] += rows[i + _COST] / (turns * turns)
+@compiled
+def _fuse(
+    axis: int,
+    recipe: Any,
+    rows: Any,
+    sums: Any,
+    turns: Any,
+    weights: Any,
+    n: int,
+    coordinate: Any,
+    sigma: Any,
+    chi2: Any,
+) -> int:
+    """Give the coordinate from all sets of one axis; how many they are."""
+    finest, count = recipe.finest[axis], 0
+    start_fusion(sums, weights[finest], n)
+    for s in range(len(recipe.axis)):
+        count += recipe.axis[s] == axis
+        if recipe.axis[s] == axis and s != finest:
+            add_set(sums, rows, turns[s], weights[s], weights[finest], recipe.set_stripes[s], n)
+    finish_fusion(sums, rows, recipe.length[axis], n, coordinate, sigma, chi2)
+    return count
 
 
-@_compiled
+@compiled
 def _reduce(out: Any, freedom: int, n: int) -> None:
     """χ² to the root of its share per degree of freedom."""
     share = _f(1.0 / max(freedom, 1))
@@ -363,7 +364,7 @@ def _reduce(out: Any, freedom: int, n: int) -> None:
         out[i] = np.sqrt(out[i] * share)
 
 
-@_compiled
+@compiled
 def _erase(out: Any, good: Any, n: int) -> None:
     """NaN where a pixel is not measured."""
     for j in range(n):
@@ -371,7 +372,7 @@ def _erase(out: Any, good: Any, n: int) -> None:
         out[i] = out[i] if good[i] > _ZERO else _f(np.nan)
 
 
-@_compiled
+@compiled
 def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
     """Fill the maps for a range of pixels.
 
@@ -394,12 +395,14 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         The greatest raw value in these pixels of all frames.
     """
     sets = len(recipe.origin)
-    sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_UNWRAP_ROWS * _ROW, np.float32)
+    sums, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
+    fusion = np.empty(FUSION_ROWS * ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    turns, modulation, offset = (
-        np.empty((sets, _ROW), np.float32),
-        np.empty((sets, _ROW), np.float32),
-        np.empty((sets, _ROW), np.float32),
+    # Each set's offsets become its weights, once they are known.
+    turns, modulation, weights = (
+        np.empty((sets, ROW), np.float32),
+        np.empty((sets, ROW), np.float32),
+        np.empty((sets, ROW), np.float32),
     )
     for at in range(start, stop, CHUNK):
         n = min(CHUNK, stop - at)
@@ -407,7 +410,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         disagreement, freedom = maps.disagreement[at : at + n], 0
         disagreement[:] = _ZERO
         for s in range(sets):
-            sums[: _SUM_ROWS * _ROW] = _ZERO
+            sums[: _SUM_ROWS * ROW] = _ZERO
             for k in range(recipe.first[s], recipe.first[s + 1], 4):
                 frame = recipe.addresses[k : k + 4]
                 _add_four(
@@ -419,21 +422,19 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                     sums,
                     n,
                 )
-            _demodulate(sums, turns[s], modulation[s], offset[s], good, n, recipe.origin[s], recipe)
+            _demodulate(sums, turns[s], modulation[s], weights[s], good, n, recipe.origin[s], recipe)
+            weigh(modulation[s], weights[s], recipe.phase_noise[s], recipe.set_stripes[s], recipe, n)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
-                _uncertainty(modulation[finest], offset[finest], recipe.spread[axis], recipe, sigma, n)
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
-                _axis(axis, recipe, rows, turns, sigma, good, n, out)
-                count = recipe.wavelengths[axis + 1] - recipe.wavelengths[axis]
-                period = recipe.length[axis] / recipe.stripes[recipe.wavelengths[axis + 1] - 1]
-                _add_disagreement(rows, sigma, n, period, disagreement)
+                _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
+                count = _fuse(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
                 freedom += count - 1
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
-                    doubt[at : at + n] = rows[2 * _ROW : 2 * _ROW + n]
+                    doubt[at : at + n] = rows[2 * ROW : 2 * ROW + n]
         maps.modulation[at : at + n] = modulation[recipe.reference, :n]
         maps.sigma[at : at + n] = sigma[:n]
         if len(maps.u) > 0:
@@ -444,10 +445,10 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         _erase(disagreement, good, n)
         _erase(maps.modulation[at : at + n], good, n)
         _erase(maps.sigma[at : at + n], good, n)
-    return sums[_SUM_ROWS * _ROW :].max()
+    return sums[_SUM_ROWS * ROW :].max()
 
 
-@_compiled
+@compiled
 def read_all(addresses: Any, like: Any, start: int, stop: int) -> int:
     """Sum a range of pixels of all frames, to measure the time of reading alone.
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import TWO_PI, Axis, axis_length, full_scale
-from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.core.conventions import TWO_PI, Axis, full_scale
 from fpplab.patterns.recording import Recording
 from fpplab.phase.kernels import GROUP, Recipe
-from fpplab.phase.quality import NoiseModel, coordinate_uncertainty, phase_uncertainty
+from fpplab.phase.quality import NoiseModel
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
 
@@ -38,7 +37,6 @@ def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noi
     of_axis: dict[Axis, WavelengthSequence] = {sequence.axis: sequence for sequence in sequences}
     counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in ("x", "y")]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in ("x", "y")]
-    spread = [_spread(plan.fringes[k], size) if k >= 0 else 0.0 for k in finest]
     f32, rules = np.float32, plan.masks
     return Recipe(
         addresses=addresses,
@@ -51,7 +49,9 @@ def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noi
         wavelengths=np.cumsum([0, *counts]),
         finest=np.array(finest),
         length=np.array(size, f32),
-        spread=np.array(spread, f32),
+        axis=np.array([("x", "y").index(f.axis) for f in plan.fringes]),
+        set_stripes=np.array([f.stripes for f in plan.fringes], f32),
+        phase_noise=np.array([(f.phase_noise / TWO_PI) ** 2 for f in plan.fringes], f32),
         reference=sequences[0].finest,
         grey=f32(recording.grey),
         full_scale=f32(full_scale(recording.bits)),
@@ -75,12 +75,6 @@ def _coefficients(sequences: Sequence[WavelengthSequence], sets: int) -> NDArray
             row[list(sequence.sets)] = wavelength.coefficients
             rows.append(row)
     return np.array(rows)
-
-
-def _spread(fringe: FringeSet, size: tuple[int, int]) -> float:
-    """1-sigma in px of the coordinate where noise and modulation are equal."""
-    sigma = phase_uncertainty(1.0, 1.0, fringe.images)
-    return float(coordinate_uncertainty(sigma, fringe.stripes, axis_length(size, fringe.axis)))
 
 
 def _frame_tables(

@@ -17,8 +17,9 @@ from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, axis_length
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
+from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
 from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
-from fpplab.phase.quality import coordinate_uncertainty, noise_of
+from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 
 
@@ -196,7 +197,123 @@ def _beyond(position: Floats, tolerance: Floats) -> Floats:
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
 
 
-def decode_axis(recording: Recording, axis: Axis) -> Map:
+@dataclass(frozen=True, eq=False)
+class AxisPhases:
+    """What pixels of any shape (...) see of the K sets of one axis, fewest stripes first.
+
+    Attributes
+    ----------
+    phases : ndarray of float64, (K, ...)
+        Wrapped phases in rad.
+    position_sigma : ndarray of float64, (K, ...)
+        1-sigma of the position that each set gives, as a share of the projector's length.
+    stripes : ndarray of float64, (K,)
+        Of each set.
+    """
+
+    phases: Floats
+    position_sigma: Floats
+    stripes: Floats
+
+
+def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: NoiseModel) -> AxisPhases:
+    """Demodulate all sets of one axis.
+
+    Parameters
+    ----------
+    recording : Recording
+        Frames of any shape (...).
+    sequence : WavelengthSequence
+        Of the axis.
+    noise : NoiseModel
+        Of the recording's grey levels.
+
+    Returns
+    -------
+    AxisPhases
+        Of the frames' shape.
+    """
+    fringes = [recording.plan.fringes[k] for k in sequence.sets]
+    sets = [wrapped_phase(recording.of_set(k), f) for k, f in zip(sequence.sets, fringes, strict=True)]
+    sigmas = []
+    for one, fringe in zip(sets, fringes, strict=True):
+        level = np.sqrt(noise.variance(one.offset.astype(np.float64) * recording.grey))
+        modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
+        turns = np.hypot(fringe.phase_noise / TWO_PI * level / modulation, ROUNDING_TURNS)
+        sigmas.append(turns / fringe.stripes)
+    return AxisPhases(
+        np.array([one.phase for one in sets], np.float64),
+        np.array(sigmas),
+        np.array([f.stripes for f in fringes]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """The position from all sets of one axis; see `fpplab.phase.fusion`.
+
+    Attributes
+    ----------
+    position, sigma : ndarray of float64, (...)
+        Share of the projector's length, and its 1-sigma.
+    chi2 : ndarray of float64, (...)
+        Weighted squares of all K sets about their mean: of K - 1 degrees of freedom.
+    """
+
+    position: Floats
+    sigma: Floats
+    chi2: Floats
+
+
+def fuse(seen: AxisPhases, position: Floats) -> Fused:
+    """Give the inverse-variance mean of the positions of all sets that agree with the finest.
+
+    Parameters
+    ----------
+    seen : AxisPhases
+        Phases and their uncertainties.
+    position : ndarray of float64, (...)
+        Of the finest set, as a share of the projector's length.
+
+    Returns
+    -------
+    Fused
+        Position, sigma and χ².
+    """
+    stripes = seen.stripes.reshape(-1, *[1] * position.ndim)
+    off = seen.phases / TWO_PI - position * stripes
+    off = (off - np.floor(off + 0.5)) / stripes
+    variance = seen.position_sigma**2
+    weight, off = 1.0 / variance, np.where(np.arange(len(off)).reshape(stripes.shape) == len(off) - 1, 0, off)
+    agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
+    agrees[-1] = True
+    total = np.sum(weight * agrees, axis=0)
+    mean = np.sum(weight * off, axis=0) / np.sum(weight, axis=0)
+    return Fused(
+        position + np.sum(weight * agrees * off, axis=0) / total,
+        1.0 / np.sqrt(total),
+        np.sum(weight * (off - mean) ** 2, axis=0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedAxis:
+    """One axis as the reference decodes it: maps [v, u], NaN where the order stays ambiguous.
+
+    Attributes
+    ----------
+    coordinate, sigma : ndarray of float32, (height, width)
+        Projector coordinate and its 1-sigma in px.
+    disagreement : ndarray of float32, (height, width)
+        Root of χ² per degree of freedom; 0 for a single set.
+    """
+
+    coordinate: Map
+    sigma: Map
+    disagreement: Map
+
+
+def decode_axis(recording: Recording, axis: Axis) -> DecodedAxis:
     """Decode one axis, without masks and without repair of orders.
 
     The compiled decoder (`fpplab.phase.decoding.decode`) must give the same wherever it gives anything.
@@ -210,8 +327,8 @@ def decode_axis(recording: Recording, axis: Axis) -> Map:
 
     Returns
     -------
-    ndarray of float32, (height, width)
-        Projector coordinates in px, NaN where the order stays ambiguous.
+    DecodedAxis
+        Maps of float32.
 
     Raises
     ------
@@ -220,14 +337,10 @@ def decode_axis(recording: Recording, axis: Axis) -> Map:
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     sequence = wavelength_sequence(plan, axis, recording.name)
-    noise = noise_of(recording)
-    sets = [wrapped_phase(recording.of_set(k), plan.fringes[k]) for k in sequence.sets]
-    finest = sets[-1]
-    level = np.sqrt(noise.variance(finest.offset.astype(np.float64) * recording.grey))
-    fringe = plan.fringes[sequence.finest]
-    modulation = np.maximum(finest.modulation.astype(np.float64) * recording.grey, 1e-30)
-    sigma_px = coordinate_uncertainty(fringe.phase_noise * level / modulation, fringe.stripes, length)
-    phases = np.array([one.phase for one in sets], np.float64)
-    found = unwrap(phases, sequence, sigma_px / length, EDGE_MARGIN_PX / length)
-    coordinate = np.where(found.is_unambiguous, found.position * length - 0.5, np.nan)
-    return coordinate.astype(np.float32)
+    seen = axis_phases(recording, sequence, noise_of(recording))
+    found = unwrap(seen.phases, sequence, seen.position_sigma[-1], EDGE_MARGIN_PX / length)
+    fused = fuse(seen, found.position)
+    known = np.where(found.is_unambiguous, 1.0, np.nan)
+    freedom = max(len(sequence.sets) - 1, 1)
+    maps = ((fused.position * length - 0.5), fused.sigma * length, np.sqrt(fused.chi2 / freedom))
+    return DecodedAxis(*((m * known).astype(np.float32) for m in maps))

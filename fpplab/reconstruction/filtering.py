@@ -35,6 +35,7 @@ from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
+from fpplab.phase.precision import coordinate_spread
 
 REACH_PX = 3
 """Distance in px from an edge within which a surface reaches its full modulation: the width of the blur."""
@@ -98,8 +99,8 @@ def filtered(
     across, down = _links(grid)
     _half_lit(
         *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
-        # Times sigma this is the noise of the phase, and that of the modulation as a share of it.
-        *(decoded.modulation, decoded.sigma, plan.finest.phase_per_px(projector_size)),
+        # Times sigma this is the noise of the finest phase, and that of its modulation as a share of it.
+        *(decoded.modulation, decoded.sigma, _phase_noise_per_px(plan, projector_size)),
         *(rules.light_min, removed),
     )
     _erase(grid.index, grid.w, removed)
@@ -142,6 +143,14 @@ def _greatest_disagreement(disagreement: Map, rules: FilterRules) -> float:
     """
     typical = np.nanmedian(disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE])
     return rules.disagreement_max * max(1.0, float(typical))
+
+
+def _phase_noise_per_px(plan: Plan, projector_size: tuple[int, int]) -> float:
+    """Return the noise of the finest phase in rad per px of noise of the coordinate, which has all sets."""
+    axis = plan.axes[0]
+    alone = coordinate_spread(plan, axis, projector_size, [plan.finest_set()])
+    together = coordinate_spread(plan, axis, projector_size)
+    return plan.finest.phase_per_px(projector_size) * alone / together
 
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:

@@ -56,14 +56,21 @@ def test_the_compiled_decoder_is_held_to_the_reference(
     )
     plan = Plan(fringes=fringes, unwrapping="heterodyne" if heterodyne else "hierarchical", masks=LENIENT)
     recording = Recording(list(frames(plan, noise, bits, seed)), plan, SIZE, bits)
-    compiled, reference = decode(recording).u, decode_axis(recording, "x")
+    decoded, known = decode(recording), decode_axis(recording, "x")
+    compiled, reference = decoded.u, known.coordinate
     # Where one is at the very limit of ambiguity, rounding to float32 may leave the other out.
     assert (np.isnan(compiled) != np.isnan(reference)).mean() < 0.01
     both = np.isfinite(compiled) & np.isfinite(reference)
     off = np.abs(compiled - reference)[both]
     period = SIZE[0] / max(f.stripes for f in fringes)
     assert (off > 0.25 * period).mean() < 0.002  # an order that is a toss-up
-    np.testing.assert_array_less(off[off < 0.25 * period], 2e-3)
+    # A set at the very limit of agreement may take part in one and not in the other.
+    alike = np.isclose(decoded.sigma, known.sigma, rtol=1e-3)[both]
+    assert alike.mean() > 0.995
+    np.testing.assert_array_less(off[alike & (off < 0.25 * period)], 2e-3)
+    right = both.copy()
+    right[both] = alike & (off < 0.25 * period)
+    np.testing.assert_allclose(decoded.disagreement[right], known.disagreement[right], rtol=0.02, atol=0.1)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -77,7 +84,10 @@ def test_both_axes_are_the_reference_s(axis: Axis) -> None:
     compiled = decoded.u if axis == "x" else decoded.v
     both = np.isfinite(compiled)
     assert both.mean() > 0.9
-    np.testing.assert_allclose(compiled[both], decode_axis(recording, axis)[both], atol=2e-3)
+    known = decode_axis(recording, axis)
+    np.testing.assert_allclose(compiled[both], known.coordinate[both], atol=2e-3)
+    if axis == "x":
+        np.testing.assert_allclose(decoded.sigma[both], known.sigma[both], rtol=1e-3)
 
 
 def test_modulation_is_the_reference_s() -> None:

@@ -31,9 +31,12 @@ def test_a_plan_with_every_key() -> None:
 def test_a_session_decodes_to_the_same_coordinates() -> None:
     session = Session.open(DATA / "session")
     decoded, then = decode_session(session), Decoded.load(DATA / "session" / "decoded.npz")
-    for name in ("u", "v", "modulation", "sigma", "disagreement"):
-        np.testing.assert_array_equal(getattr(decoded, name), getattr(then, name), err_msg=name)
-    assert decoded.v_per_u == then.v_per_u
+    np.testing.assert_array_equal(decoded.modulation, then.modulation)
+    assert decoded.v_per_u == pytest.approx(then.v_per_u, rel=0.05)
+    # Version 0.1.0 took the finest set alone; the other sets move a coordinate within its noise.
+    assert np.all(decoded.sigma[decoded.valid] <= then.sigma[decoded.valid] * 1.0001)
+    for moved, scale in ((decoded.u - then.u, 1.0), (decoded.v - then.v, then.v_per_u)):
+        assert np.nanmax(np.abs(moved) / (scale * then.sigma)) < 1.5
 
 
 def test_a_session_that_was_interrupted_is_completed(tmp_path: Path) -> None:

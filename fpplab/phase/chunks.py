@@ -1,0 +1,17 @@
+"""What the compiled parts of the decoder share: the chunk of pixels that they work on, and how they compile."""
+
+from __future__ import annotations
+
+from numba import njit
+
+CHUNK = 2048
+"""Pixels whose sums are kept in the cache at a time."""
+
+# Rows lie a little more than a chunk apart: at multiples of a memory page the processor
+# takes a row's element for the one it has just stored in another row, and waits.
+ROW = CHUNK + 48
+"""Distance between the rows of a working buffer."""
+
+# NaN and infinity keep their meaning: only what cannot hide them is relaxed.
+compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+"""Decorator of every compiled function that works on chunks."""

@@ -1,0 +1,145 @@
+"""The coordinate from all fringe sets of an axis: compiled functions on a chunk of pixels.
+
+Once the fringe orders are known, every set gives a position of its own, `p_k = (φ_k + n_k)/s_k` with phase
+φ_k in turns, order n_k and s_k stripes, and a weight `w_k`, the inverse of its variance. The coordinate is
+their inverse-variance mean, which reaches the Cramér–Rao bound of all images; its variance is `1/Σ w_k`. A set
+that lies further from the finest than noise explains, because its order is another or its phase is biased,
+does not take part. χ² counts all sets.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fpplab.phase.chunks import ROW, compiled
+
+AGREEING_SIGMAS = 4.0
+"""How many standard deviations of their difference a set may lie from the finest one to take part."""
+
+ROUNDING_TURNS = 3e-6
+"""Standard deviation of a phase in turns that rounding to float32 leaves, in every set."""
+
+_f, _u = np.float32, np.uintp
+_ZERO, _HALF, _ONE, _TINY = _f(0), _f(0.5), _f(1), _f(1e-30)
+_AGREEING = _f(AGREEING_SIGMAS**2)
+_ROUNDING = _f(ROUNDING_TURNS**2)
+# Rows of the buffer of sums: of the sets that take part, then of all.
+_FUSED_MOMENT, _ALL, _ALL_MOMENT, _ALL_SQUARE = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
+FUSION_ROWS = 5
+"""Rows of the working buffer."""
+
+
+@compiled
+def weigh(modulation: Any, offset: Any, noise: Any, stripes: Any, recipe: Any, n: int) -> None:
+    """Turn the offsets of one set into its weights, the inverse variances of its positions.
+
+    Parameters
+    ----------
+    modulation : ndarray of float32, (n,)
+        B of the set, in 8-bit grey levels.
+    offset : ndarray of float32, (n,)
+        Its mean level; replaced by the weight, per squared share of the projector's length.
+    noise : float32
+        Variance of its phase in turns squared where that of a grey level is B².
+    stripes : float32
+        Of the set.
+    recipe : Recipe
+        With the noise of the grey levels.
+    n : int
+        Number of pixels.
+    """
+    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+    square = stripes * stripes
+    for j in range(n):
+        i = _u(j)
+        power = modulation[i] * modulation[i]
+        level = constant + per_level * offset[i]
+        offset[i] = square * power / (noise * level + _ROUNDING * power + _TINY)
+
+
+@compiled
+def start_fusion(sums: Any, finest: Any, n: int) -> None:
+    """Begin with the finest set, from whose position all others are counted.
+
+    Parameters
+    ----------
+    sums : ndarray of float32, (FUSION_ROWS * ROW,)
+        Working buffer.
+    finest : ndarray of float32, (n,)
+        Weight of the finest set.
+    n : int
+        Number of pixels.
+    """
+    for j in range(n):
+        i = _u(j)
+        sums[i] = sums[i + _ALL] = finest[i]
+        sums[i + _FUSED_MOMENT] = sums[i + _ALL_MOMENT] = sums[i + _ALL_SQUARE] = _ZERO
+
+
+@compiled
+def add_set(sums: Any, positions: Any, turns: Any, weights: Any, finest: Any, stripes: Any, n: int) -> None:
+    """Add another set, in the order that brings it nearest to the finest one.
+
+    Parameters
+    ----------
+    sums : ndarray of float32, (FUSION_ROWS * ROW,)
+        Working buffer.
+    positions : ndarray of float32, (n,)
+        Of the finest set, as shares of the projector's length.
+    turns : ndarray of float32, (n,)
+        Wrapped phase of the set to add; replaced by its distance from the finest, as a share of the length.
+    weights, finest : ndarray of float32, (n,)
+        Of this set and of the finest.
+    stripes : float32
+        Of this set.
+    n : int
+        Number of pixels.
+    """
+    period = _ONE / stripes
+    for j in range(n):
+        i = _u(j)
+        w, of_finest = weights[i], finest[i]
+        off = turns[i] - positions[i] * stripes
+        off = (off - np.floor(off + _HALF)) * period
+        moment = w * off
+        square = moment * off
+        # The difference of two positions has the variance 1/w + 1/w_finest.
+        agrees = square * of_finest <= _AGREEING * (w + of_finest)
+        sums[i] += w if agrees else _ZERO
+        sums[i + _FUSED_MOMENT] += moment if agrees else _ZERO
+        sums[i + _ALL] += w
+        sums[i + _ALL_MOMENT] += moment
+        sums[i + _ALL_SQUARE] += square
+        turns[i] = off
+
+
+@compiled
+def finish_fusion(
+    sums: Any, positions: Any, length: Any, n: int, coordinate: Any, sigma: Any, chi2: Any
+) -> None:
+    """Write the coordinate and its uncertainty, and add the axis' χ².
+
+    Parameters
+    ----------
+    sums : ndarray of float32, (FUSION_ROWS * ROW,)
+        Working buffer with all sets in it.
+    positions : ndarray of float32, (n,)
+        Of the finest set, as shares of the projector's length.
+    length : float32
+        Of the projector along the axis, in px.
+    n : int
+        Number of pixels.
+    coordinate, sigma : ndarray of float32, (n,)
+        Written, in px.
+    chi2 : ndarray of float32, (n,)
+        Added to: the weighted squares of all sets about their mean.
+    """
+    for j in range(n):
+        i = _u(j)
+        weight = max(sums[i], _TINY)
+        coordinate[i] = (positions[i] + sums[i + _FUSED_MOMENT] / weight) * length - _HALF
+        sigma[i] = length / np.sqrt(weight)
+        moment = sums[i + _ALL_MOMENT]
+        chi2[i] += max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)

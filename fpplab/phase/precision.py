@@ -1,0 +1,40 @@
+"""How precise a plan makes its coordinates: what is known of their noise before anything is projected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fpplab.core.conventions import Axis, axis_length
+from fpplab.patterns.plan import Plan
+from fpplab.phase.quality import coordinate_uncertainty
+
+
+def coordinate_spread(
+    plan: Plan, axis: Axis, projector_size: tuple[int, int], sets: Sequence[int] | None = None
+) -> float:
+    """Compute the standard uncertainty of a coordinate where noise and modulation are alike in all sets.
+
+    It is the Cramér-Rao bound of their images: `1/√Σ σ_k⁻²` with the uncertainty σ_k of each set alone.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    axis : str
+        Axis of the coordinate, x or y.
+    projector_size : tuple of int
+        (width, height) in px.
+    sets : sequence of int, optional
+        Indices into `Plan.fringes` of the sets that take part; by default all along the axis.
+
+    Returns
+    -------
+    float
+        Projector px per unit of u_I/B.
+    """
+    length = axis_length(projector_size, axis)
+    fringes = [plan.fringes[k] for k in (plan.sets_along(axis) if sets is None else sets)]
+    alone = [coordinate_uncertainty(f.phase_noise, f.stripes, length) for f in fringes]
+    return float(1.0 / np.sqrt(np.sum(np.square(np.reciprocal(alone)))))
