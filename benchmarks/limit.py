@@ -6,6 +6,7 @@ Every part draws its cases anew from fixed seeds and knows their truth from a ge
 from __future__ import annotations
 
 from benchmarks import Result
+from benchmarks.limit_decoding import decoding_figures
 from benchmarks.limit_lattice import lattice_figures
 
 
@@ -17,4 +18,4 @@ def run() -> list[Result]:
     list of Result
         A figure each.
     """
-    return lattice_figures()
+    return [*lattice_figures(), *decoding_figures()]
