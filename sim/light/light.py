@@ -447,11 +447,10 @@ def _textures(
 ) -> PatternTextures:
     """Make the textures of mirrors at these light levels, or a part of them, to look light up in."""
     filtered = [texture.filtered(level, circles, part) for level in levels]
-    texels = np.stack([cv2.merge(of_circle) for of_circle in zip(*filtered, strict=True)])
-    shape = (*texels.shape[:3], len(levels))  # of a single pattern, OpenCV drops the axis
-    return PatternTextures(
-        texels.reshape(shape), texture.weights(circles), texture.fill, part[:2] if part else (0, 0)
-    )
+    texels = np.empty((len(circles), *filtered[0][0].shape, len(levels)), np.float32)
+    for of_circle, patterns in zip(texels, zip(*filtered, strict=True), strict=True):
+        cv2.merge(patterns, of_circle)
+    return PatternTextures(texels, texture.weights(circles), texture.fill, part[:2] if part else (0, 0))
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:
