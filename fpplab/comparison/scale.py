@@ -1,13 +1,14 @@
 """The scale of a cloud: what a rigid alignment cannot show.
 
-A cloud that is too large by 1000 ppm lies as near to its true shape, after a rigid alignment, as one that is not,
-wherever the surface is parallel to the error: a plate moves within its own plane. So after the rigid alignment a
-similarity is fitted, by the same point-to-plane error, and its scale is stated beside the distances.
+A cloud that is too large by 1000 ppm lies, after a rigid alignment, nearly as close to its true shape as
+one that is not, wherever the surface is parallel to the error: a plate moves within its own plane. So after
+the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated beside
+the distances.
 
-The standard uncertainty follows from the residuals. Neighbouring points err alike, from fringe ripple and lens,
-so the points are grouped into cells of space, and what varies independently is taken to be the cells (the
-sandwich estimator for clusters). It says how well this cloud determines its scale, not how well the instrument
-keeps it.
+The standard uncertainty follows from the residuals. Neighbouring points err alike, because of fringe ripple
+and distortion, so the points are grouped into cells of space, and the cells are taken as independent (the
+sandwich estimator for clusters). It says how well this cloud determines its scale, not how well the
+instrument keeps it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ EDGE_SPREADS, SAME_FACE = 6.0, 0.95
 """Distance from an edge, in standard deviations of the residuals, within which points are left out; and the
 cosine between two normals up to which their faces do not form an edge."""
 LEAST_SHARE = 1e-6
-"""Least share of the scale's effect on the residuals that no rigid motion has too; on a plane there is none."""
+"""Least share of the scale's effect on the residuals that no rigid motion has too; 0 on a plane."""
 COVERAGE = 3.0
 """Standard uncertainties beyond which a deviation is taken as real."""
 
@@ -166,7 +167,8 @@ def _determines_scale(matrix: Floats) -> bool:
 
 def _cells(points: Floats, side: float) -> NDArray[np.int64]:
     """Number the cells of space that points (N, 3) lie in, (N,)."""
-    return np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+    numbers = np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True)[1]
+    return np.asarray(numbers, np.int64).reshape(-1)
 
 
 def _sigma(rows: Floats, scores: Floats, within: NDArray[np.bool_], cell: NDArray[np.int64]) -> float | None:
