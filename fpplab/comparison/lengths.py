@@ -67,6 +67,23 @@ class MeasuredLength:
             and abs(self.error_um) > COVERAGE * self.sigma_um
         )
 
+    def texts(self) -> tuple[str, str, str, str]:
+        """Format the values for tables.
+
+        Returns
+        -------
+        tuple of str
+            True and measured value in mm, error and standard uncertainty in µm; a dash for what is not known.
+        """
+        if self.measured_mm is None or self.error_um is None or self.sigma_um is None:
+            return f"{self.true_mm:.4f}", "–", "–", "–"
+        return (
+            f"{self.true_mm:.4f}",
+            f"{self.measured_mm:.4f}",
+            f"{self.error_um:+.1f}",
+            f"{self.sigma_um:.1f}",
+        )
+
     def summary(self) -> dict[str, object]:
         """Collect plain values for JSON.
 

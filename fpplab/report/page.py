@@ -476,16 +476,7 @@ def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
     tuple of ReportTable
         Empty if there are neither lengths nor contradictions.
     """
-    rows = tuple(
-        (
-            m.name,
-            f"{m.true_mm:.4f}",
-            NOT_KNOWN if m.measured_mm is None else f"{m.measured_mm:.4f}",
-            NOT_KNOWN if m.error_um is None else f"{m.error_um:+.1f}",
-            NOT_KNOWN if m.sigma_um is None else f"{m.sigma_um:.1f}",
-        )
-        for m in found.lengths
-    )
+    rows = tuple((m.name, *m.texts()) for m in found.lengths)
     said = found.warnings()
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
     caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)

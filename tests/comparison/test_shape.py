@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from typer.testing import CliRunner
 
 from fpplab import artefacts
 from fpplab.artefacts import PlacedArtefact, recognise
-from fpplab.clouds import Cloud, load_mesh
+from fpplab.cli import app
+from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison import compare
 from fpplab.comparison.alignment import AlignmentMesh
 from fpplab.comparison.lengths import measure_lengths
@@ -109,7 +112,7 @@ def test_true_lengths_are_those_of_the_mesh(name: str) -> None:
 
 
 def test_a_scale_error_is_told_where_the_distance_hides_it() -> None:
-    """The case that a rigid alignment hides: 1000 ppm."""
+    """Distances rise by less than a fifth, while the points are moved by 66 µm."""
     artefact = recognise(artefacts.make("steps"))
     cloud = perfect_cloud(placed("steps"), 0.03)
     right = compare(
@@ -176,6 +179,21 @@ def test_an_artefact_is_recognised_wherever_it_stands(name: str, tmp_path: Path)
     assert isinstance(found, PlacedArtefact)
     assert type(found.artefact) is artefacts.artefact_types()[name]
     np.testing.assert_allclose(found.pose.matrix, pose.matrix, atol=1e-4)
+
+
+def test_the_command_gives_scale_lengths_and_warnings(tmp_path: Path) -> None:
+    save_cloud(scaled(perfect_cloud(placed("steps"), 0.03), 3000.0), tmp_path / "cloud.ply")
+    artefacts.save_stl(artefacts.make("steps"), tmp_path / "steps.stl")
+    words = ["compare", str(tmp_path / "cloud.ply"), str(tmp_path / "steps.stl"), "--align"]
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["scale"]["ppm"] == pytest.approx(3000, abs=4 * found["scale"]["sigma_ppm"])
+    assert len(found["lengths"]) == 5
+    assert len(found["warnings"]) >= 2
+    shown = CliRunner().invoke(app, words)
+    assert "step height 1 to 5" in shown.stdout
+    assert "ppm" in shown.stdout
 
 
 def test_another_part_is_not_recognised() -> None:

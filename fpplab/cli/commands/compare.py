@@ -76,6 +76,5 @@ def _show(result: Comparison) -> None:
     if (scale := result.scale) is not None:
         console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm", markup=False)
     if result.lengths:
-        rows = [[m.name, m.true_mm, m.measured_mm, m.error_um, m.sigma_um] for m in result.lengths]
         heads = ["", "true mm", "measured mm", "error µm", "standard uncertainty µm"]
-        console.table("Lengths", heads, [["–" if v is None else v for v in row] for row in rows])
+        console.table("Lengths", heads, [[m.name, *m.texts()] for m in result.lengths])
