@@ -3,6 +3,7 @@
 from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.acceptance.verification import (
+    CONVENTIONS,
     VERDICTS,
     Acceptance,
     BallBarTest,
@@ -15,6 +16,7 @@ from fpplab.acceptance.verification import (
 )
 
 __all__ = [
+    "CONVENTIONS",
     "QUANTITIES",
     "VERDICTS",
     "Acceptance",

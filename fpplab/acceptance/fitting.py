@@ -12,7 +12,7 @@ from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import DataError
 
 DISCARDED_SHARE = 0.003
-"""Share of the points farthest from the fit that VDI/VDE 2634 part 2 allows to discard, 3 per mille."""
+"""Share of the points farthest from the fit, 3 ‰, that a test after VDI/VDE 2634 part 2 may discard."""
 MAX_ITERATIONS = 50
 """Of a fit."""
 CONVERGED_STEP = 1e-12

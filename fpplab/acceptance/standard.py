@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -81,6 +81,25 @@ class EvaluationRules(Document):
     """Least measured area of a plane, as a share of its size."""
 
 
+Count = Annotated[int, Field(ge=1, le=1000)]
+
+
+class LeastPositions(Document):
+    """How many positions, spread over the measuring volume, each quantity has to be measured in.
+
+    The defaults are the numbers that are commonly quoted of VDI/VDE 2634 part 2 (docs/decisions/0029).
+    """
+
+    PF: Count = 10
+    """Of a sphere, for the probing error of form; each sphere of each position of a ball bar is one."""
+    PS: Count = 10
+    """Of a sphere, for the probing error of size."""
+    SD: Count = 7
+    """Of the ball bar."""
+    F: Count = 6
+    """Of the plane."""
+
+
 class Permissible(Document):
     """Maximum permissible errors in µm; a quantity without one is reported and not judged."""
 
@@ -122,6 +141,8 @@ class Standard(Document):
     """The plane, if there is one."""
     evaluation: EvaluationRules = EvaluationRules()
     """Which points are evaluated."""
+    positions: LeastPositions = LeastPositions()
+    """How many positions each quantity has to be measured in."""
     mpe_um: Permissible = Permissible()
     """Maximum permissible errors, in µm."""
     items: StandardItems = StandardItems()
@@ -216,16 +237,45 @@ class Standard(Document):
         ConfigError
             An assignment has an unknown quantity or no number, or the limit is out of range.
         """
-        limits = self.mpe_um.model_dump()
-        for assignment in assignments:
-            quantity, _, value = assignment.partition("=")
-            if quantity.strip() not in QUANTITIES:
-                raise ConfigError(
-                    f"--mpe: '{assignment}' must be one of {', '.join(QUANTITIES)}, =, and µm: PF=50"
-                )
-            try:
-                limits[quantity.strip()] = float(value)
-            except ValueError:
-                raise ConfigError(f"--mpe: '{assignment}' has no number after =, such as PF=50") from None
-        plain = {**config.plain(self), "mpe_um": limits}
-        return config.validate(plain, Standard, "--mpe")
+        limits = self.mpe_um.model_dump() | _by_quantity(assignments, "--mpe", "PF=50", float)
+        return config.validate({**config.plain(self), "mpe_um": limits}, Standard, "--mpe")
+
+    def with_positions(self, assignments: Iterable[str]) -> Standard:
+        """Replace least numbers of positions.
+
+        Parameters
+        ----------
+        assignments : iterable of str
+            Quantity and number, such as "SD=5".
+
+        Returns
+        -------
+        Standard
+            A copy with these numbers; quantities that are not named keep theirs.
+
+        Raises
+        ------
+        ConfigError
+            An assignment has an unknown quantity or no whole number, or the number is out of range.
+        """
+        numbers = self.positions.model_dump() | _by_quantity(assignments, "--positions", "SD=5", int)
+        return config.validate({**config.plain(self), "positions": numbers}, Standard, "--positions")
+
+
+def _by_quantity(
+    assignments: Iterable[str], option: str, example: str, number: Callable[[str], float]
+) -> dict[str, float]:
+    """Read assignments of numbers to `QUANTITIES`. Raises `ConfigError`, naming the option."""
+    found = {}
+    for assignment in assignments:
+        quantity, _, value = assignment.partition("=")
+        if quantity.strip() not in QUANTITIES:
+            raise ConfigError(
+                f"{option}: '{assignment}' must be one of {', '.join(QUANTITIES)}, =, and a number: {example}"
+            )
+        try:
+            found[quantity.strip()] = number(value)
+        except ValueError:
+            kind = "whole number" if number is int else "number"
+            raise ConfigError(f"{option}: '{assignment}' has no {kind} after =, such as {example}") from None
+    return found

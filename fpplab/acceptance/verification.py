@@ -7,33 +7,49 @@ After VDI/VDE 2634 part 2 ("Optical systems based on area scanning"), from singl
 * Sphere-spacing error SD: measured minus calibrated distance of a ball bar's two centres.
 * Flatness measurement error F: span of the distances of a plane's points from the plane fitted to them.
 
-Of each feature's points exactly `floor(0.003 N)`, the farthest from the fit, are left out of the fit
-and of the span. A quantity is passed when its error in every position stays within the maximum
-permissible error, reduced by the uncertainty of the standard itself (ISO 14253-1).
+PF and F are given by two conventions. `PF` and `F`, which are judged: of each feature's points exactly
+`floor(0.003 N)`, the farthest from the fit, are left out of the fit and of the span. `PF_all` and `F_all`:
+the fit and the span are those of all points. A quantity is passed when its error in every position stays
+within the maximum permissible error, reduced by the uncertainty of the standard itself (ISO 14253-1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst, peak_to_peak
+from fpplab.acceptance.fitting import (
+    FittedFeature,
+    Plane,
+    Sphere,
+    fit_plane,
+    fit_sphere,
+    fit_without_worst,
+    peak_to_peak,
+)
 from fpplab.acceptance.segmentation import find_plane, find_spheres, normals_of, plane_face, sphere_cap
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import ConfigError, DataError
 
-POSITIONS = 3
-"""Least number of positions of a standard that represent the measuring volume."""
+CONVENTIONS = {
+    "PF": "range of the points that remain when the 3 ‰ farthest from the fit are removed",
+    "PF_all": "range of all points",
+    "F": "range of the points that remain when the 3 ‰ farthest from the fit are removed",
+    "F_all": "range of all points",
+}
+"""What the errors of form are the range of; those without `_all` are judged."""
 OTHER_STANDARD = 0.1
 """Relative deviation of a diameter or spacing from which another standard must have been measured."""
 VERDICTS = {True: "passed", False: "not passed", None: "not judged"}
 """Words for a judgement in reports."""
+
+F = TypeVar("F", bound=FittedFeature)
 
 Clouds = Iterable[tuple[str, Cloud]]
 """Clouds in mm in the camera's frame, each after the name of its source."""
@@ -53,16 +69,21 @@ class MeasuredFeature:
         Signed distances (K,) in mm from the fit.
     kept : ndarray of bool
         (K,), False for the farthest points, which were discarded.
+    span_all_um : float
+        Greatest minus least distance in µm of all points from a fit to all points.
     """
 
     points: NDArray[np.float32]
     pixels: NDArray[np.int32] | None
     distances: Floats
     kept: Mask
+    span_all_um: float
 
     @classmethod
-    def of(cls, cloud: Cloud, index: NDArray[np.intp], distances: Floats, kept: Mask) -> MeasuredFeature:
-        """Collect the evaluated points of a cloud.
+    def fitted(
+        cls, cloud: Cloud, index: NDArray[np.intp], fit: Callable[[Floats], F]
+    ) -> tuple[F, MeasuredFeature]:
+        """Fit a shape to the evaluated points of a cloud, without the farthest of them and to all.
 
         Parameters
         ----------
@@ -70,18 +91,21 @@ class MeasuredFeature:
             The whole cloud.
         index : ndarray of intp
             Numbers (K,) of the evaluated points.
-        distances : ndarray of float64
-            Their signed distances (K,) in mm from the fit.
-        kept : ndarray of bool
-            (K,), False for the points that were discarded.
+        fit : callable
+            Fits the shape to points (M, 3), such as `fit_sphere`.
 
         Returns
         -------
-        MeasuredFeature
+        feature : FittedFeature
+            The fit to the points that were kept.
+        measured : MeasuredFeature
             The points, with their pixels where the cloud has them.
         """
+        points = np.asarray(cloud.points[index], np.float64)
+        feature, kept = fit_without_worst(points, fit)
         pixels = None if cloud.pixels is None else cloud.pixels[index]
-        return cls(cloud.points[index], pixels, distances, kept)
+        span_all_um = 1e3 * peak_to_peak(fit(points).distances(points))
+        return feature, cls(cloud.points[index], pixels, feature.distances(points), kept, span_all_um)
 
     @property
     def span_um(self) -> float:
@@ -153,6 +177,7 @@ class SphereTest:
         return {
             "sphere": self.number,
             "PF_um": self.form_um,
+            "PF_all_um": self.measured.span_all_um,
             "PS_um": self.size_um,
             "diameter_mm": 2.0 * self.sphere.radius,
             "centre_mm": self.sphere.centre.tolist(),
@@ -228,6 +253,7 @@ class PlaneTest:
         return {
             "source": self.source,
             "F_um": self.flatness_um,
+            "F_all_um": self.measured.span_all_um,
             "area_mm2": self.area_mm2,
             "normal": self.plane.normal.tolist(),
             **self.measured.summary(),
@@ -248,12 +274,18 @@ class AcceptanceJudgement:
         Uncertainty of the standard itself in µm.
     positions : int
         Number of values that were measured.
+    least_positions : int
+        Number of values that the standard's file asks for.
+    worst_all_um : float or None
+        For errors of form: the greatest in µm with all points, none discarded; else None.
     """
 
     worst_um: float
     mpe_um: float | None
     reference_uncertainty_um: float
     positions: int
+    least_positions: int
+    worst_all_um: float | None = None
 
     @property
     def passed(self) -> bool | None:
@@ -272,9 +304,11 @@ class AcceptanceJudgement:
         """
         return {
             "worst_um": self.worst_um,
+            "worst_all_um": self.worst_all_um,
             "mpe_um": self.mpe_um,
             "standard_known_to_um": self.reference_uncertainty_um,
             "values": self.positions,
+            "least_values": self.least_positions,
             "passed": self.passed,
         }
 
@@ -322,16 +356,23 @@ class Acceptance:
         dict of str to AcceptanceJudgement
             By quantity, in the order of `QUANTITIES`.
         """
-        standard = self.standard
+        standard, with_all = self.standard, self._form_of_all_points_um()
         return {
             name: AcceptanceJudgement(
                 max(values, key=abs),
                 standard.permitted_um(name),
                 standard.reference_uncertainty_um(name),
                 len(values),
+                getattr(standard.positions, name),
+                max(with_all[name]) if name in with_all else None,
             )
             for name, values in self.errors_um().items()
         }
+
+    def _form_of_all_points_um(self) -> dict[str, list[float]]:
+        """Collect the errors of form in µm with all points, none discarded."""
+        spheres = [test.measured.span_all_um for bar in self.bars for test in bar.spheres]
+        return {"PF": spheres, "F": [plane.measured.span_all_um for plane in self.planes]}
 
     @property
     def passed(self) -> bool | None:
@@ -347,14 +388,14 @@ class Acceptance:
         list of str
             Sentences for the operator: too few positions, quantities without a permissible error.
         """
-        said = []
-        for what, count in (("ball bar", len(self.bars)), ("plane", len(self.planes))):
-            if 0 < count < POSITIONS:
-                said.append(
-                    f"{what}: measured in {count} of at least {POSITIONS} recommended positions; spread them "
-                    "over the measuring volume, the guideline asks for more"
-                )
-        unjudged = [name for name, found in self.judgements().items() if found.passed is None]
+        judged = self.judgements()
+        said = [
+            f"{name}: measured in {found.positions} of at least {found.least_positions} positions; add "
+            "positions, spread over the measuring volume"
+            for name, found in judged.items()
+            if found.positions < found.least_positions
+        ]
+        unjudged = [name for name, found in judged.items() if found.passed is None]
         if unjudged:
             said.append(f"no maximum permissible error is stated for {', '.join(unjudged)}: not judged")
         return said
@@ -370,6 +411,9 @@ class Acceptance:
         return {
             "standard": self.standard.name,
             "passed": self.passed,
+            "cap_deg": self.standard.evaluation.cap_deg,
+            "edge_mm": self.standard.evaluation.edge_mm,
+            "conventions": CONVENTIONS,
             "quantities": {name: found.summary() for name, found in self.judgements().items()},
             "spheres": [
                 {"source": bar.source, **test.summary()} for bar in self.bars for test in bar.spheres
@@ -490,18 +534,16 @@ def verify_plane(cloud: Cloud, standard: Standard, source: str) -> PlaneTest:
     points = np.asarray(cloud.points, np.float64)
     found = find_plane(points, max(known.size_mm), source)
     face = plane_face(points, found, known.size_mm, standard.evaluation, source)
-    plane, kept = fit_without_worst(points[face.index], fit_plane)
-    distances = plane.distances(points[face.index])
-    return PlaneTest(source, plane, face.area_mm2, MeasuredFeature.of(cloud, face.index, distances, kept))
+    plane, measured = MeasuredFeature.fitted(cloud, face.index, fit_plane)
+    return PlaneTest(source, plane, face.area_mm2, measured)
 
 
 def _fit(
     points: Floats, cloud: Cloud, centre: Floats, radius: float, standard: Standard, source: str
 ) -> tuple[Sphere, float, MeasuredFeature]:
     cap = sphere_cap(points, centre, radius, standard.evaluation, source)
-    sphere, kept = fit_without_worst(points[cap.index], fit_sphere)
-    distances = sphere.distances(points[cap.index])
-    return sphere, cap.solid_angle_sr, MeasuredFeature.of(cloud, cap.index, distances, kept)
+    sphere, measured = MeasuredFeature.fitted(cloud, cap.index, fit_sphere)
+    return sphere, cap.solid_angle_sr, measured
 
 
 S = TypeVar("S")

@@ -4,7 +4,17 @@ Importing this package does not import trimesh, so that names are available quic
 """
 
 from fpplab.artefacts.base import Artefact, Lengths
-from fpplab.artefacts.catalogue import NAMES, STANDARDS, artefact_types, make, save_stl, usual_sizes
+from fpplab.artefacts.catalogue import (
+    NAMES,
+    STANDARDS,
+    PlacedArtefact,
+    artefact_types,
+    make,
+    recognise,
+    save_stl,
+    usual_sizes,
+)
+from fpplab.artefacts.lengths import Corner, FeatureLength, FlatFace, SphereFace
 from fpplab.artefacts.parts import check_solid, load_part
 from fpplab.artefacts.slicing import layer_count, sliced
 
@@ -12,12 +22,18 @@ __all__ = [
     "NAMES",
     "STANDARDS",
     "Artefact",
+    "Corner",
+    "FeatureLength",
+    "FlatFace",
     "Lengths",
+    "PlacedArtefact",
+    "SphereFace",
     "artefact_types",
     "check_solid",
     "layer_count",
     "load_part",
     "make",
+    "recognise",
     "save_stl",
     "sliced",
     "usual_sizes",

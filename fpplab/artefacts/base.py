@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from fpplab.artefacts.lengths import FeatureLength
 from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -63,6 +64,16 @@ class Artefact(ABC):
         trimesh.Trimesh
             A single watertight body with outward normals, corners in mm in the artefact's frame.
         """
+
+    def lengths(self) -> tuple[FeatureLength, ...]:
+        """List the lengths of the body that are measured in clouds of it; none unless a subclass states them.
+
+        Returns
+        -------
+        tuple of FeatureLength
+            Features and true values in mm in the artefact's frame.
+        """
+        return ()
 
     def check_below(self, field: str, value: float, limit: float, limit_name: str) -> None:
         """Check that a length is less than a limit; for use in `check_lengths`.

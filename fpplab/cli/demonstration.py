@@ -156,6 +156,7 @@ def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Pat
     truth.apply_transform(standing.matrix)
     artefacts.save_stl(truth, out / TRUTH)
     with console.progress(f"Comparing the {name}"):
-        comparison = compare(cloud, truth, calibration, align=True)
+        placed = artefacts.recognise(truth)
+        comparison = compare(cloud, truth, calibration, align=True, artefact=placed)
         unfiltered = compare(triangulate(decoded, calibration, normals=False), truth, calibration, align=True)
     return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison, unfiltered)

@@ -4,6 +4,8 @@ There are two kinds of figure. The SMCD (symmetric mean Chamfer distance) is the
 distance to the nearest point of the other set, averaged over both directions. It compares samples, so
 even a perfect measurement has the SMCD of the samples' spacing, `smcd_floor_um`. The surface figures
 compare with surfaces (cloud to true mesh, truth to the surface over the pixel grid) and have no floor.
+After a rigid alignment both are nearly blind to scale and shear, so the scale of the best-fit similarity and
+the lengths of the artefact are given beside them.
 
 What is evaluated is decided before any distance is computed. Of the truth: what both devices see, that
 is, inside both images, not occluded, and inclined to both views by no more than `STEEPEST_DEG`
@@ -19,11 +21,14 @@ import igl
 import numpy as np
 import trimesh
 
+from fpplab.artefacts import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import STEEPEST_DEG
-from fpplab.comparison.alignment import Alignment, align_mesh
+from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
+from fpplab.comparison.lengths import MeasuredLength, measure_lengths
 from fpplab.comparison.neighbours import nearest
+from fpplab.comparison.scale import FittedScale, fit_scale
 from fpplab.comparison.surfaces import distance_to_surface
 from fpplab.comparison.visibility import RayTracedShape
 from fpplab.core.conventions import Floats, Map, Mask
@@ -77,6 +82,10 @@ class Comparison:
         Whether a calibration determined what is visible.
     alignment : Alignment or None
         Motion of the mesh onto the cloud, None without alignment.
+    scale : FittedScale or None
+        Scale of the best-fit similarity; None without alignment, or where the shape does not determine it.
+    lengths : tuple of MeasuredLength
+        Lengths of the artefact; empty without alignment, and for shapes that state none.
     distances_mm : ndarray of float32
         Signed distance (N,) of every point of the cloud, positive outside the true shape.
     counted : ndarray of bool
@@ -100,6 +109,36 @@ class Comparison:
     alignment: Alignment | None
     distances_mm: Map
     counted: Mask
+    scale: FittedScale | None = None
+    lengths: tuple[MeasuredLength, ...] = ()
+
+    def warnings(self) -> list[str]:
+        """List what contradicts the distances, which a rigid alignment makes blind to scale and shear.
+
+        A scale or length contradicts them if it deviates by more than `COVERAGE` standard uncertainties, and
+        by more than the root mean square distance.
+
+        Returns
+        -------
+        list of str
+            Sentences for the operator.
+        """
+        said, scale = [], self.scale
+        if scale is not None and scale.significant and scale.effect_um > self.surface_rms_um:
+            said.append(
+                f"scale: the cloud is {abs(scale.ppm):.0f} ± {scale.sigma_ppm:.0f} ppm too "
+                f"{'large' if scale.ppm > 0 else 'small'}, which moves points by {scale.effect_um:.1f} µm; "
+                f"the distance of {self.surface_rms_um:.1f} µm after alignment does not show it"
+            )
+        for length in self.lengths:
+            error = length.error_um
+            if error is not None and length.significant and abs(error) > self.surface_rms_um:
+                said.append(
+                    f"{length.name}: measures {length.measured_mm:.4f} mm, {abs(error):.1f} ± "
+                    f"{length.sigma_um:.1f} µm too {'long' if error > 0 else 'short'}; the distance of "
+                    f"{self.surface_rms_um:.1f} µm after alignment does not show it"
+                )
+        return said
 
     def summary(self) -> dict[str, object]:
         """Collect the figures for JSON.
@@ -109,9 +148,15 @@ class Comparison:
         dict of str to object
             Plain values by attribute, with the key `beside` for `off_part`; without the arrays.
         """
-        left_out, keys = ("distances_mm", "counted", "alignment"), {"off_part": "beside"}
+        left_out = ("distances_mm", "counted", "alignment", "scale", "lengths")
+        keys = {"off_part": "beside"}
         figures = {keys.get(name, name): value for name, value in vars(self).items() if name not in left_out}
-        return figures | {"alignment": self.alignment.summary() if self.alignment else None}
+        return figures | {
+            "alignment": self.alignment.summary() if self.alignment else None,
+            "scale": self.scale.summary() if self.scale else None,
+            "lengths": [length.summary() for length in self.lengths],
+            "warnings": self.warnings(),
+        }
 
 
 def mcd(a: Floats, b: Floats) -> float:
@@ -177,6 +222,7 @@ def compare(
     align: bool = False,
     outlier_mm: float = OUTLIER_MM,
     near_mm: float = NEAR_MM,
+    artefact: PlacedArtefact | None = None,
 ) -> Comparison:
     """Compare a cloud with the true mesh.
 
@@ -199,6 +245,8 @@ def compare(
         Distance beyond which a point is an outlier.
     near_mm : float
         Distance of reconstructed surface up to which a place of the truth counts as measured.
+    artefact : PlacedArtefact, optional
+        What the mesh is (`fpplab.artefacts.recognise`): its lengths are measured after an alignment.
 
     Returns
     -------
@@ -234,6 +282,7 @@ def compare(
     distances, feet = _to_mesh(points, mesh)
     measured, error = points[counted], np.abs(distances[counted])
     to_cloud = nearest(samples, measured)[0]
+    scale = None if alignment is None else fit_scale(measured, AlignmentMesh(mesh), seed)
     to_surface = None if cloud.pixels is None else _to_surface(samples, cloud, counted)
     return Comparison(
         smcd_um=_UM * (mcd(measured, samples) + float(to_cloud.mean())) / 2.0,
@@ -253,7 +302,19 @@ def compare(
         alignment=alignment,
         distances_mm=distances.astype(np.float32),
         counted=counted,
+        scale=scale,
+        lengths=_lengths(points, alignment, artefact),
     )
+
+
+def _lengths(
+    points: Floats, alignment: Alignment | None, placed: PlacedArtefact | None
+) -> tuple[MeasuredLength, ...]:
+    """Measure the lengths of an artefact in points (N, 3) of the camera's frame, if both are known."""
+    if alignment is None or placed is None:
+        return ()
+    pose = (alignment.transform @ placed.pose).inverse()
+    return measure_lengths(pose.apply(points), pose.translation, placed.artefact.lengths())
 
 
 def _check_units(points: Floats, mesh: trimesh.Trimesh) -> None:

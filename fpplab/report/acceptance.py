@@ -10,6 +10,7 @@ from matplotlib.figure import Figure as Sheet
 from numpy.typing import NDArray
 
 from fpplab.acceptance import (
+    CONVENTIONS,
     QUANTITIES,
     VERDICTS,
     Acceptance,
@@ -26,14 +27,17 @@ from fpplab.report.raster import raster_of, rasterise
 JUDGED = (
     "Quantity",
     "Values",
+    "Positions required",
     "Largest error in µm",
+    "Of all points in µm",
     "Uncertainty of the standard in µm",
     "Permissible in µm",
     "Judgement",
 )
 RULE = (
     "Passed: in every position the error, together with the uncertainty of the standard, is within the "
-    "maximum permissible error. Of each feature the 3 ‰ of the points farthest from the fit are left out."
+    "maximum permissible error. PF and F, which are judged: "
+    f"{CONVENTIONS['PF']}. Of all points (PF_all, F_all): the fit to all points and their range."
 )
 
 
@@ -71,7 +75,10 @@ def write_acceptance_report(path: Path, found: Acceptance) -> None:
         "Standard": found.standard.name,
         "Result": VERDICTS[found.passed],
         "Method": "following VDI/VDE 2634 part 2, from single views",
-        "Evaluated points": f"incidence up to {rule.cap_deg:g}°, {rule.edge_mm:g} mm inside edges",
+        "Cap of the spheres": f"angle of incidence up to {rule.cap_deg:g}°; less gives better figures",
+        "Edges": f"{rule.edge_mm:g} mm inside silhouettes and edges are left out",
+        "Form error PF, F": f"{CONVENTIONS['PF']} (judged)",
+        "Form error PF_all, F_all": CONVENTIONS["PF_all"],
     }
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
@@ -83,7 +90,9 @@ def _summary(found: Acceptance) -> list[ReportTable]:
         (
             f"{QUANTITIES[name]} {name}",
             str(j.positions),
+            str(j.least_positions),
             _signed(name, j.worst_um),
+            "–" if j.worst_all_um is None else f"{j.worst_all_um:.1f}",
             f"{j.reference_uncertainty_um:g}",
             "–" if j.mpe_um is None else f"{j.mpe_um:g}",
             VERDICTS[j.passed],
@@ -94,20 +103,31 @@ def _summary(found: Acceptance) -> list[ReportTable]:
         ReportTable(JUDGED, judged, " ".join([RULE, *(f"{n[:1].upper()}{n[1:]}." for n in found.notices())]))
     ]
     if found.bars:
-        columns = ("Ball bar", "PF 1 / 2 in µm", "PS 1 / 2 in µm", "SD in µm", "RMS 1 / 2 in µm", "Cap in sr")
+        columns = (
+            "Ball bar",
+            "PF 1 / 2 in µm",
+            "PF_all 1 / 2 in µm",
+            "PS 1 / 2 in µm",
+            "SD in µm",
+            "RMS 1 / 2 in µm",
+            "Cap in sr",
+        )
         tables.append(ReportTable(columns, tuple(_bar_row(bar) for bar in found.bars)))
     if found.planes:
         rows = tuple(
             (
                 p.source,
                 f"{p.flatness_um:.1f}",
+                f"{p.measured.span_all_um:.1f}",
                 f"{p.measured.rms_um:.1f}",
                 f"{p.area_mm2:.0f}",
                 f"{len(p.measured.points)}",
             )
             for p in found.planes
         )
-        tables.append(ReportTable(("Plane", "F in µm", "RMS in µm", "Area in mm²", "Points"), rows))
+        tables.append(
+            ReportTable(("Plane", "F in µm", "F_all in µm", "RMS in µm", "Area in mm²", "Points"), rows)
+        )
     return tables
 
 
@@ -116,6 +136,7 @@ def _bar_row(bar: BallBarTest) -> tuple[str, ...]:
     return (
         bar.source,
         f"{one.form_um:.1f} / {two.form_um:.1f}",
+        f"{one.measured.span_all_um:.1f} / {two.measured.span_all_um:.1f}",
         f"{one.size_um:+.1f} / {two.size_um:+.1f}",
         f"{bar.spacing_error_um:+.1f}",
         f"{one.measured.rms_um:.1f} / {two.measured.rms_um:.1f}",

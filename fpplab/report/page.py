@@ -257,9 +257,12 @@ COMPARED = (
     "SMCD floor in µm",
     "Completeness",
     "Outliers",
+    "Scale in ppm",
 )
 FLOOR = (
-    "SMCD floor: the SMCD of a perfect measurement with the same sampling; the surface figures need no floor."
+    "SMCD floor: the SMCD of a perfect measurement with the same sampling; the surface figures need none. "
+    "Scale: of the best-fit similarity minus one, with its standard uncertainty; distances after a rigid "
+    "alignment hardly show it."
 )
 SCANNED = ("Scan", "Images", "Points", "Roughness in µm", "Noise in µm")
 ROUGHNESS = (
@@ -308,7 +311,8 @@ def _compared_row(scan: ScanSection, found: Comparison) -> tuple[str, ...]:
     )
     outliers = f"{_count(found.outliers)} ({_percent(found.outliers / found.points)})"
     head = (scan.name, str(scan.images), _count(len(scan.cloud)))
-    return (*head, *map(_number, lengths), _percent(found.completeness), outliers)
+    scale = NOT_KNOWN if found.scale is None else f"{found.scale.ppm:+.0f} ± {found.scale.sigma_ppm:.0f}"
+    return (*head, *map(_number, lengths), _percent(found.completeness), outliers, scale)
 
 
 def _roughness(cloud: Cloud) -> str:
@@ -455,7 +459,28 @@ def _scan_section(scan: ScanSection) -> ReportSection:
     if scan.comparison is not None:
         pictures.append(_error_figure(scan, scan.comparison))
         text += f" {_percent(scan.comparison.visible_share)} of the true surface is visible to both devices."
-    return ReportSection(name[:1].upper() + name[1:], text + " Grey: not measured.", figures=tuple(pictures))
+    tables = () if scan.comparison is None else lengths_tables(scan.comparison)
+    return ReportSection(name[:1].upper() + name[1:], text + " Grey: not measured.", tables, tuple(pictures))
+
+
+def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
+    """Tabulate measured and true lengths, with what contradicts the distances below.
+
+    Parameters
+    ----------
+    found : Comparison
+        After an alignment.
+
+    Returns
+    -------
+    tuple of ReportTable
+        Empty if there are neither lengths nor contradictions.
+    """
+    rows = tuple((m.name, *m.texts()) for m in found.lengths)
+    said = found.warnings()
+    columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
+    caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)
+    return (ReportTable(columns, rows, caption),) if rows or said else ()
 
 
 def _coordinates(scan: ScanSection) -> list[ReportFigure]:

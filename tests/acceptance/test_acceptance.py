@@ -128,6 +128,23 @@ def test_gross_errors_beyond_three_per_mille_count() -> None:
     assert right.form_um < 1
 
 
+def test_both_conventions_of_form_error_are_given() -> None:
+    """One point in a thousand, 4.5 mm off: the range of all points shows it, that without 3 ‰ does not."""
+    cloud = spheres_over_a_wall()
+    points = cloud.points.copy()
+    points[np.flatnonzero(np.linalg.norm(points - BAR[0].astype(np.float32), axis=1) < 10.5)[::1000]] *= 1.01
+    found = verify(standard(), [("bar", Cloud(points, normals=cloud.normals))], [("plane", tilted_plane())])
+    judged = found.judgements()
+    assert judged["PF"].worst_um < 1
+    assert judged["PF"].worst_all_um == pytest.approx(4400, rel=0.05)
+    assert judged["SD"].worst_all_um is None
+    plain = found.summary()
+    assert {sphere["PF_all_um"] > 4000 for sphere in plain["spheres"]} == {True, False}
+    assert plain["planes"][0]["F_all_um"] == pytest.approx(plain["planes"][0]["F_um"], abs=0.05)
+    assert plain["cap_deg"] == 60.0
+    assert plain["conventions"]["PF_all"] == "range of all points"
+
+
 def test_a_few_stray_points_are_discarded_and_nothing_moves() -> None:
     cloud = spheres_over_a_wall()
     chosen = np.flatnonzero(np.linalg.norm(cloud.points - BAR[0].astype(np.float32), axis=1) < 10.5)[::1000]
@@ -233,7 +250,11 @@ def test_the_worst_value_keeps_its_sign_and_few_positions_are_told() -> None:
     assert judged["PS"].worst_um == pytest.approx(-30.0, abs=0.1)
     assert (judged["PS"].positions, judged["SD"].positions) == (4, 2)
     assert found.passed is False
-    assert any("measured in 2 of at least 3" in notice for notice in found.notices())
+    assert {name: j.least_positions for name, j in judged.items()} == {"PF": 10, "PS": 10, "SD": 7}
+    assert any("SD: measured in 2 of at least 7" in notice for notice in found.notices())
+    fewer = standard(ball_bar=bar).with_positions(["PF=4", "PS=4", " SD = 2"])
+    again = verify(fewer, [(name, spheres_over_a_wall()) for name in ("one", "two")])
+    assert not any("at least" in notice for notice in again.notices())
     json.dumps(found.summary(), allow_nan=False)
 
 
@@ -318,6 +339,12 @@ def test_bad_limits_are_refused(words: str) -> None:
         standard().with_mpe([words])
 
 
+@pytest.mark.parametrize("words", ["PX=3", "PF", "PF=2.5", "PF=0", "SD=1001"])
+def test_bad_numbers_of_positions_are_refused(words: str) -> None:
+    with pytest.raises(ConfigError, match="--positions"):
+        standard().with_positions([words])
+
+
 def test_limits_of_the_command_line_go_before_the_file_s() -> None:
     changed = standard().with_mpe(["PF=7", " SD = 8 "])
     assert [changed.permitted_um(name) for name in ("PF", "PS", "SD", "F")] == [7.0, 20.0, 8.0, 100.0]
@@ -398,6 +425,8 @@ def test_the_command_judges_and_reports(folder: Path) -> None:
     text = page.read_text()
     assert text.count("data:image/png;base64,") == 3
     assert "Flatness measurement error F" in text
+    assert "angle of incidence up to 60°" in text
+    assert "PF_all 1 / 2 in µm" in text
     failing = run(*words, "--out", page, "--json", "--force", "--mpe", "PF=50,F=30")
     assert failing.exit_code == 0
     judged = json.loads(failing.stdout)["quantities"]

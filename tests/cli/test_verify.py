@@ -50,7 +50,9 @@ def test_a_bench_of_known_geometry_errs_by_its_noise_alone(bench: Bench) -> None
     assert found["passed"] is True
     assert [s["source"] for s in found["spheres"]] == [bar for bar in BARS for _ in range(2)]
     for test in [*found["spheres"], *found["planes"]]:
-        form = test["PF_um"] if "PF_um" in test else test["F_um"]
+        name = "PF" if "PF_um" in test else "F"
+        form = test[f"{name}_um"]
+        assert test[f"{name}_all_um"] > form
         assert 4 * test["rms_um"] < form < 12 * test["rms_um"]
         assert test["rms_um"] < 15
         assert test["discarded"] == test["points"] * 3 // 1000
@@ -63,8 +65,8 @@ def test_a_bench_of_known_geometry_errs_by_its_noise_alone(bench: Bench) -> None
 
 
 def test_too_few_positions_are_told(bench: Bench) -> None:
-    assert any("ball bar: measured in 2" in notice for notice in bench.answer["notices"])
-    assert any("plane: measured in 1" in notice for notice in bench.answer["notices"])
+    assert any("SD: measured in 2 of at least 7" in notice for notice in bench.answer["notices"])
+    assert any("F: measured in 1 of at least 6" in notice for notice in bench.answer["notices"])
 
 
 def test_the_report_shows_every_position(bench: Bench) -> None:

@@ -18,7 +18,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.characterisation.observation import Observation
 from fpplab.clouds import Cloud
-from fpplab.comparison import Comparison
+from fpplab.comparison import Comparison, FittedScale, MeasuredLength
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.response import Region, Response, ResponseLevel
@@ -97,6 +97,25 @@ def comparison(points: int) -> Comparison:
         distances_mm=distances,
         counted=np.ones(points, np.bool_),
     )
+
+
+def test_lengths_and_what_contradicts_the_distances_are_shown(tmp_path: Path) -> None:
+    lengths = (
+        MeasuredLength("step height 1 to 5", 20.0, 20.2, 0.4),
+        MeasuredLength("step height 1 to 2", 5.0, None, None),
+    )
+    found = replace(comparison(len(cloud())), scale=FittedScale(10_000.0, 30.0, 33.0), lengths=lengths)
+    write_report(tmp_path / "r.html", "Scan", scans=[replace(scan("steps"), comparison=found)])
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    for said in (
+        "+10000 ± 30",
+        "20.2000",
+        "+200.0",
+        "step height 1 to 2",
+        "Scale: the cloud is 10000 ± 30 ppm",
+    ):
+        assert said in page
+    assert "Step height 1 to 5: measures 20.2000 mm" in page
 
 
 def scan(name: str = "pyramid", axes: str = "x", truth: bool = True) -> ScanSection:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from fpplab.artefacts.base import Artefact
+from fpplab.artefacts.lengths import FeatureLength, SphereFace
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 
@@ -70,6 +71,17 @@ class BallBar(Artefact):
         """Centres of the two spheres, (2, 3) in mm."""
         height = self.bar[2] + self.clearance + self.diameter / 2
         return np.array([[-self.spacing / 2, 0.0, height], [self.spacing / 2, 0.0, height]])
+
+    def lengths(self) -> tuple[FeatureLength, ...]:
+        """List the distance between the spheres' centres.
+
+        Returns
+        -------
+        tuple of FeatureLength
+            In mm.
+        """
+        first, second = (SphereFace(centre, self.diameter / 2) for centre in self.centres)
+        return (FeatureLength("distance between sphere centres", first, second, self.spacing),)
 
     def mesh(self) -> trimesh.Trimesh:
         """Build the surface of the body.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from fpplab.artefacts.base import Artefact
+from fpplab.artefacts.lengths import FeatureLength, FlatFace
 from fpplab.artefacts.meshing import (
     closed_body,
     fan_triangles,
@@ -62,6 +63,39 @@ class Pillars(Artefact):
         self.check_below("diameters", max(self.diameters), cell, "one cell of the plate")
         self.check_below("thickness", self.thickness, min(self.heights), "the lowest pillar")
 
+    def lengths(self) -> tuple[FeatureLength, ...]:
+        """List the heights of the pillars above the plate, each by its column from -x and its row from -y.
+
+        Returns
+        -------
+        tuple of FeatureLength
+            In mm.
+        """
+        x, y = self._borders
+        half = (y[1] - y[0] - max(self.diameters)) / 2  # of the strips that no pillar stands on
+        strips = [(max(at - half, y[0]), min(at + half, y[-1])) for at in y]
+        plate = FlatFace(
+            tuple(raised(rectangle_corners(x[0], x[-1], *strip), self.thickness) for strip in strips)
+        )
+        found = []
+        for i, diameter in enumerate(self.diameters):
+            for j, row_height in enumerate(self.heights):
+                centre = np.array([(x[i] + x[i + 1]) / 2, (y[j] + y[j + 1]) / 2])
+                height = row_height + i * self.climb
+                top = FlatFace((raised(_circle(centre, diameter / 2), height),))
+                name = f"pillar height, column {i + 1}, row {j + 1}"
+                found.append(FeatureLength(name, plate, top, height - self.thickness))
+        return tuple(found)
+
+    @property
+    def _borders(self) -> tuple[Floats, Floats]:
+        """Where the cells begin and end along x and along y, in mm."""
+        columns, rows = len(self.diameters), len(self.heights)
+        return (
+            np.linspace(-0.5, 0.5, columns + 1) * self.plate[0],
+            np.linspace(-0.5, 0.5, rows + 1) * self.plate[1],
+        )
+
     def mesh(self) -> trimesh.Trimesh:
         """Build the surface of the body.
 
@@ -70,8 +104,7 @@ class Pillars(Artefact):
         trimesh.Trimesh
             A single watertight body with outward normals, corners in mm.
         """
-        x = np.linspace(-0.5, 0.5, len(self.diameters) + 1) * self.plate[0]
-        y = np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.plate[1]
+        x, y = self._borders
         parts = _plate_sides(x, y, self.thickness)
         for i, diameter in enumerate(self.diameters):
             for j, row_height in enumerate(self.heights):
@@ -92,12 +125,16 @@ def _plate_sides(x: Floats, y: Floats, thickness: float) -> list[Floats]:
     return [strip_triangles(loop, raised(loop, thickness))]
 
 
+def _circle(centre: Floats, radius: float) -> Floats:
+    """Compute the outline (n, 3) of a pillar at z = 0; its quarter k lies towards corner k of the cell."""
+    angle = TWO_PI * np.arange(PILLAR_CORNERS) / PILLAR_CORNERS - np.pi
+    x, y = centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)
+    return np.stack([x, y, np.zeros(PILLAR_CORNERS)], axis=1)
+
+
 def _pillar(cell: Floats, centre: Floats, radius: float, height: float) -> list[Floats]:
     """Triangulate a cell's upper face around a pillar's foot, the pillar's wall and its top."""
-    angle = TWO_PI * np.arange(PILLAR_CORNERS) / PILLAR_CORNERS - np.pi  # quarter k lies towards corner k
-    foot = np.empty((PILLAR_CORNERS, 3))
-    foot[:, 0], foot[:, 1] = centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)
-    foot[:, 2] = cell[0, 2]
+    foot = raised(_circle(centre, radius), cell[0, 2])
     quarter, parts = PILLAR_CORNERS // 4, []
     for k in range(4):
         arc = foot[np.arange(k * quarter, (k + 1) * quarter + 1) % PILLAR_CORNERS]

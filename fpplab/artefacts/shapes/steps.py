@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from fpplab.artefacts.base import Artefact
-from fpplab.artefacts.meshing import closed_body, fan_triangles, profile_at, strip_triangles
+from fpplab.artefacts.lengths import FeatureLength, FlatFace
+from fpplab.artefacts.meshing import (
+    closed_body,
+    fan_triangles,
+    profile_at,
+    raised,
+    rectangle_corners,
+    strip_triangles,
+)
+from fpplab.core.conventions import Floats
 from fpplab.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -46,6 +55,33 @@ class Staircase(Artefact):
                 f"{type(self).__name__}.heights: {self.heights} must rise from each tread to the next"
             )
 
+    def lengths(self) -> tuple[FeatureLength, ...]:
+        """List the heights of the steps: each tread above the one before, and the highest above the lowest.
+
+        Returns
+        -------
+        tuple of FeatureLength
+            In mm.
+        """
+        x, half = self._edges, self.footprint[1] / 2
+        treads = [
+            FlatFace((raised(rectangle_corners(left, right, -half, half), height),))
+            for (left, right), height in zip(pairwise(x), self.heights, strict=True)
+        ]
+        pairs = [(k, k + 1) for k in range(len(treads) - 1)]
+        pairs += [(0, len(treads) - 1)] if len(treads) > 2 else []
+        return tuple(
+            FeatureLength(
+                f"step height {i + 1} to {j + 1}", treads[i], treads[j], self.heights[j] - self.heights[i]
+            )
+            for i, j in pairs
+        )
+
+    @property
+    def _edges(self) -> Floats:
+        """Where treads begin and end along x, in mm."""
+        return np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.footprint[0]
+
     def mesh(self) -> trimesh.Trimesh:
         """Build the surface of the body.
 
@@ -54,8 +90,8 @@ class Staircase(Artefact):
         trimesh.Trimesh
             A single watertight body with outward normals, corners in mm.
         """
-        x = np.linspace(-0.5, 0.5, len(self.heights) + 1) * self.footprint[0]
-        half, floors, parts = self.footprint[1] / 2, (0.0, *self.heights[:-1]), []
+        x, half = self._edges, self.footprint[1] / 2
+        floors, parts = (0.0, *self.heights[:-1]), []
         outline = [(edge, 0.0) for edge in x] + [(x[-1], self.heights[-1])]
         for left, right, floor, height in reversed([*zip(x[:-1], x[1:], floors, self.heights, strict=True)]):
             # The foot of a riser is a corner of the tread below, so it must be a corner of this side too.

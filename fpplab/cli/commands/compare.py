@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, app
+
+if TYPE_CHECKING:
+    from fpplab.comparison import Comparison
 
 
 @app.command("compare", rich_help_panel=JUDGE)
@@ -32,8 +35,13 @@ def compare_command(
 
     SMCD is the paper's point-set distance, given with its floor: what a perfect measurement
     sampled alike would score. The surface figures have no floor.
+
+    With --align, both are nearly blind to an error of scale or shear. So the scale of the cloud, as that of
+    the best-fit similarity in ppm with its standard uncertainty, is given beside them, and for meshes written
+    by `fpplab artefact` lengths such as step heights, measured and true. `warnings` tells where these
+    contradict the distances.
     """
-    from fpplab import comparison
+    from fpplab import artefacts, comparison
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import load_cloud, load_mesh
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
@@ -50,8 +58,23 @@ def compare_command(
     if known and measured.size:
         known.check_camera(measured.size, source or cloud)
     with console.progress("Comparing"):
-        result = comparison.compare(measured, load_mesh(mesh), known, align=align)
+        truth = load_mesh(mesh)
+        artefact = artefacts.recognise(truth) if align else None
+        result = comparison.compare(measured, truth, known, align=align, artefact=artefact)
     if out:
         picture = figures.error_map(measured, result.distances_mm, result.counted)
         write_atomic(out, lambda stream: stream.write(picture))
-    console.answer(result.summary(), json)
+    for warning in result.warnings():
+        console.say(warning)
+    console.answer(result.summary(), json, lambda: _show(result))
+
+
+def _show(result: Comparison) -> None:
+    """Print the figures, and the lengths as a table."""
+    apart = ("lengths", "warnings", "scale")
+    console.answer({name: value for name, value in result.summary().items() if name not in apart}, False)
+    if (scale := result.scale) is not None:
+        console.stdout.print(f"scale {scale.ppm:+.1f} ± {scale.sigma_ppm:.1f} ppm", markup=False)
+    if result.lengths:
+        heads = ["", "true mm", "measured mm", "error µm", "standard uncertainty µm"]
+        console.table("Lengths", heads, [[m.name, *m.texts()] for m in result.lengths])

@@ -33,6 +33,14 @@ def verify_command(
     mpe: Annotated[
         str, typer.Option("--mpe", help="Maximum permissible errors in µm, such as PF=50,SD=30.")
     ] = "",
+    positions: Annotated[
+        str,
+        typer.Option(
+            "--positions",
+            help="Least numbers of positions, such as PF=10,SD=7. "
+            "Default: the standard file's, or PF=10,PS=10,SD=7,F=6.",
+        ),
+    ] = "",
     rig: Annotated[
         str | None, typer.Option("--rig", help="Measure the standard's items now, on this rig.")
     ] = None,
@@ -46,8 +54,10 @@ def verify_command(
     """Acceptance test in the manner of VDI/VDE 2634 part 2, on a ball bar and a plane.
 
     Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F,
-    each in µm beside its maximum permissible error. A test that is not passed is a result and no fault:
-    the exit code is 0, and `passed` is false. Writes OUT, a report.
+    each in µm beside its maximum permissible error. PF and F are the range of the points without the 3 ‰
+    farthest from the fit; PF_all and F_all, given beside them, that of all points. The angle of incidence up
+    to which a sphere's points count, 60° by default, is part of the result. A test that is not passed is a
+    result and no fault: the exit code is 0, and `passed` is false. Writes OUT, a report.
 
     Examples: `fpplab verify --standard standard_demo --spheres bar1/cloud.ply bar2/cloud.ply
     --planes plane1/cloud.ply --out verify.html`;
@@ -62,7 +72,7 @@ def verify_command(
     refuse_existing(out, force)
     if bool(spheres or planes) == bool(rig):
         raise ConfigError("give either --spheres and --planes, or --rig, to say where the points come from")
-    known = Standard.load(standard).with_mpe([word for word in mpe.split(",") if word.strip()])
+    known = Standard.load(standard).with_mpe(_words(mpe)).with_positions(_words(positions))
     model = Calibration.load(calibration) if calibration else None
     with console.stopwatch() as seconds:
         bars, flats = _named(spheres or []), _named(planes or [])
@@ -80,6 +90,10 @@ def verify_command(
         console.say(notice)
     answer = {**result.summary(), "seconds": elapsed, "report": str(out)}
     console.answer(answer, json, lambda: _show(result, out))
+
+
+def _words(option: str) -> list[str]:
+    return [word for word in option.split(",") if word.strip()]
 
 
 def _named(paths: Sequence[Path]) -> dict[str, Path]:
@@ -150,8 +164,17 @@ def _show(result: Acceptance, out: Path) -> None:
     from fpplab.acceptance import VERDICTS
 
     rows = [
-        [name, found.worst_um, found.mpe_um or "–", VERDICTS[found.passed]]
+        [
+            name,
+            f"{found.positions} of {found.least_positions}",
+            found.worst_um,
+            "–" if found.worst_all_um is None else found.worst_all_um,
+            found.mpe_um or "–",
+            VERDICTS[found.passed],
+        ]
         for name, found in result.judgements().items()
     ]
-    console.table(f"Acceptance test: {result.standard.name}", ["", "worst µm", "permitted µm", ""], rows)
+    heads = ["", "values", "worst µm", "of all points", "permitted µm", ""]
+    console.table(f"Acceptance test: {result.standard.name}", heads, rows)
+    console.stdout.print(f"spheres up to {result.standard.evaluation.cap_deg:g}° of incidence", markup=False)
     console.stdout.print(f"{VERDICTS[result.passed]}; report: {out}", markup=False)

@@ -1,0 +1,96 @@
+"""Lengths of an artefact that can be measured in a cloud, each between two features of its true surface.
+
+A feature is fitted to all points on it, so that its place is known far better than that of a single point:
+flat faces, spheres, and the corners in which three flat faces meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FlatFace:
+    """One or more parts of a plane surface.
+
+    Attributes
+    ----------
+    outlines : tuple of ndarray of float64
+        Corners (n, 3) in mm of each part, which is convex; counter-clockwise as seen from outside.
+    """
+
+    outlines: tuple[Floats, ...]
+
+    @property
+    def origin(self) -> Floats:
+        """A point (3,) in mm on the face: the mean of its corners."""
+        return np.asarray(np.concatenate(self.outlines).mean(axis=0))
+
+    @property
+    def axes(self) -> Floats:
+        """Unit vectors in rows (3, 3): two along the face, and its outward normal."""
+        corners = self.outlines[0]
+        normal = np.sum([np.cross(a, b) for a, b in pairwise([*corners - corners[0]])], axis=0)
+        normal /= np.linalg.norm(normal)
+        first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        first /= np.linalg.norm(first)
+        return np.stack([first, np.cross(normal, first), normal])
+
+
+@dataclass(frozen=True, eq=False)
+class SphereFace:
+    """A sphere, of which a part is seen.
+
+    Attributes
+    ----------
+    centre : ndarray of float64
+        (3,) in mm.
+    radius : float
+        In mm.
+    """
+
+    centre: Floats
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """The point in which the planes of three faces meet.
+
+    Attributes
+    ----------
+    faces : tuple of FlatFace
+        Three faces, no two of them parallel.
+    """
+
+    faces: tuple[FlatFace, FlatFace, FlatFace]
+
+
+Feature = FlatFace | SphereFace | Corner
+"""What a length is measured between."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureLength:
+    """A length of an artefact between two features of the same kind.
+
+    Attributes
+    ----------
+    name : str
+        In words, for reports, such as "step height 2 to 3".
+    first, second : Feature
+        Two parallel flat faces, whose distance it is; two spheres, the distance of whose centres it is; or
+        two corners.
+    true_mm : float
+        Its true value in mm.
+    """
+
+    name: str
+    first: Feature
+    second: Feature
+    true_mm: float

@@ -1,0 +1,282 @@
+"""Lengths of an artefact, measured in a cloud that is aligned to it.
+
+Every feature is fitted by robust least squares (Huber) to the points on it, those well inside its outline.
+Standard uncertainties follow from the residuals by the sandwich estimator, with cells of a face as what
+varies independently, since neighbouring points err alike. They say how well the cloud determines the length;
+what the calibration contributes shows in the deviation itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.artefacts import Corner, FeatureLength, FlatFace, SphereFace
+from fpplab.comparison.alignment import HUBER
+from fpplab.comparison.scale import COVERAGE
+from fpplab.core.conventions import Floats, Mask
+
+EDGE_MM = 1.0
+"""Width left out inside the outline of a face, where pixels see two surfaces."""
+REACH_MM = 1.0
+"""Distance from the true feature up to which a point is taken as measured on it."""
+LEAST_POINTS = 50
+"""Least number of points on a feature."""
+CELLS_PER_FACE = 6
+"""Cells along a face, within which points err alike."""
+FIT_ROUNDS = 20
+"""Iterations of a robust fit."""
+CAP_COSINE = 0.5
+"""Of the greatest angle between a sphere's normal and the direction to the camera: 60 degrees."""
+
+
+@dataclass(frozen=True)
+class MeasuredLength:
+    """A length of the true shape and of the cloud.
+
+    Attributes
+    ----------
+    name : str
+        As the artefact calls it.
+    true_mm : float
+        Its true value in mm.
+    measured_mm : float or None
+        Its value in the cloud in mm; None where too little of a feature was measured.
+    sigma_um : float or None
+        Standard uncertainty of `measured_mm` in µm.
+    """
+
+    name: str
+    true_mm: float
+    measured_mm: float | None
+    sigma_um: float | None
+
+    @property
+    def error_um(self) -> float | None:
+        """Measured minus true value in µm, None where it was not measured."""
+        return None if self.measured_mm is None else 1e3 * (self.measured_mm - self.true_mm)
+
+    @property
+    def significant(self) -> bool:
+        """Whether measured and true value differ by more than `COVERAGE` standard uncertainties."""
+        return (
+            self.error_um is not None
+            and self.sigma_um is not None
+            and abs(self.error_um) > COVERAGE * self.sigma_um
+        )
+
+    def texts(self) -> tuple[str, str, str, str]:
+        """Format the values for tables.
+
+        Returns
+        -------
+        tuple of str
+            True and measured value in mm, error and standard uncertainty in µm; a dash for what is not known.
+        """
+        if self.measured_mm is None or self.error_um is None or self.sigma_um is None:
+            return f"{self.true_mm:.4f}", "–", "–", "–"
+        return (
+            f"{self.true_mm:.4f}",
+            f"{self.measured_mm:.4f}",
+            f"{self.error_um:+.1f}",
+            f"{self.sigma_um:.1f}",
+        )
+
+    def summary(self) -> dict[str, object]:
+        """Collect plain values for JSON.
+
+        Returns
+        -------
+        dict of str to object
+            Name, true and measured value in mm, error and standard uncertainty in µm.
+        """
+        return {
+            "name": self.name,
+            "true_mm": self.true_mm,
+            "measured_mm": self.measured_mm,
+            "error_um": self.error_um,
+            "sigma_um": self.sigma_um,
+        }
+
+
+def measure_lengths(
+    points: Floats, camera: Floats, lengths: tuple[FeatureLength, ...]
+) -> tuple[MeasuredLength, ...]:
+    """Measure lengths in a cloud.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm, in the frame of the lengths, to which they are aligned.
+    camera : ndarray of float64
+        Place (3,) of the camera in the same frame; the caps of spheres face it.
+    lengths : tuple of FeatureLength
+        From `Artefact.lengths`.
+
+    Returns
+    -------
+    tuple of MeasuredLength
+        In the same order.
+    """
+    return tuple(_measure(points, camera, length) for length in lengths)
+
+
+def _measure(points: Floats, camera: Floats, length: FeatureLength) -> MeasuredLength:
+    first, second = length.first, length.second
+    if isinstance(first, FlatFace) and isinstance(second, FlatFace):
+        found = _distance_of_planes(points, first, second)
+    elif isinstance(first, SphereFace) and isinstance(second, SphereFace):
+        found = _distance_of_places([_fit_centre(points, camera, one) for one in (first, second)])
+    elif isinstance(first, Corner) and isinstance(second, Corner):
+        found = _distance_of_corners(points, first, second)
+    else:
+        raise TypeError(f"{length.name}: its two features are of different kinds")
+    value, sigma = found or (None, None)
+    return MeasuredLength(length.name, length.true_mm, value, None if sigma is None else 1e3 * sigma)
+
+
+Estimate = tuple[Floats, Floats]
+"""Parameters (n,) and their covariance (n, n), in mm."""
+
+
+def _distance_of_planes(points: Floats, first: FlatFace, second: FlatFace) -> tuple[float, float] | None:
+    """Fit two planes with a common normal: their distance, and its standard uncertainty, in mm."""
+    on = [points[_on_face(points, face)] for face in (first, second)]
+    if min(map(len, on)) < LEAST_POINTS:
+        return None
+    along = [(q - first.origin) @ first.axes.T for q in on]
+    rows = np.concatenate(
+        [
+            np.column_stack([q[:, :2], np.tile(which, (len(q), 1))])
+            for q, which in zip(along, np.eye(2), strict=True)
+        ]
+    )
+    cells = [_cells(q) for q in along]
+    cell = np.concatenate([cells[0], cells[0].max() + 1 + cells[1]])
+    found = _robust_fit(rows, np.concatenate([q[:, 2] for q in along]), cell)
+    if found is None:
+        return None
+    (a, b, low, high), covariance = found
+    stretch = np.sqrt(1.0 + a * a + b * b)
+    by_offset = np.array([0.0, 0.0, -1.0, 1.0]) / stretch
+    return abs(high - low) / stretch, float(np.sqrt(by_offset @ covariance @ by_offset))
+
+
+def _distance_of_corners(points: Floats, first: Corner, second: Corner) -> tuple[float, float] | None:
+    """Fit the planes of two corners, each face once: distance and its standard uncertainty, in mm."""
+    faces = list(dict.fromkeys([*first.faces, *second.faces]))
+    fits = [_fit_plane(points, face) for face in faces]
+    if any(fit is None for fit in fits):
+        return None
+    known = [fit for fit in fits if fit is not None]
+    values = np.concatenate([parameters for parameters, _ in known])
+    covariance = np.zeros((len(values), len(values)))
+    for k, (_, part) in enumerate(known):
+        covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = part
+
+    def distance(parameters: Floats) -> float:
+        ends = [
+            _corner([(face, parameters[3 * faces.index(face) :][:3]) for face in corner.faces])
+            for corner in (first, second)
+        ]
+        return float(np.linalg.norm(ends[1] - ends[0]))
+
+    step = 1e-6
+    slopes = [
+        (distance(values + step * e) - distance(values - step * e)) / (2 * step) for e in np.eye(len(values))
+    ]
+    return distance(values), float(np.sqrt(slopes @ covariance @ np.array(slopes)))
+
+
+def _corner(planes: list[tuple[FlatFace, Floats]]) -> Floats:
+    """Intersect three fitted planes."""
+    normals = np.stack(
+        [face.axes[2] - found[0] * face.axes[0] - found[1] * face.axes[1] for face, found in planes]
+    )
+    offsets = [normal @ face.origin + found[2] for normal, (face, found) in zip(normals, planes, strict=True)]
+    return np.asarray(np.linalg.solve(normals, offsets))
+
+
+def _fit_plane(points: Floats, face: FlatFace) -> Estimate | None:
+    """Fit the slopes along a face's two axes and the offset along its normal."""
+    along = (points[_on_face(points, face)] - face.origin) @ face.axes.T
+    if len(along) < LEAST_POINTS:
+        return None
+    rows = np.column_stack([along[:, :2], np.ones(len(along))])
+    return _robust_fit(rows, along[:, 2], _cells(along))
+
+
+def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate | None:
+    """Fit the centre of a sphere of free radius to its cap."""
+    away = points - sphere.centre
+    reach = np.linalg.norm(away, axis=1)
+    view = (camera - sphere.centre) / np.linalg.norm(camera - sphere.centre)
+    cap = (np.abs(reach - sphere.radius) <= REACH_MM) & (away @ view >= CAP_COSINE * reach)
+    away, cell = away[cap], _cells(away[cap])
+    if len(away) < LEAST_POINTS:
+        return None
+    moved, covariance = np.zeros(4), np.zeros((4, 4))
+    for _ in range(FIT_ROUNDS):
+        local = away - moved[:3]
+        length = np.linalg.norm(local, axis=1)
+        rows = np.column_stack([local / length[:, None], np.ones(len(local))])
+        found = _robust_fit(rows, length - sphere.radius - moved[3], cell)
+        if found is None:
+            return None
+        step, covariance = found
+        moved = moved + step
+        if np.abs(step).max() < 1e-9:
+            break
+    return sphere.centre + moved[:3], covariance[:3, :3]
+
+
+def _distance_of_places(ends: list[Estimate | None]) -> tuple[float, float] | None:
+    """Compute the distance of two places and its standard uncertainty."""
+    first, second = ends
+    if first is None or second is None:
+        return None
+    between = second[0] - first[0]
+    distance = float(np.linalg.norm(between))
+    along = between / distance
+    return distance, float(np.sqrt(along @ (first[1] + second[1]) @ along))
+
+
+def _on_face(points: Floats, face: FlatFace) -> Mask:
+    """Find the points (N,) that lie on a face, at least `EDGE_MM` inside its outlines."""
+    near = np.flatnonzero(np.abs((points - face.origin) @ face.axes[2]) <= REACH_MM)
+    on = np.zeros(len(points), np.bool_)
+    for outline in face.outlines:
+        edges = np.roll(outline, -1, axis=0) - outline
+        inwards = np.cross(face.axes[2], edges) / np.linalg.norm(edges, axis=1)[:, None]
+        inside = points[near] @ inwards.T - np.einsum("ij,ij->i", outline, inwards)
+        on[near] |= inside.min(axis=1) >= EDGE_MM
+    return on
+
+
+def _cells(points: Floats) -> NDArray[np.int64]:
+    """Number the cells of space that points (N, 3) of a face lie in, (N,)."""
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
+    side = max(float(np.ptp(points, axis=0).max()) / CELLS_PER_FACE, 1e-6)
+    numbers = np.unique(np.floor(points[:, :2] / side).astype(np.int64), axis=0, return_inverse=True)[1]
+    return np.asarray(numbers, np.int64).reshape(-1)
+
+
+def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estimate | None:
+    """Fit `rows @ x = values` with Huber's weights; None if the cells are too few for a covariance."""
+    cells, count = int(cell.max()) + 1, rows.shape[1]
+    if cells <= count + 1:
+        return None
+    weight = np.ones(len(values))
+    for _ in range(FIT_ROUNDS):
+        found = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
+        rest = values - rows @ found
+        spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-12)
+        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-15))
+    sums = np.zeros((cells, count))
+    np.add.at(sums, cell, rows * (weight * rest)[:, None])
+    full = rows[weight == 1.0]
+    inverse = np.linalg.pinv(full.T @ full)
+    return found, np.asarray(inverse @ (sums.T @ sums) @ inverse * cells / (cells - count))

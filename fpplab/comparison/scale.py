@@ -1,0 +1,183 @@
+"""The scale of a cloud: what a rigid alignment cannot show.
+
+A cloud that is too large by 1000 ppm lies, after a rigid alignment, nearly as close to its true shape as
+one that is not, wherever the surface is parallel to the error: a plate moves within its own plane. So after
+the rigid alignment a similarity is fitted, by the same point-to-plane error, and its scale is stated beside
+the distances.
+
+The standard uncertainty follows from the residuals. Neighbouring points err alike, because of fringe ripple
+and distortion, so the points are grouped into cells of space, and the cells are taken as independent (the
+sandwich estimator for clusters). It says how well this cloud determines its scale, not how well the
+instrument keeps it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.comparison.alignment import HUBER, AlignmentMesh
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
+
+SCALE_POINTS = 40_000
+"""Points that the scale is fitted to, drawn at random."""
+SCALE_ROUNDS = 20
+"""Most iterations of the fit."""
+CONVERGED_SCALE = 1e-9
+"""Change of the scale at which the fit has converged."""
+CELLS_ACROSS = 12
+"""Cells of space across the diagonal of the mesh's bounding box, within which points err alike."""
+LEAST_CELLS = 15
+"""Least number of cells with points for an uncertainty of the seven parameters."""
+EDGE_SPREADS, SAME_FACE = 6.0, 0.95
+"""Distance from an edge, in standard deviations of the residuals, within which points are left out; and the
+cosine between two normals up to which their faces do not form an edge."""
+LEAST_SHARE = 1e-6
+"""Least share of the scale's effect on the residuals that no rigid motion has too; 0 on a plane."""
+COVERAGE = 3.0
+"""Standard uncertainties beyond which a deviation is taken as real."""
+
+
+@dataclass(frozen=True)
+class FittedScale:
+    """The scale of a best-fit similarity, cloud divided by true shape.
+
+    Attributes
+    ----------
+    ppm : float
+        Scale minus one, in 1e-6: positive when the cloud is too large.
+    sigma_ppm : float
+        Its standard uncertainty in 1e-6.
+    spread_mm : float
+        Root mean square distance of the points from their centre in mm.
+    """
+
+    ppm: float
+    sigma_ppm: float
+    spread_mm: float
+
+    @property
+    def effect_um(self) -> float:
+        """Root mean square distance, in µm, by which this scale moves the points away from their centre."""
+        return abs(self.ppm) * 1e-3 * self.spread_mm
+
+    @property
+    def significant(self) -> bool:
+        """Whether the scale differs from one by more than `COVERAGE` standard uncertainties."""
+        return abs(self.ppm) > COVERAGE * self.sigma_ppm
+
+    def summary(self) -> dict[str, object]:
+        """Collect plain values for JSON.
+
+        Returns
+        -------
+        dict of str to object
+            Scale and standard uncertainty in ppm, and the effect on the points in µm.
+        """
+        return {"ppm": self.ppm, "sigma_ppm": self.sigma_ppm, "effect_um": self.effect_um}
+
+
+def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedScale | None:
+    """Fit a similarity to points that are already aligned rigidly.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (N, 3) in mm in the frame of the mesh, as measured.
+    target : AlignmentMesh
+        The true shape, aligned to the points.
+    seed : int
+        Of the random choice of points.
+
+    Returns
+    -------
+    FittedScale or None
+        None where the shape does not determine a scale, such as a plane or a single sphere does not from one
+        place, or where there are too few points for an uncertainty.
+
+    References
+    ----------
+    Chen and Medioni, "Object modelling by registration of multiple range images", 1992; Huber and Ronchetti,
+    "Robust statistics", 2009, on the covariance of M-estimates; Liang and Zeger, "Longitudinal data analysis
+    using generalized linear models", 1986, on clusters.
+    """
+    if len(points) > SCALE_POINTS:
+        points = points[np.random.default_rng(seed).choice(len(points), SCALE_POINTS, replace=False)]
+    points = points[_clear_of_edges(points, target)]
+    if len(points) < LEAST_CELLS:
+        return None
+    centre = points.mean(axis=0)
+    pose, scale = RigidTransform.identity(), 1.0
+    for _ in range(SCALE_ROUNDS):
+        smaller = centre + (points - centre) / scale
+        distance, placed, normals = target.residuals(smaller, pose)
+        spread = _spread(distance)
+        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(distance), 1e-12))
+        rows = _rows(placed - centre, normals, target.size)
+        matrix = rows.T @ (rows * weight[:, None])
+        if not _determines_scale(matrix):
+            return None
+        # Motions that the shape does not determine, such as a turn about its axis, stay zero.
+        step = np.linalg.lstsq(matrix, rows.T @ (weight * distance), rcond=1e-12)[0]
+        scale *= 1.0 + float(step[6]) / target.size
+        turn = RigidTransform.from_vectors(-step[:3] / target.size, np.zeros(3))
+        pose = RigidTransform(turn.rotation, centre - step[3:6] - turn.rotation @ centre) @ pose
+        if np.abs(step).max() < CONVERGED_SCALE * target.size:
+            break
+    sigma = _sigma(rows, weight * distance, weight == 1.0, _cells(placed, target.size / CELLS_ACROSS))
+    if sigma is None:
+        return None
+    spread_mm = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1))))
+    return FittedScale(1e6 * (scale - 1.0), 1e6 * sigma / target.size, spread_mm)
+
+
+def _spread(distance: Floats) -> float:
+    """Estimate the standard deviation of distances robustly."""
+    return max(1.4826 * float(np.median(np.abs(distance))), 1e-9)
+
+
+def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
+    """Find the points (N,) whose face would be the same if noise had moved them in or out.
+
+    Beside an edge the nearest face depends on the noise, always in favour of the smaller distance; at the
+    convex edges of a part that makes it look larger.
+    """
+    distance, placed, normals = target.residuals(points, RigidTransform.identity())
+    reach, kept = EDGE_SPREADS * _spread(distance), np.ones(len(points), np.bool_)
+    for side in (-reach, reach):
+        moved = target.residuals(placed + side * normals, RigidTransform.identity())[2]
+        kept &= np.einsum("ij,ij->i", moved, normals) > SAME_FACE
+    return kept
+
+
+def _rows(local: Floats, normals: Floats, size: float) -> Floats:
+    """Differentiate the distances (N,) by rotation and scale, both times the size, and by translation."""
+    along = np.einsum("ij,ij->i", local, normals)[:, None]
+    return np.hstack([np.cross(local, normals) / size, normals, along / size])
+
+
+def _determines_scale(matrix: Floats) -> bool:
+    """Tell whether the scale's column is not a combination of those of the rigid motion."""
+    rigid = np.linalg.lstsq(matrix[:6, :6], matrix[:6, 6], rcond=1e-12)[0]
+    return bool(matrix[6, 6] - matrix[:6, 6] @ rigid > LEAST_SHARE * matrix[6, 6])
+
+
+def _cells(points: Floats, side: float) -> NDArray[np.int64]:
+    """Number the cells of space that points (N, 3) lie in, (N,)."""
+    numbers = np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True)[1]
+    return np.asarray(numbers, np.int64).reshape(-1)
+
+
+def _sigma(rows: Floats, scores: Floats, within: NDArray[np.bool_], cell: NDArray[np.int64]) -> float | None:
+    """Compute the standard uncertainty of the last parameter of an M-estimate of correlated points."""
+    cells = int(cell.max()) + 1
+    if cells < LEAST_CELLS:
+        return None
+    sums = np.zeros((cells, rows.shape[1]))
+    np.add.at(sums, cell, rows * scores[:, None])
+    inverse = np.linalg.pinv(rows[within].T @ rows[within], rcond=1e-12)
+    influence = sums @ inverse[:, -1]
+    return float(np.sqrt(np.sum(influence**2) * cells / (cells - rows.shape[1])))
