@@ -16,7 +16,7 @@ from tests.support.commands import ROOT, Command, Demo, run
 if TYPE_CHECKING:
     from sim.worker import Blender
 
-# A worker of a parallel run ignores Ctrl-C, as does a shell's background job, and what they start inherits that.
+# Workers of a parallel run ignore Ctrl-C, as background jobs of a shell do, and what they start inherits it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.

@@ -87,7 +87,8 @@ Count = Annotated[int, Field(ge=1, le=1000)]
 class LeastPositions(Document):
     """How many positions, spread over the measuring volume, each quantity has to be measured in.
 
-    The defaults are the numbers that are commonly quoted of VDI/VDE 2634 part 2 (docs/decisions/0029).
+    The defaults are meant to be those of VDI/VDE 2634 part 2 and are not checked against its text
+    (docs/decisions/0029).
     """
 
     PF: Count = 10
