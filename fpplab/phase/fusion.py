@@ -3,8 +3,8 @@
 Once the fringe orders are known, every set gives a position of its own, `p_k = (φ_k + n_k)/s_k` with phase
 φ_k in turns, order n_k and s_k stripes, and a weight `w_k`, the inverse of its variance. The coordinate is
 their inverse-variance mean, which reaches the Cramér–Rao bound of all images; its variance is `1/Σ w_k`. A
-set that lies further from the finest than noise explains, because its order is another or its phase is biased,
-does not take part. χ² counts all sets.
+set that lies further from the finest than noise explains, because its order is another or its phase is
+biased, does not take part. χ² counts all sets.
 """
 
 from __future__ import annotations
