@@ -25,6 +25,7 @@ from fpplab.characterisation import (
     observe,
 )
 from fpplab.clouds import Cloud, save_cloud
+from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
@@ -35,6 +36,8 @@ from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, check_unwrapping, decode
+from fpplab.phase.bounds import widest
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.session import Session
@@ -141,6 +144,7 @@ def reconstruct(
     progress: Progress = no_progress,
     *,
     filtering: bool | None = None,
+    depth_mm: tuple[float, float] | None = None,
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and say how well each point is known.
 
@@ -155,6 +159,8 @@ def reconstruct(
     filtering : bool, optional
         Whether points that lie on no surface are removed; by default as the session's plan says. A plan
         without rules means the usual ones.
+    depth_mm : tuple of float, optional
+        Least and greatest distance from the camera in mm, in which the object lies; by default the plan's.
 
     Returns
     -------
@@ -167,6 +173,8 @@ def reconstruct(
     ------
     CalibrationError
         The calibration is of another rig.
+    ConfigError
+        The plan cannot be unwrapped in this range of depths, or needs one and has none.
     DataError
         Frames are missing, damaged or out of step with the plan.
     """
@@ -174,13 +182,61 @@ def reconstruct(
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=lambda share: progress(0.3 * share))
     require_in_step(recording, "take it again, with --force")
-    decoded = decode(recording, lambda share: progress(0.3 + 0.3 * share))
+    bounds = depth_bounds(plan_with_depth(recording.plan, depth_mm), calibration)
+    decoded = decode(recording, lambda share: progress(0.3 + 0.3 * share), bounds)
     plan = recording.plan
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
+
+
+def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
+    """Give a plan another range of depths.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    depth_mm : tuple of float, or None
+        The range in mm; None leaves the plan as it is.
+
+    Returns
+    -------
+    Plan
+        The plan with the range.
+
+    Raises
+    ------
+    ConfigError
+        The range is not one of two rising positive numbers.
+    """
+    if depth_mm is None:
+        return plan
+    return config.validate({**config.plain(plan), "depth_mm": list(depth_mm)}, Plan, "--depth")
+
+
+def check_plan(plan: Plan, source: str, calibration: Calibration) -> None:
+    """Refuse a plan that cannot be unwrapped with a calibration, before anything is projected.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    source : str
+        What it is called in the message.
+    calibration : Calibration
+        That it will be reconstructed with.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be unwrapped, needs a range of depths and has none, or part of it lies behind the projector.
+    """
+    bounds, size = depth_bounds(plan, calibration), calibration.projector.size
+    widths = {axis: widest(bounds, axis, size) for axis in plan.axes} if bounds else None
+    check_unwrapping(plan, source, widths)
 
 
 def finish_scan(
@@ -257,9 +313,9 @@ def scan(
     CalibrationError
         As `reconstruct`.
     """
-    check_unwrapping(plan, "plan")
     calibration.check_camera(rig.camera.caps.size, "calibration")
     calibration.check_projector(rig.projector.caps.size, rig.projector.caps.lattice, "calibration")
+    check_plan(plan, "plan", calibration)
     session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
     return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]
 

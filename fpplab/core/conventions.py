@@ -37,6 +37,8 @@ from numpy.typing import NDArray
 TWO_PI = 2.0 * np.pi
 
 Axis = Literal["x", "y"]
+AXES: tuple[Axis, Axis] = ("x", "y")
+"""In the order of a coordinate's components."""
 
 Floats = NDArray[np.float64]
 Map = NDArray[np.float32]

@@ -29,6 +29,9 @@ def _known_method(name: str) -> str:
     return name
 
 
+_Depth = Annotated[float, Field(gt=0, le=1e6)]
+
+
 class MaskRules(Document):
     """What a pixel must satisfy to be measured.
 
@@ -44,6 +47,10 @@ class MaskRules(Document):
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
     """Greatest difference between the position that coarser fringes predict and the one that finer fringes
     show, as a share of the finer period.
+    """
+    wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
+    """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.
+    It does not count what is no noise, such as stray light or a nonlinear response.
     """
 
 
@@ -118,6 +125,20 @@ class Plan(Document):
     """How the response itself is measured; uniform grey-level images are never corrected."""
     stage_mm: float | None = None
     """Position of the rig's stage during the measurement, in mm; by default the stage is not moved."""
+
+    depth_mm: tuple[_Depth, _Depth] | None = None
+    """Least and greatest distance from the camera along its axis, in mm, between which everything lies that
+    is seen: with a calibration, only projector coordinates that this allows count. Guided unwrapping needs
+    it.
+    """
+
+    @model_validator(mode="after")
+    def _depths_in_order(self) -> Plan:
+        if self.depth_mm is not None and not self.depth_mm[0] < self.depth_mm[1]:
+            raise ValueError(
+                f"'depth_mm' is {list(self.depth_mm)}: the first must be less than the second, both in mm"
+            )
+        return self
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:

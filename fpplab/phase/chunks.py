@@ -1,4 +1,4 @@
-"""What the compiled parts of the decoder share: the chunk of pixels they work on, and how they compile."""
+"""What the compiled parts of the decoder share: chunks of pixels, and how functions are compiled."""
 
 from __future__ import annotations
 

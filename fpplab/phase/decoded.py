@@ -33,6 +33,10 @@ class Decoded:
         How much the fringe sets contradict one another, in units of what noise explains: the root of χ² of
         all sets about their weighted mean, per degree of freedom; 0 where nothing can contradict, None where
         it is not known.
+    uncertain_order : ndarray of uint8, (height, width), or None
+        1 + the index of the fringe set whose noise left the fringe order more uncertain than the plan allows
+        (`MaskRules.wrong_order_max`) at a pixel that is not measured for that reason alone, 0 elsewhere; None
+        where it is not known.
     removed : ndarray of uint8, (height, width), or None
         By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
         none; None without a filter. The other maps keep what was decoded there.
@@ -45,6 +49,7 @@ class Decoded:
     v_per_u: float = 1.0
     disagreement: Map | None = None
     removed: NDArray[np.uint8] | None = None
+    uncertain_order: NDArray[np.uint8] | None = None
 
     @property
     def valid(self) -> Mask:
@@ -107,4 +112,4 @@ class Decoded:
         return cls(**maps, v_per_u=v_per_u, **optional)
 
 
-_KEYS, _OPTIONAL = ("u", "v", "modulation", "sigma"), ("disagreement", "removed")
+_KEYS, _OPTIONAL = ("u", "v", "modulation", "sigma"), ("disagreement", "uncertain_order", "removed")

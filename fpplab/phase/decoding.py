@@ -6,17 +6,19 @@ Conventions: `fpplab.core.conventions`.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Map, axis_length, full_scale
+from fpplab.core.conventions import Axis, Map, axis_length, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from fpplab.phase.bounds import CoordinateBounds, check_bounds, interval_of, widest
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
@@ -24,12 +26,21 @@ from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
+from fpplab.phase.unwrapping import (
+    EDGE_MARGIN_PX,
+    WavelengthSequence,
+    check_unwrapping,
+    wavelength_sequence,
+)
 
 _BLOCK = 1 << 18
 
 
-def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
+def decode(
+    recording: Recording,
+    progress: Progress = no_progress,
+    bounds: Mapping[Axis, CoordinateBounds] | None = None,
+) -> Decoded:
     """Find projector coordinates, modulation and uncertainty of every camera pixel.
 
     The frames are read once; besides the result's maps little memory is needed.
@@ -40,6 +51,9 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
         All frames of a plan.
     progress : callable
         Told the share done, 0 … 1; what it raises ends the work.
+    bounds : mapping of str to CoordinateBounds, optional
+        By axis, which projector coordinates each camera pixel may have, as calibration and depth range tell;
+        by default all of the projector's. Guided unwrapping needs them.
 
     Returns
     -------
@@ -55,9 +69,12 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
     """
     recording = recording.checked()
     plan, bits, source = recording.plan, recording.bits, recording.name
-    sequences = [wavelength_sequence(plan, axis, source) for axis in plan.axes]
+    check_bounds(bounds, recording)
+    widths = {axis: widest(bounds, axis, recording.projector_size) for axis in plan.axes}
+    check_unwrapping(plan, source, widths if bounds else None)
+    sequences = [wavelength_sequence(plan, axis, source, widths[axis]) for axis in plan.axes]
     noise = noise_of(recording)
-    recipe = recipe_of(recording, sequences, noise)
+    recipe = recipe_of(recording, sequences, noise, bounds)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)
     highest = _run(recipe, first.dtype, first.size, maps, progress)
@@ -70,7 +87,7 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
     if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
-            _repair(decoded, recording, sequence, noise, doubt)
+            _repair(decoded, recording, sequence, noise, doubt, bounds)
     return decoded
 
 
@@ -79,7 +96,9 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
-    return Maps(*(np.empty(n, np.float32) for n in sizes))
+    u, v, modulation, sigma, disagreement, doubt_u, doubt_v = (np.empty(n, np.float32) for n in sizes)
+    cause = np.zeros(pixels, np.uint8)
+    return Maps(u, v, modulation, sigma, disagreement, doubt_u, doubt_v, cause)
 
 
 def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...]) -> Decoded:
@@ -89,7 +108,8 @@ def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...]) -> Decode
     u, v, modulation, sigma, disagreement = (
         _shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma, maps.disagreement)
     )
-    return Decoded(u, v, modulation, sigma, v_per_u, disagreement)
+    uncertain = maps.cause.reshape(shape)
+    return Decoded(u, v, modulation, sigma, v_per_u, disagreement, uncertain_order=uncertain)
 
 
 def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
@@ -120,7 +140,12 @@ def _processors() -> int:
 
 
 def _repair(
-    decoded: Decoded, recording: Recording, sequence: WavelengthSequence, noise: NoiseModel, doubt: Map
+    decoded: Decoded,
+    recording: Recording,
+    sequence: WavelengthSequence,
+    noise: NoiseModel,
+    doubt: Map,
+    bounds: Mapping[Axis, CoordinateBounds] | None,
 ) -> None:
     """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
     plan, vote = recording.plan, recording.plan.order_vote
@@ -130,8 +155,9 @@ def _repair(
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
     seen = _phases_at(recording, sequence, noise, pixels)
     sigma, edge_margin = seen.position_sigma[-1], EDGE_MARGIN_PX / length
-    found = unwrap(seen.phases, sequence, sigma, edge_margin)
-    other = unwrap(seen.phases, sequence, sigma, edge_margin, found.second_best_order)
+    interval = interval_of(bounds, sequence.axis, length, pixels)
+    found = unwrap(seen.phases, sequence, sigma, edge_margin, interval=interval)
+    other = unwrap(seen.phases, sequence, sigma, edge_margin, found.second_best_order, interval)
     position = fuse(seen, other.position).position
     alternative = np.where(other.is_unambiguous, position * length - 0.5, np.nan)
     period = length / plan.fringes[sequence.finest].stripes

@@ -27,7 +27,9 @@ _AGREEING = _f(AGREEING_SIGMAS**2)
 _ROUNDING = _f(ROUNDING_TURNS**2)
 # Rows of the buffer of sums: of the sets that take part, then of all.
 _FUSED_MOMENT, _ALL, _ALL_MOMENT, _ALL_SQUARE = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
-FUSION_ROWS = 5
+LEAST, CHI2 = _u(5 * ROW), _ALL_SQUARE
+"""Rows that stay: the least (B/u_I)² of all sets, and χ² once the fusion is finished."""
+FUSION_ROWS = 6
 """Rows of the working buffer."""
 
 
@@ -60,44 +62,22 @@ def weigh(modulation: Any, offset: Any, noise: Any, stripes: Any, recipe: Any, n
 
 
 @compiled
-def start_fusion(sums: Any, finest: Any, n: int) -> None:
-    """Begin with the finest set, from whose position all others are counted.
-
-    Parameters
-    ----------
-    sums : ndarray of float32, (FUSION_ROWS * ROW,)
-        Working buffer.
-    finest : ndarray of float32, (n,)
-        Weight of the finest set.
-    n : int
-        Number of pixels.
-    """
+def _start_fusion(sums: Any, finest: Any, unit: Any, n: int) -> None:
+    """Begin with the finest set, from whose position all others are counted."""
+    per_unit = _ONE / unit
     for j in range(n):
         i = _u(j)
         sums[i] = sums[i + _ALL] = finest[i]
+        sums[i + LEAST] = finest[i] * per_unit
         sums[i + _FUSED_MOMENT] = sums[i + _ALL_MOMENT] = sums[i + _ALL_SQUARE] = _ZERO
 
 
 @compiled
-def add_set(sums: Any, positions: Any, turns: Any, weights: Any, finest: Any, stripes: Any, n: int) -> None:
-    """Add another set, in the order that brings it nearest to the finest one.
-
-    Parameters
-    ----------
-    sums : ndarray of float32, (FUSION_ROWS * ROW,)
-        Working buffer.
-    positions : ndarray of float32, (n,)
-        Of the finest set, as shares of the projector's length.
-    turns : ndarray of float32, (n,)
-        Wrapped phase of the set to add; replaced by its distance from the finest, as a share of the length.
-    weights, finest : ndarray of float32, (n,)
-        Of this set and of the finest.
-    stripes : float32
-        Of this set.
-    n : int
-        Number of pixels.
-    """
-    period = _ONE / stripes
+def _add_set(
+    sums: Any, positions: Any, turns: Any, weights: Any, finest: Any, stripes: Any, unit: Any, n: int
+) -> None:
+    """Add another set, in the order that brings it nearest to the finest one."""
+    period, per_unit = _ONE / stripes, _ONE / unit
     for j in range(n):
         i = _u(j)
         w, of_finest = weights[i], finest[i]
@@ -112,34 +92,79 @@ def add_set(sums: Any, positions: Any, turns: Any, weights: Any, finest: Any, st
         sums[i + _ALL] += w
         sums[i + _ALL_MOMENT] += moment
         sums[i + _ALL_SQUARE] += square
+        sums[i + LEAST] = min(sums[i + LEAST], w * per_unit)
         turns[i] = off
 
 
 @compiled
-def finish_fusion(
+def _finish_fusion(
     sums: Any, positions: Any, length: Any, n: int, coordinate: Any, sigma: Any, chi2: Any
 ) -> None:
-    """Write the coordinate and its uncertainty, and add the axis' χ².
-
-    Parameters
-    ----------
-    sums : ndarray of float32, (FUSION_ROWS * ROW,)
-        Working buffer with all sets in it.
-    positions : ndarray of float32, (n,)
-        Of the finest set, as shares of the projector's length.
-    length : float32
-        Of the projector along the axis, in px.
-    n : int
-        Number of pixels.
-    coordinate, sigma : ndarray of float32, (n,)
-        Written, in px.
-    chi2 : ndarray of float32, (n,)
-        Added to: the weighted squares of all sets about their mean.
-    """
+    """Write the coordinate and its uncertainty, and add the axis' χ²."""
     for j in range(n):
         i = _u(j)
         weight = max(sums[i], _TINY)
         coordinate[i] = (positions[i] + sums[i + _FUSED_MOMENT] / weight) * length - _HALF
         sigma[i] = length / np.sqrt(weight)
         moment = sums[i + _ALL_MOMENT]
-        chi2[i] += max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)
+        own = max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)
+        sums[i + CHI2] = own
+        chi2[i] += own
+
+
+@compiled
+def _unit(recipe: Any, s: int) -> Any:
+    """Weight of a set's position where u_I/B is one."""
+    return recipe.set_stripes[s] * recipe.set_stripes[s] / recipe.phase_noise[s]
+
+
+@compiled
+def fuse_axis(
+    axis: int,
+    recipe: Any,
+    rows: Any,
+    sums: Any,
+    turns: Any,
+    weights: Any,
+    n: int,
+    coordinate: Any,
+    sigma: Any,
+    chi2: Any,
+) -> int:
+    """Give the coordinate from all sets of one axis.
+
+    Parameters
+    ----------
+    axis : int
+        0 or 1.
+    recipe : Recipe
+        Which sets there are.
+    rows : ndarray of float32
+        Positions of the finest set, as shares of the projector's length.
+    sums : ndarray of float32, (FUSION_ROWS * ROW,)
+        Working buffer.
+    turns : ndarray of float32, (S, n)
+        Wrapped phases; replaced by the distance of every other set from the finest, as a share of the length.
+    weights : ndarray of float32, (S, n)
+        From `weigh`.
+    n : int
+        Number of pixels.
+    coordinate, sigma : ndarray of float32, (n,)
+        Written, in px.
+    chi2 : ndarray of float32, (n,)
+        Added to: the weighted squares of all sets about their mean.
+
+    Returns
+    -------
+    int
+        How many sets the axis has.
+    """
+    finest, count = recipe.finest[axis], 0
+    _start_fusion(sums, weights[finest], _unit(recipe, finest), n)
+    for s in range(len(recipe.axis)):
+        count += recipe.axis[s] == axis
+        if recipe.axis[s] == axis and s != finest:
+            stripes, unit = recipe.set_stripes[s], _unit(recipe, s)
+            _add_set(sums, rows, turns[s], weights[s], weights[finest], stripes, unit, n)
+    _finish_fusion(sums, rows, recipe.length[axis], n, coordinate, sigma, chi2)
+    return count

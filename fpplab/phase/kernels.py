@@ -18,7 +18,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, ROW, compiled
-from fpplab.phase.fusion import FUSION_ROWS, add_set, finish_fusion, start_fusion, weigh
+from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
+from fpplab.phase.wrong_order import mask_wrong_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
@@ -103,6 +104,22 @@ class Recipe(NamedTuple):
         Stripes of each set.
     phase_noise : ndarray of float32, (S,)
         Variance of each set's phase in turns squared, per unit of (u_I/B)².
+    low_u, high_u, low_v, high_v : ndarray of float32, (P,) or (0,)
+        Interval of possible positions of every pixel, as shares of the projector's length; empty for all.
+    alternatives : ndarray of int64, (3,)
+        Where each axis starts among the J shifts of `fpplab.phase.alternatives`.
+    shifts : ndarray of float32, (J,)
+        Shares of the projector's length.
+    shift_turns : ndarray of float32, (J, S)
+        What each shift changes the phase of each set by.
+    causes : ndarray of int64, (J,)
+        The set that tells most of each.
+    least_separation, edge_shift : ndarray of float64, (2,)
+        Of each axis, see `Alternatives`.
+    order_margin : ndarray of float64, (2,)
+        `edge_margin` as a share of each axis' length.
+    wrong_order_max : float
+        Greatest probability of a wrong order.
     reference : int
         The set whose modulation is reported.
     grey : float32
@@ -130,6 +147,18 @@ class Recipe(NamedTuple):
     axis: NDArray[np.int64]
     set_stripes: NDArray[np.float32]
     phase_noise: NDArray[np.float32]
+    low_u: NDArray[np.float32]
+    high_u: NDArray[np.float32]
+    low_v: NDArray[np.float32]
+    high_v: NDArray[np.float32]
+    alternatives: NDArray[np.int64]
+    shifts: NDArray[np.float32]
+    shift_turns: NDArray[np.float32]
+    causes: NDArray[np.int64]
+    least_separation: NDArray[np.float64]
+    edge_shift: NDArray[np.float64]
+    order_margin: NDArray[np.float64]
+    wrong_order_max: float
     reference: int
     grey: np.float32
     full_scale: np.float32
@@ -159,6 +188,8 @@ class Maps(NamedTuple):
         Disagreement of the fringe sets: the root of χ² per degree of freedom.
     doubt_u, doubt_v : ndarray of float32, (P,)
         Greatest disagreement of the chosen hypothesis along each axis, in periods.
+    cause : ndarray of uint8, (P,)
+        1 + the index of the set whose noise left the order too uncertain, 0 elsewhere.
     """
 
     u: NDArray[np.float32]
@@ -168,6 +199,7 @@ class Maps(NamedTuple):
     disagreement: NDArray[np.float32]
     doubt_u: NDArray[np.float32]
     doubt_v: NDArray[np.float32]
+    cause: NDArray[np.uint8]
 
 
 @intrinsic
@@ -260,14 +292,15 @@ def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
 
 
 @compiled
-def _start(rows: Any, n: int, stripes: Any) -> None:
-    """Start both hypotheses: the base as measured, and one turn less or more, whichever is nearer."""
+def _start(rows: Any, low: Any, high: Any, n: int, stripes: Any) -> None:
+    """Start both hypotheses: the period of the base nearest to the middle, and the next nearest one."""
     period = _ONE / stripes
     for j in range(n):
         i = _u(j)
-        p = rows[i + _PHASE] * period
+        middle = _HALF * (low[i] + high[i])
+        p = (rows[i + _PHASE] + np.floor(middle * stripes - rows[i + _PHASE] + _HALF)) * period
         rows[i] = p
-        rows[i + _OTHER] = p - period if rows[i + _PHASE] > _HALF else p + period
+        rows[i + _OTHER] = p - period if p > middle else p + period
         rows[i + _COST] = rows[i + _WORST] = rows[i + _OTHER_COST] = rows[i + _OTHER_WORST] = _ZERO
 
 
@@ -293,8 +326,10 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @compiled
-def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
-    """Choose the hypothesis that lies in the projector and agrees better."""
+def _choose(
+    rows: Any, weights: Any, low: Any, high: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any
+) -> None:
+    """Choose the hypothesis that lies in the interval of possible positions and agrees better."""
     edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
     apart = _APART * stripes * stripes
     for j in range(n):
@@ -302,8 +337,8 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         variance = _ONE / max(weights[i], _TINY)
         tolerance = edge_margin + _SIGMAS * np.sqrt(variance)
         a, b = rows[i], rows[i + _OTHER]
-        out_a = max(-a, a - _ONE, _ZERO)
-        out_b = max(-b, b - _ONE, _ZERO)
+        out_a = max(low[i] - a, a - high[i], _ZERO)
+        out_b = max(low[i] - b, b - high[i], _ZERO)
         far_a = _FAR + out_a if out_a > tolerance else _ZERO
         far_b = _FAR + out_b if out_b > tolerance else _ZERO
         cost_a, cost_b = rows[i + _COST] + far_a, rows[i + _OTHER_COST] + far_b
@@ -320,39 +355,26 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
 
 
 @compiled
-def _unwrap(axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, n: int) -> None:
+def _unwrap(
+    axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, low: Any, high: Any, good: Any, n: int
+) -> None:
     """Unwrap one axis to the position of its finest set."""
     first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
     _combined_phase(rows, turns, recipe.coefficients[first], n)
-    _start(rows, n, recipe.stripes[first])
+    _start(rows, low, high, n, recipe.stripes[first])
     for r in range(first + 1, last):
         _combined_phase(rows, turns, recipe.coefficients[r], n)
         _refine(rows, n, recipe.stripes[r], recipe.trust[r])
-    _choose(rows, weights, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
+    _choose(rows, weights, low, high, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
 
 
 @compiled
-def _fuse(
-    axis: int,
-    recipe: Any,
-    rows: Any,
-    sums: Any,
-    turns: Any,
-    weights: Any,
-    n: int,
-    coordinate: Any,
-    sigma: Any,
-    chi2: Any,
-) -> int:
-    """Give the coordinate from all sets of one axis; how many they are."""
-    finest, count = recipe.finest[axis], 0
-    start_fusion(sums, weights[finest], n)
-    for s in range(len(recipe.axis)):
-        count += recipe.axis[s] == axis
-        if recipe.axis[s] == axis and s != finest:
-            add_set(sums, rows, turns[s], weights[s], weights[finest], recipe.set_stripes[s], n)
-    finish_fusion(sums, rows, recipe.length[axis], n, coordinate, sigma, chi2)
-    return count
+def _interval(bounds: Any, at: int, n: int, whole: Any, out: Any) -> None:
+    """One end of the interval of possible positions of a chunk; `whole` where none is known."""
+    if len(bounds) > 0:
+        out[:n] = bounds[at : at + n]
+    else:
+        out[:n] = whole
 
 
 @compiled
@@ -398,6 +420,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
     sums, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    low, high = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     # Each set's offsets become its weights, once they are known.
     turns, modulation, weights = (
         np.empty((sets, ROW), np.float32),
@@ -429,9 +452,13 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
-                _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
-                count = _fuse(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
+                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, low)
+                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, high)
+                _unwrap(axis, recipe, rows, turns, weights[finest], low, high, good, n)
+                count = fuse_axis(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
                 freedom += count - 1
+                cause = maps.cause[at : at + n]
+                mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, low, high, good, n, cause)
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[2 * ROW : 2 * ROW + n]

@@ -1,4 +1,4 @@
-"""How precise a plan makes its coordinates: what is known of their noise before anything is projected."""
+"""How precise a plan makes its coordinates, and which pixels its noise costs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from fpplab.core.conventions import Axis, axis_length
 from fpplab.patterns.plan import Plan
+from fpplab.phase.decoded import Decoded
 from fpplab.phase.quality import coordinate_uncertainty
 
 
@@ -38,3 +39,30 @@ def coordinate_spread(
     fringes = [plan.fringes[k] for k in (plan.sets_along(axis) if sets is None else sets)]
     alone = [coordinate_uncertainty(f.phase_noise, f.stripes, length) for f in fringes]
     return float(1.0 / np.sqrt(np.sum(np.square(np.reciprocal(alone)))))
+
+
+def uncertain_orders(decoded: Decoded, plan: Plan) -> dict[str, int] | None:
+    """Count the pixels that are not measured because noise leaves their fringe order too uncertain.
+
+    Parameters
+    ----------
+    decoded : Decoded
+        Maps of the plan.
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    dict of str to int, or None
+        Number of pixels by the fringe set that is the cause, such as `x 8 stripes`, only sets that cost any;
+        None where it is not known.
+    """
+    if decoded.uncertain_order is None:
+        return None
+    counts = np.bincount(decoded.uncertain_order.ravel(), minlength=len(plan.fringes) + 1)[1:]
+    causes: dict[str, int] = {}
+    for fringe, count in zip(plan.fringes, counts, strict=True):
+        if count:
+            name = f"{fringe.axis} {fringe.stripes:g} stripes"
+            causes[name] = causes.get(name, 0) + int(count)
+    return causes

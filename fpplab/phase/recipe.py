@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import TWO_PI, Axis, full_scale
+from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length, full_scale
 from fpplab.patterns.recording import Recording
+from fpplab.phase.alternatives import alternatives_of
+from fpplab.phase.bounds import CoordinateBounds, widest
 from fpplab.phase.kernels import GROUP, Recipe
 from fpplab.phase.quality import NoiseModel
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
 
-def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noise: NoiseModel) -> Recipe:
+def recipe_of(
+    recording: Recording,
+    sequences: Sequence[WavelengthSequence],
+    noise: NoiseModel,
+    bounds: Mapping[Axis, CoordinateBounds] | None = None,
+) -> Recipe:
     """Give frames, plan, rules and noise as tables.
 
     Parameters
@@ -25,6 +32,8 @@ def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noi
         Of every coded axis, x before y.
     noise : NoiseModel
         Of the recording's grey levels.
+    bounds : mapping of str to CoordinateBounds, optional
+        By axis, which coordinates each pixel may have; by default all of the projector's.
 
     Returns
     -------
@@ -38,6 +47,12 @@ def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noi
     counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in ("x", "y")]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in ("x", "y")]
     f32, rules = np.float32, plan.masks
+    risks = [alternatives_of(plan, one, widest(bounds, one.axis, size)) for one in sequences]
+    of_risk = {one.axis: risk for one, risk in zip(sequences, risks, strict=True)}
+    known = [of_risk.get(axis) for axis in AXES]
+    low_u, high_u, low_v, high_v = (
+        end for axis in AXES for end in _interval_of(bounds, axis, axis_length(size, axis))
+    )
     return Recipe(
         addresses=addresses,
         weights=weights,
@@ -49,21 +64,56 @@ def recipe_of(recording: Recording, sequences: Sequence[WavelengthSequence], noi
         wavelengths=np.cumsum([0, *counts]),
         finest=np.array(finest),
         length=np.array(size, f32),
-        axis=np.array([("x", "y").index(f.axis) for f in plan.fringes]),
+        axis=np.array([AXES.index(f.axis) for f in plan.fringes]),
         set_stripes=np.array([f.stripes for f in plan.fringes], f32),
         phase_noise=np.array([(f.phase_noise / TWO_PI) ** 2 for f in plan.fringes], f32),
+        low_u=low_u,
+        high_u=high_u,
+        low_v=low_v,
+        high_v=high_v,
+        alternatives=np.cumsum([0, *(len(risk.shifts) if risk else 0 for risk in known)]),
+        shifts=np.concatenate([risk.shifts for risk in risks]).astype(f32),
+        shift_turns=_over_all_sets(sequences, [risk.turns for risk in risks], len(plan.fringes)),
+        causes=np.concatenate([risk.causes for risk in risks]),
+        least_separation=np.array([risk.least_separation if risk else np.inf for risk in known]),
+        edge_shift=np.array([risk.edge if risk else np.inf for risk in known]),
+        order_margin=EDGE_MARGIN_PX / np.array(size, np.float64),
+        # With a vote, no order is rejected before its neighbours have voted.
+        wrong_order_max=1.0 if plan.order_vote else rules.wrong_order_max,
         reference=sequences[0].finest,
         grey=f32(recording.grey),
         full_scale=f32(full_scale(recording.bits)),
         modulation_min=f32(rules.modulation_min),
         contrast_min=f32(rules.contrast_min),
         residual_max=f32(rules.residual_max),
-        # With a vote, no order is rejected before its neighbours have voted.
         disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
         edge_margin=f32(EDGE_MARGIN_PX),
         noise_constant=f32(noise.constant),
         noise_per_level=f32(noise.per_level),
     )
+
+
+def _interval_of(
+    bounds: Mapping[Axis, CoordinateBounds] | None, axis: Axis, length: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Ends of the intervals as flat arrays of positions, empty where none are known."""
+    if bounds is None or axis not in bounds:
+        return np.empty(0, np.float32), np.empty(0, np.float32)
+    one = bounds[axis]
+    low, high = (((end.ravel() + 0.5) / length).astype(np.float32) for end in (one.least, one.most))
+    return low, high
+
+
+def _over_all_sets(
+    sequences: Sequence[WavelengthSequence], turns: Sequence[Floats], sets: int
+) -> NDArray[np.float32]:
+    """Phase changes of every shift, over all sets of the plan, (J, S)."""
+    table = np.zeros((sum(len(t) for t in turns), sets), np.float32)
+    first = 0
+    for sequence, of_axis in zip(sequences, turns, strict=True):
+        table[first : first + len(of_axis), list(sequence.sets)] = of_axis
+        first += len(of_axis)
+    return table
 
 
 def _coefficients(sequences: Sequence[WavelengthSequence], sets: int) -> NDArray[np.float32]:

@@ -7,20 +7,24 @@ no matter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erfc
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, axis_length
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
+from fpplab.phase.alternatives import Alternatives, alternatives_of
+from fpplab.phase.bounds import CoordinateBounds, Interval, interval_of, widest
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
 from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
 from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
+from fpplab.phase.wrong_order import LIKELIEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +123,7 @@ def unwrap(
     sigma: float | Floats = 0.0,
     edge_margin: float = 0.0,
     changed_order: NDArray[np.int64] | None = None,
+    interval: Interval = (0.0, 1.0),
 ) -> Unwrapped:
     """Unwrap the wrapped phases of one axis.
 
@@ -135,6 +140,8 @@ def unwrap(
     changed_order : ndarray of int64, (...), optional
         A wavelength's index, up to its sign: the order chosen on that wavelength is changed by that sign; 0
         changes nothing.
+    interval : tuple of float or ndarray of float64, (...)
+        Least and greatest possible position, as shares of the projector's length.
 
     Returns
     -------
@@ -144,13 +151,15 @@ def unwrap(
     turns, wavelengths = phases / TWO_PI, sequence.wavelengths
     measured = [np.tensordot(np.array(w.coefficients, np.float64), turns, axes=1) % 1.0 for w in wavelengths]
     period = 1.0 / wavelengths[0].stripes
-    near = measured[0] * period
-    other = near + np.where(measured[0] > 0.5, -period, period)
+    low, high = (np.asarray(end, np.float64) for end in interval)
+    middle = 0.5 * (low + high)
+    near = (measured[0] + np.floor(middle / period - measured[0] + 0.5)) * period
+    other = near + np.where(near > middle, -period, period)
     chosen, cost_near = _refine(near, measured, sequence, changed_order)
     rival, cost_other = _refine(other, measured, sequence, changed_order)
     tolerance = edge_margin + EDGE_SIGMAS * np.asarray(sigma)
     apart = np.maximum(APART_LEAST, APART * (wavelengths[-1].stripes * np.asarray(sigma)) ** 2)
-    far_near, far_other = (_beyond(p.position, tolerance) for p in (chosen, rival))
+    far_near, far_other = (_beyond(p.position, low, high, tolerance) for p in (chosen, rival))
     swap = cost_other + far_other < cost_near + far_near
     alike = (np.abs(cost_near - cost_other) <= apart) & (far_near == 0) & (far_other == 0)
     inside = np.where(swap, far_other, far_near) == 0
@@ -191,9 +200,9 @@ def _refine(
     return _Hypothesis(position, worst, second_best), cost
 
 
-def _beyond(position: Floats, tolerance: Floats) -> Floats:
-    """A penalty above every cost for positions outside the projector; 0 inside."""
-    outside = np.maximum(np.maximum(-position, position - 1.0), 0.0)
+def _beyond(position: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
+    """A penalty above every cost for positions outside of the possible ones; 0 inside."""
+    outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
 
 
@@ -280,11 +289,8 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
     Fused
         Position, sigma and χ².
     """
-    stripes = seen.stripes.reshape(-1, *[1] * position.ndim)
-    off = seen.phases / TWO_PI - position * stripes
-    off = (off - np.floor(off + 0.5)) / stripes
-    variance = seen.position_sigma**2
-    weight, off = 1.0 / variance, np.where(np.arange(len(off)).reshape(stripes.shape) == len(off) - 1, 0, off)
+    off, variance = _distances(seen, position), seen.position_sigma**2
+    weight = 1.0 / variance
     agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
     agrees[-1] = True
     total = np.sum(weight * agrees, axis=0)
@@ -294,6 +300,57 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
         1.0 / np.sqrt(total),
         np.sum(weight * (off - mean) ** 2, axis=0),
     )
+
+
+def _distances(seen: AxisPhases, position: Floats) -> Floats:
+    """How far each set's nearest position lies from that of the finest, (K, ...)."""
+    stripes = seen.stripes.reshape(-1, *[1] * position.ndim)
+    off = seen.phases / TWO_PI - position * stripes
+    off = (off - np.floor(off + 0.5)) / stripes
+    off[-1] = 0.0
+    return np.asarray(off)
+
+
+def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    """χ² of a position's orders, and the share of its mean's distribution that lies between the ends."""
+    off, weight = _distances(seen, position), seen.position_sigma**-2
+    total = weight.sum(axis=0)
+    moment = np.sum(weight * off, axis=0)
+    mean, per_sigma = position + moment / total, np.sqrt(0.5 * total)
+    share = 0.5 * (erfc((ends[0] - mean) * per_sigma) - erfc((ends[1] - mean) * per_sigma))
+    return np.sum(weight * off**2, axis=0) - moment**2 / total, share
+
+
+def wrong_order_probability(
+    seen: AxisPhases, found: Floats, alternatives: Alternatives, interval: Interval, edge_margin: float
+) -> Floats:
+    """Compute the probability that the fringe order of each pixel is wrong, see `fpplab.phase.wrong_order`.
+
+    Parameters
+    ----------
+    seen : AxisPhases
+        Phases and their uncertainties.
+    found : ndarray of float64, (...)
+        Position of the finest set, as a share of the projector's length.
+    alternatives : Alternatives
+        Of the plan along this axis.
+    interval : tuple of float or ndarray of float64, (...)
+        Least and greatest possible position.
+    edge_margin : float
+        How far beyond them a position may lie without noise.
+
+    Returns
+    -------
+    ndarray of float64, (...)
+        0 … 1.
+    """
+    ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
+    best, inside = _evidence(seen, found, ends)
+    odds = np.zeros_like(found)
+    for shift in (*alternatives.shifts, *-alternatives.shifts):
+        chi2, share = _evidence(seen, found + shift, ends)
+        odds += np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, 1e-9)
+    return np.asarray(odds / (1.0 + odds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,14 +363,19 @@ class DecodedAxis:
         Projector coordinate and its 1-sigma in px.
     disagreement : ndarray of float32, (height, width)
         Root of χ² per degree of freedom; 0 for a single set.
+    wrong_order : ndarray of float32, (height, width)
+        Probability that the fringe order is wrong; known where the order is ambiguous too.
     """
 
     coordinate: Map
     sigma: Map
     disagreement: Map
+    wrong_order: Map
 
 
-def decode_axis(recording: Recording, axis: Axis) -> DecodedAxis:
+def decode_axis(
+    recording: Recording, axis: Axis, bounds: Mapping[Axis, CoordinateBounds] | None = None
+) -> DecodedAxis:
     """Decode one axis, without masks and without repair of orders.
 
     The compiled decoder (`fpplab.phase.decoding.decode`) must give the same wherever it gives anything.
@@ -324,6 +386,8 @@ def decode_axis(recording: Recording, axis: Axis) -> DecodedAxis:
         Frames of a plan that codes the axis.
     axis : str
         Which axis, x or y.
+    bounds : mapping of str to CoordinateBounds, optional
+        As for `fpplab.phase.decoding.decode`.
 
     Returns
     -------
@@ -336,11 +400,18 @@ def decode_axis(recording: Recording, axis: Axis) -> DecodedAxis:
         The plan cannot be unwrapped.
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
-    sequence = wavelength_sequence(plan, axis, recording.name)
-    seen = axis_phases(recording, sequence, noise_of(recording))
-    found = unwrap(seen.phases, sequence, seen.position_sigma[-1], EDGE_MARGIN_PX / length)
+    width, margin = widest(bounds, axis, recording.projector_size), EDGE_MARGIN_PX / length
+    sequence = wavelength_sequence(plan, axis, recording.name, width)
+    seen, interval = axis_phases(recording, sequence, noise_of(recording)), interval_of(bounds, axis, length)
+    found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
+    risks = alternatives_of(plan, sequence, width)
+    wrong = wrong_order_probability(seen, found.position, risks, interval, margin)
     fused = fuse(seen, found.position)
     known = np.where(found.is_unambiguous, 1.0, np.nan)
     freedom = max(len(sequence.sets) - 1, 1)
-    maps = ((fused.position * length - 0.5), fused.sigma * length, np.sqrt(fused.chi2 / freedom))
-    return DecodedAxis(*((m * known).astype(np.float32) for m in maps))
+    return DecodedAxis(
+        coordinate=((fused.position * length - 0.5) * known).astype(np.float32),
+        sigma=(fused.sigma * length * known).astype(np.float32),
+        disagreement=(np.sqrt(fused.chi2 / freedom) * known).astype(np.float32),
+        wrong_order=wrong.astype(np.float32),
+    )

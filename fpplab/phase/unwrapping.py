@@ -10,6 +10,7 @@ do, the one that agrees better with the finer wavelengths.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -51,7 +52,7 @@ class WavelengthSequence:
         return self.sets[-1]
 
 
-def wavelength_sequence(plan: Plan, axis: Axis, source: str) -> WavelengthSequence:
+def wavelength_sequence(plan: Plan, axis: Axis, source: str, width: float = 1.0) -> WavelengthSequence:
     """Give the synthetic wavelengths of one coded axis.
 
     Parameters
@@ -62,6 +63,9 @@ def wavelength_sequence(plan: Plan, axis: Axis, source: str) -> WavelengthSequen
         An axis that it codes.
     source : str
         What the plan is called in the message.
+    width : float
+        Greatest width of the interval of possible positions of a pixel, as a share of the projector's length;
+        1 where calibration and depth range are not known.
 
     Returns
     -------
@@ -79,17 +83,18 @@ def wavelength_sequence(plan: Plan, axis: Axis, source: str) -> WavelengthSequen
         for k, index in enumerate(sets)
     ]
     found = method.wavelengths(units)
-    coarse = [w for w in found if w.stripes <= 1 + NEGLIGIBLE]
+    most = (1.0 / width if method.guided else 1.0) + NEGLIGIBLE
+    coarse = [w for w in found if w.stripes <= most]
     if not coarse:
         stripes = [unit.stripes for unit in units]
         listed = ", ".join(f"{s:g}" for s in stripes)
-        advice = method.advice(stripes, found[0].stripes)
+        advice = method.advice(stripes, found[0].stripes, most)
         raise ConfigError(f"{source}: 'fringes' along {axis} have {listed} stripes: {advice}")
-    kept = (coarse[-1], *(w for w in found if w.stripes > 1 + NEGLIGIBLE))
+    kept = (coarse[-1], *(w for w in found if w.stripes > most))
     return WavelengthSequence(axis, sets, kept, _trust(kept, [plan.fringes[i].images for i in sets]))
 
 
-def check_unwrapping(plan: Plan, source: str) -> None:
+def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float] | None = None) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected.
 
     Parameters
@@ -98,14 +103,22 @@ def check_unwrapping(plan: Plan, source: str) -> None:
         The plan.
     source : str
         What it is called in the message.
+    widths : mapping of str to float, optional
+        By axis, the greatest width of the interval of possible positions of a pixel, as a share of the
+        projector's length; by default neither calibration nor depth range are known.
 
     Raises
     ------
     ConfigError
-        As `wavelength_sequence`.
+        As `wavelength_sequence`; or it is unwrapped with a calibration and a depth range, and there are none.
     """
+    if widths is None and unwrapping_methods()[plan.unwrapping].guided:
+        raise ConfigError(
+            f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range; "
+            "without them use a plan with 'hierarchical' or 'heterodyne' unwrapping"
+        )
     for axis in plan.axes:
-        wavelength_sequence(plan, axis, source)
+        wavelength_sequence(plan, axis, source, (widths or {}).get(axis, 1.0))
 
 
 def _trust(wavelengths: tuple[SyntheticWavelength, ...], images: list[int]) -> tuple[float, ...]:

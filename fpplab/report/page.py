@@ -52,6 +52,8 @@ class ScanSection:
         With the true shape, where it is known.
     bits : int
         Bit depth of the frame.
+    uncertain_orders : dict of str to int or None
+        Pixels left out for an uncertain fringe order, by the fringe set that is the cause.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ScanSection:
     cloud: Cloud
     comparison: Comparison | None = None
     bits: int = 8
+    uncertain_orders: dict[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -452,6 +455,8 @@ def _scan_section(scan: ScanSection) -> ReportSection:
     text = (
         f"{scan.images} images; {_percent(float(decoded.valid.mean()))} of the camera's pixels are measured."
     )
+    if scan.uncertain_orders is not None:
+        text += _uncertain_text(scan.uncertain_orders, decoded.u.size)
     if (removed := removal(decoded)) is not None:
         share = removed.pop("share")
         rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
@@ -481,6 +486,17 @@ def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
     columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
     caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)
     return (ReportTable(columns, rows, caption),) if rows or said else ()
+
+
+def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
+    """How many pixels noise has cost, and in which fringe set."""
+    if not causes:
+        return " No pixel was left out for an uncertain fringe order."
+    listed = ", ".join(f"{name} {_count(count)}" for name, count in causes.items())
+    share = _percent(sum(causes.values()) / pixels)
+    return (
+        f" {share} were left out because noise leaves their fringe order uncertain, by fringe set: {listed}."
+    )
 
 
 def _coordinates(scan: ScanSection) -> list[ReportFigure]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.phase import Decoded, wrapped_phase
+from fpplab.phase.precision import uncertain_orders
 from fpplab.report.page import ScanSection, write_report
 from fpplab.sessions.session import Session
 
@@ -61,5 +62,13 @@ def scan_section(
     fringe, frames = recording.finest()
     wrapped = wrapped_phase(frames, fringe)
     return ScanSection(
-        name, session.plan.images, frames[0], wrapped, decoded, cloud, comparison, bits=recording.bits
+        name,
+        session.plan.images,
+        frames[0],
+        wrapped,
+        decoded,
+        cloud,
+        comparison,
+        bits=recording.bits,
+        uncertain_orders=uncertain_orders(decoded, session.plan),
     )

@@ -124,7 +124,8 @@ def test_sigma_is_the_scatter(plan, bits):
     decoded = decode(Recording(record(render(plan), bits, noise=2.0, seed=1), plan, SIZE, bits=bits))
     error = decoded.u - mirror_centres(SIZE, Lattice.SQUARE)[0]
     assert np.nanstd(error / decoded.sigma) == pytest.approx(1.0, abs=0.1)
-    assert decoded.valid.mean() > 0.99
+    # A single stripe leaves it open near the edges which of them is meant: half a row of forty here.
+    assert decoded.valid.mean() > (0.98 if "y" in plan.axes else 0.99)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -230,7 +231,8 @@ def test_an_order_in_dispute_is_rejected():
 
 
 def test_a_vote_repairs_the_orders_that_stray_light_has_moved():
-    plan = make_plan(("x", 1, 3), ("x", 16, 3), masks=MaskRules(disagreement_max=0.5))
+    masks = MaskRules(disagreement_max=0.5, wrong_order_max=1.0)
+    plan = make_plan(("x", 1, 3), ("x", 16, 3), masks=masks)
     voting = plan.model_copy(update={"order_vote": OrderVote(window=7)})
     y, x = np.mgrid[0:60, 0:300]
     u = 100 + 2.2 * x + 0.3 * y

@@ -63,7 +63,7 @@ def test_the_scatter_is_the_bound_of_all_images(
     # Three steps show their noise in the offsets alone, which fewer pixels tell less well.
     assert np.nanstd(error / decoded.sigma) == pytest.approx(1.0, abs=0.03)
     assert np.nanmean(error) == pytest.approx(0.0, abs=5 * bound / np.sqrt(error.size))
-    assert np.nanmean(decoded.disagreement**2) == pytest.approx(1.0, abs=0.03)
+    assert np.nanmean(decoded.disagreement**2) == pytest.approx(1.0, abs=0.06)
 
 
 def test_the_bound_is_the_published_formula() -> None:

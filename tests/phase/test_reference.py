@@ -17,7 +17,9 @@ from fpplab.phase import decode, wrapped_phase
 from fpplab.phase.reference import decode_axis
 
 SIZE = (320, 6)
-LENIENT = MaskRules(modulation_min=0.0, contrast_min=0.0, residual_max=10.0, disagreement_max=0.5)
+LENIENT = MaskRules(
+    modulation_min=0.0, contrast_min=0.0, residual_max=10.0, disagreement_max=0.5, wrong_order_max=1.0
+)
 
 
 def frames(plan: Plan, noise: float, bits: int, seed: int) -> Iterator[Image]:
@@ -70,7 +72,7 @@ def test_the_compiled_decoder_is_held_to_the_reference(
     np.testing.assert_array_less(off[alike & (off < 0.25 * period)], 2e-3)
     right = both.copy()
     right[both] = alike & (off < 0.25 * period)
-    np.testing.assert_allclose(decoded.disagreement[right], known.disagreement[right], rtol=0.02, atol=0.1)
+    np.testing.assert_allclose(decoded.disagreement[right], known.disagreement[right], rtol=0.02, atol=0.2)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, app
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
@@ -20,6 +20,7 @@ def reconstruct_command(
         bool | None,
         typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
     ] = None,
+    depth: DepthRange = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -32,6 +33,7 @@ def reconstruct_command(
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
     from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.phase.precision import uncertain_orders
     from fpplab.reconstruction.filtering import removal
     from fpplab.report import write_scan_report
     from fpplab.sessions.session import Session
@@ -43,8 +45,13 @@ def reconstruct_command(
     known = Calibration.load(calibration)
     recorded = Session.open(session)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering)
+        decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering, depth_mm=depth)
         save_cloud(cloud, out)
         write_scan_report(page, recorded, decoded, cloud)
-    result = {"points": len(cloud.points), "removed": removal(decoded), "seconds": seconds()}
+    result = {
+        "points": len(cloud.points),
+        "removed": removal(decoded),
+        "uncertain_orders": uncertain_orders(decoded, recorded.plan),
+        "seconds": seconds(),
+    }
     console.answer({**result, "cloud": str(out), "report": str(page)}, json)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, PlanName, RigName, app
 
 
 @app.command("scan", rich_help_panel=MEASURE)
@@ -22,6 +22,7 @@ def scan_command(
     ] = None,
     pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
     view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    depth: DepthRange = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -35,11 +36,11 @@ def scan_command(
     from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.phase import check_unwrapping
+    from fpplab.pipeline import check_plan, plan_with_depth
     from fpplab.sessions.session import refuse_foreign
 
-    wanted, known = Plan.load(plan), Calibration.load(calibration)
-    check_unwrapping(wanted, plan)
+    wanted, known = plan_with_depth(Plan.load(plan), depth), Calibration.load(calibration)
+    check_plan(wanted, plan, known)
     refuse_foreign(out)
     with ExitStack() as stack, console.stopwatch() as seconds:
         bench = stack.enter_context(Rig.load(rig))
@@ -52,6 +53,7 @@ def scan_command(
 
         # Only now the heavy modules: wrong input is told at once.
         from fpplab.core.progress import ignore
+        from fpplab.phase.precision import uncertain_orders
         from fpplab.pipeline import CLOUD, REPORT, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
@@ -84,6 +86,7 @@ def scan_command(
             "points": len(cloud.points),
             "images": wanted.images,
             "removed": removal(decoded),
+            "uncertain_orders": uncertain_orders(decoded, wanted),
             "seconds": seconds(),
         }
         if viewer and viewer.fault is None:

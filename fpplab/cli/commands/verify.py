@@ -139,10 +139,9 @@ def _measured(
             f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
         )
     from fpplab.devices.rig import Rig
-    from fpplab.phase import check_unwrapping
-    from fpplab.pipeline import finish_scan, take
+    from fpplab.pipeline import check_plan, finish_scan, take
 
-    check_unwrapping(plan, "--plan")
+    check_plan(plan, "--plan", calibration)
     folder = out.with_name(out.stem + "_scans")
     with Rig.load(rig) as bench:
         fixture, caps = bench.need_fixture("fpplab verify --rig"), bench.projector.caps

@@ -58,6 +58,9 @@ class UnwrappingMethod(ABC):
     name: str
     """What a plan calls it."""
 
+    guided: bool = False
+    """Whether it needs to know which projector coordinates a camera pixel may have."""
+
     @abstractmethod
     def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
         """Give every synthetic wavelength that unwrapping may pass through.
@@ -76,8 +79,8 @@ class UnwrappingMethod(ABC):
         """
 
     @abstractmethod
-    def advice(self, stripes: Sequence[float], coarsest: float) -> str:
-        """Say what the method needs where its coarsest wavelength has more than one stripe.
+    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+        """Say what the method needs where its coarsest wavelength has too many stripes.
 
         Parameters
         ----------
@@ -85,6 +88,8 @@ class UnwrappingMethod(ABC):
             Of the axis' sets, fewest first.
         coarsest : float
             Stripes of the coarsest wavelength that was found.
+        most : float
+            Stripes that the coarsest may have: 1, or more where the method is guided.
 
         Returns
         -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
 
@@ -27,7 +27,9 @@ class Heterodyne(UnwrappingMethod):
         list of SyntheticWavelength
             Fewest stripes first, every stripe count once.
         """
-        found, level = list(sets), list(sets)
+        # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
+        found, level = [*sets, *(fine.beat(coarse) for coarse, fine in combinations(sets, 2))], list(sets)
+        found = [w for w in found if w.stripes > NEGLIGIBLE]
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
             level = sorted(level, key=lambda w: w.stripes)
             beats = (fine.beat(coarse) for coarse, fine in pairwise(level))
@@ -41,7 +43,7 @@ class Heterodyne(UnwrappingMethod):
             if following is None or following.stripes - w.stripes > NEGLIGIBLE
         ]
 
-    def advice(self, stripes: Sequence[float], coarsest: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
         """Ask for sets whose beats reach one stripe.
 
         Parameters
@@ -50,6 +52,8 @@ class Heterodyne(UnwrappingMethod):
             Of the axis' sets, fewest first.
         coarsest : float
             Stripes of the coarsest beat.
+        most : float
+            Stripes that it may have, 1.
 
         Returns
         -------

@@ -28,7 +28,7 @@ class Hierarchical(UnwrappingMethod):
         """
         return list(sets)
 
-    def advice(self, stripes: Sequence[float], coarsest: float) -> str:
+    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
         """Ask for a set of at most one stripe.
 
         Parameters
@@ -37,6 +37,8 @@ class Hierarchical(UnwrappingMethod):
             Of the axis' sets, fewest first.
         coarsest : float
             Stripes of the coarsest set.
+        most : float
+            Stripes that it may have, 1.
 
         Returns
         -------

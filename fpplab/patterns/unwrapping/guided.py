@@ -1,0 +1,59 @@
+"""Geometry-guided unwrapping: calibration and depth range say which coordinates a camera pixel may have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
+
+
+class Guided(UnwrappingMethod):
+    """The sets, and where these are too fine their differences, until one period spans the interval.
+
+    A camera pixel sees the projector along an epipolar segment between the nearest and the farthest depth.
+    The coarsest wavelength needs one period for that segment, not for the whole projector.
+    """
+
+    name = "guided"
+    guided = True
+
+    def wavelengths(self, sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+        """Give the sets, and all their differences that are coarser.
+
+        Parameters
+        ----------
+        sets : sequence of SyntheticWavelength
+            The fringe sets of the axis, fewest stripes first.
+
+        Returns
+        -------
+        list of SyntheticWavelength
+            Fewest stripes first, every stripe count once.
+        """
+        differences = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
+        coarser = [d for d in differences if NEGLIGIBLE < d.stripes < sets[0].stripes - NEGLIGIBLE]
+        once = {round(d.stripes, 6): d for d in coarser}
+        return [*sorted(once.values(), key=lambda w: w.stripes), *sets]
+
+    def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
+        """Ask for a coarser set or a narrower range of depths.
+
+        Parameters
+        ----------
+        stripes : sequence of float
+            Of the axis' sets, fewest first.
+        coarsest : float
+            Stripes of the coarsest set or difference of sets.
+        most : float
+            Stripes that it may have.
+
+        Returns
+        -------
+        str
+            What is needed.
+        """
+        return (
+            f"guided unwrapping in this depth range needs a set, or a difference of two, of at most "
+            f"{most:.3g} stripes, and the coarsest here is {coarsest:g}; add one or narrow the depth range"
+        )

@@ -1,0 +1,107 @@
+"""The wrong fringe orders that a plan risks: shifts of the coordinate that its fringe sets hardly tell apart.
+
+A wrong order moves the position by a whole number m of the finest periods, `Δ = m/s_finest`, and with it the
+phase of every other set by what `s_k Δ` lacks to an integer. With the phases' inverse variances the squared
+distance of the shifted phases from what is measured, at the best position, is the least χ² that tells the two
+apart. Shifts that are sums of likelier ones of the same direction are never the likeliest and are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import TWO_PI, Floats
+from fpplab.patterns.plan import Plan
+from fpplab.phase.unwrapping import WavelengthSequence
+
+FARTHEST = 9.0
+"""Shifts of so many times the least χ² are left out: where they matter, the nearest one masks the pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alternatives:
+    """Shifts of the position along one axis, J of them, nearest first; each counts in both directions.
+
+    Attributes
+    ----------
+    shifts : ndarray of float64, (J,)
+        Share of the projector's length, positive.
+    turns : ndarray of float64, (J, K)
+        What every set's phase changes by, in -0.5 … 0.5 turns, sets as in `WavelengthSequence.sets`.
+    separations : ndarray of float64, (J,)
+        χ² between the two where noise and modulation of a grey level are equal in all images.
+    causes : ndarray of int64, (J,)
+        Index into `Plan.fringes` of the set that tells most of the difference.
+    """
+
+    shifts: Floats
+    turns: Floats
+    separations: Floats
+    causes: NDArray[np.int64]
+
+    @property
+    def least_separation(self) -> float:
+        """Least separation of a shift by at most half of the length, which pixels in the middle risk."""
+        near = self.separations[self.shifts <= 0.5]
+        return float(near.min()) if len(near) else np.inf
+
+    @property
+    def edge(self) -> float:
+        """Least shift that is separated less than that: it concerns pixels near the edges alone."""
+        worse = self.shifts[self.separations < 0.99 * self.least_separation]
+        return float(worse.min()) if len(worse) else np.inf
+
+
+def alternatives_of(plan: Plan, sequence: WavelengthSequence, width: float = 1.0) -> Alternatives:
+    """Find the shifts that a wrong order may cause along one axis.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    sequence : WavelengthSequence
+        Of the axis.
+    width : float
+        Greatest width of the interval of possible positions of a pixel, as a share of the length.
+
+    Returns
+    -------
+    Alternatives
+        At least one where the sets have more than one period in the interval.
+    """
+    fringes = [plan.fringes[k] for k in sequence.sets]
+    stripes = np.array([f.stripes for f in fringes])
+    weights = (TWO_PI * stripes / [f.phase_noise for f in fringes]) ** 2
+    multiples = np.arange(1, int(np.floor(width * stripes[-1] + 0.5)) + 1)
+    turns = multiples[:, None] / stripes[-1] * stripes
+    turns -= np.floor(turns + 0.5)
+    whitened = turns / stripes * np.sqrt(weights)
+    along = np.sqrt(weights / weights.sum())
+    whitened -= (whitened @ along)[:, None] * along
+    separations = np.sum(whitened**2, axis=1)
+    kept = _likeliest(turns, whitened) & (
+        separations <= FARTHEST * _least(separations, multiples, stripes[-1])
+    )
+    causes = (
+        np.array(sequence.sets)[np.argmax(whitened**2, axis=1)] if len(multiples) else np.empty(0, np.int64)
+    )
+    return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept])
+
+
+def _least(separations: Floats, multiples: NDArray[np.int64], finest: float) -> float:
+    """Return the least separation of a shift by at most half of the length."""
+    near = separations[multiples <= 0.5 * finest]
+    return float(near.min()) if len(near) else np.inf
+
+
+def _likeliest(turns: Floats, whitened: Floats) -> NDArray[np.bool_]:
+    """Tell which shifts are no sum of two smaller ones at an angle of at most 90°."""
+    kept = np.ones(len(turns), np.bool_)
+    for m in range(1, len(turns)):
+        one, other = np.arange(m), np.arange(m)[::-1]
+        adds_up = np.all(np.abs(turns[one] + turns[other] - turns[m]) < 1e-6, axis=1)
+        kept[m] = not np.any(adds_up & (np.sum(whitened[one] * whitened[other], axis=1) >= 0.0))
+    return kept

@@ -1,0 +1,111 @@
+"""Which projector coordinates a camera pixel may have: what decoding knows of the geometry, as plain maps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Axis, Floats, Map, axis_length
+from fpplab.core.errors import DataError
+from fpplab.patterns.recording import Recording
+
+Interval = tuple[float | Floats, float | Floats]
+"""Least and greatest position, as shares of the projector's length."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateBounds:
+    """Interval of one projector coordinate for every camera pixel, maps [v, u] in px.
+
+    Attributes
+    ----------
+    least, most : ndarray of float32, (height, width)
+        Ends of the interval, within the projector: -0.5 … W - 0.5. Where `least` exceeds `most` the pixel
+        cannot see the projector within the depth range, and is not measured.
+    """
+
+    least: Map
+    most: Map
+
+
+def widest(
+    bounds: Mapping[Axis, CoordinateBounds] | None, axis: Axis, projector_size: tuple[int, int]
+) -> float:
+    """Find the greatest width of the intervals along one axis.
+
+    Parameters
+    ----------
+    bounds : mapping of str to CoordinateBounds, or None
+        By axis.
+    axis : str
+        Which axis.
+    projector_size : tuple of int
+        (width, height) in px.
+
+    Returns
+    -------
+    float
+        Share of the projector's length; 1 where no intervals are known, and never 0.
+    """
+    if bounds is None or axis not in bounds:
+        return 1.0
+    one = bounds[axis]
+    return max(float(np.max(one.most - one.least)), 1.0) / axis_length(projector_size, axis)
+
+
+def interval_of(
+    bounds: Mapping[Axis, CoordinateBounds] | None,
+    axis: Axis,
+    length: int,
+    pixels: NDArray[np.int64] | None = None,
+) -> Interval:
+    """Give the intervals along one axis as positions.
+
+    Parameters
+    ----------
+    bounds : mapping of str to CoordinateBounds, or None
+        By axis.
+    axis : str
+        Which axis.
+    length : int
+        Of the projector along it, in px.
+    pixels : ndarray of int64, (P,), optional
+        Flat indices of the pixels wanted; by default all, as maps.
+
+    Returns
+    -------
+    tuple of float or ndarray of float64
+        Least and greatest position; 0 and 1 where no intervals are known.
+    """
+    if bounds is None or axis not in bounds:
+        return 0.0, 1.0
+    one = bounds[axis]
+    low, high = ((end.astype(np.float64) + 0.5) / length for end in (one.least, one.most))
+    return (low, high) if pixels is None else (low.ravel()[pixels], high.ravel()[pixels])
+
+
+def check_bounds(bounds: Mapping[Axis, CoordinateBounds] | None, recording: Recording) -> None:
+    """Refuse intervals of another camera.
+
+    Parameters
+    ----------
+    bounds : mapping of str to CoordinateBounds, or None
+        By axis.
+    recording : Recording
+        Frames that are to be decoded with them.
+
+    Raises
+    ------
+    DataError
+        Their maps have another size than the frames.
+    """
+    shape = recording.frames[0].shape
+    for axis, one in (bounds or {}).items():
+        if one.least.shape != shape or one.most.shape != shape:
+            raise DataError(
+                f"{recording.name}: bounds along {axis} are maps of the shape {one.least.shape}, but the "
+                f"frames have {shape}; compute them with the calibration of this camera"
+            )

@@ -1,0 +1,92 @@
+"""Which projector coordinates a camera pixel may have, from the calibration and a range of depths.
+
+A camera pixel's ray between two depths is a segment, whose image in the projector is a piece of the epipolar
+curve: decoding then chooses fringe orders among the coordinates on that piece alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import AXES, Axis, Floats
+from fpplab.core.errors import ConfigError
+from fpplab.patterns.plan import Plan
+from fpplab.phase.bounds import CoordinateBounds
+from fpplab.reconstruction.triangulation import camera_slopes
+
+MARGIN_PX = 0.5
+"""By how much an interval reaches beyond the epipolar segment: for the calibration's own uncertainty."""
+DEPTHS = 5
+"""Points of a segment that are projected, evenly spaced in inverse depth: distortion bends it a little."""
+GRID_PX = 16
+"""Camera pixels between those whose segments are projected; the others are interpolated."""
+
+
+def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, CoordinateBounds] | None:
+    """Compute the possible projector coordinates of every camera pixel within a plan's range of depths.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its `depth_mm` is the range.
+    calibration : Calibration
+        Of the rig.
+
+    Returns
+    -------
+    dict of str to CoordinateBounds, or None
+        By coded axis; None where the plan has no range.
+
+    Raises
+    ------
+    ConfigError
+        Part of the range lies behind the projector.
+    """
+    if plan.depth_mm is None:
+        return None
+    width, height = calibration.camera.size
+    slopes = camera_slopes(calibration.camera)
+    columns, rows = _nodes(width), _nodes(height)
+    if not np.isfinite(slopes[:, rows[:, None], columns]).all():
+        columns, rows = np.arange(width), np.arange(height)
+    pixels = _segments(slopes[:, rows[:, None], columns], calibration, plan.depth_mm)
+    across, down = _interpolation(columns, width), _interpolation(rows, height)
+    bounds: dict[Axis, CoordinateBounds] = {}
+    for axis in plan.axes:
+        along = pixels[..., AXES.index(axis)]
+        last = calibration.projector.size[AXES.index(axis)] - 0.5
+        least, most = (
+            np.clip(down @ end @ across.T, -0.5, last)
+            for end in (along.min(axis=0) - MARGIN_PX, along.max(axis=0) + MARGIN_PX)
+        )
+        bounds[axis] = CoordinateBounds(least.astype(np.float32), most.astype(np.float32))
+    return bounds
+
+
+def _nodes(pixels: int) -> NDArray[np.intp]:
+    """Every sixteenth pixel, the first and the last among them."""
+    return np.unique(np.linspace(0, pixels - 1, pixels // GRID_PX + 2).astype(np.intp))
+
+
+def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
+    """Weights of the nodes at every pixel, (pixels, nodes), for linear interpolation."""
+    at = np.arange(pixels)
+    return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))], axis=1)
+
+
+def _segments(slopes: Floats, calibration: Calibration, depth_mm: tuple[float, float]) -> Floats:
+    """Images in the projector of each ray between two depths, (DEPTHS, rows, columns, 2) in px."""
+    rays = np.stack([*slopes, np.ones_like(slopes[0])], axis=-1)
+    depths = 1.0 / np.linspace(1.0 / depth_mm[0], 1.0 / depth_mm[1], DEPTHS)
+    points = calibration.T_projector_camera.apply(rays * depths[:, None, None, None])
+    if not (points[..., 2] > 0).all():
+        raise ConfigError(
+            f"depth range: {depth_mm[0]:g} to {depth_mm[1]:g} mm has points behind the projector; "
+            "give the range of distances from the camera in which the object lies"
+        )
+    # Beyond its reach the lens model folds back; such points lie outside of the projector's image anyway.
+    radius = np.hypot(points[..., 0], points[..., 1]) / points[..., 2]
+    points[..., :2] *= np.minimum(1.0, calibration.projector.reach / np.maximum(radius, 1e-12))[..., None]
+    return calibration.projector.project(points)

@@ -1,0 +1,122 @@
+"""The probability of a wrong order is right, and pixels above the allowed one are masked, with the cause."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fpplab.core.conventions import Image
+from fpplab.patterns.plan import MaskRules, Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from fpplab.phase.alternatives import alternatives_of
+from fpplab.phase.bounds import CoordinateBounds
+from fpplab.phase.precision import uncertain_orders
+from fpplab.phase.reference import decode_axis
+from fpplab.phase.unwrapping import wavelength_sequence
+from tests.phase.test_fusion import WIDTH, plan_of
+
+HEIGHT = 60
+NO_MASKS = MaskRules(modulation_min=0.0, contrast_min=0.0, residual_max=10.0, wrong_order_max=1.0)
+
+CASES = [
+    ((1.0, 8.0, 64.0), (3, 3, 3), "hierarchical", 6.0),
+    ((0.95, 6.1, 30.7), (4, 4, 4), "hierarchical", 5.0),
+    ((1.0, 12.0), (4, 4), "hierarchical", 7.0),
+    ((146.0, 156.0, 167.0), (3, 3, 3), "heterodyne", 17.0),
+    ((12.0, 100.0), (4, 4), "guided", 6.0),
+]
+case = pytest.mark.parametrize(("stripes", "steps", "unwrapping", "ratio"), CASES)
+
+
+def noisy(
+    stripes: tuple[float, ...], steps: tuple[int, ...], unwrapping: str, ratio: float, seed: int
+) -> tuple[Recording, np.ndarray, dict | None]:
+    """Frames of random coordinates with B/noise = ratio, their truth, and bounds for guided unwrapping."""
+    plan = plan_of(stripes, steps, unwrapping).model_copy(update={"masks": NO_MASKS})
+    random = np.random.default_rng(seed)
+    truth = random.uniform(-0.5, WIDTH - 0.5, (HEIGHT, WIDTH))
+    frames: list[Image] = []
+    for index, step, _ in plan.steps():
+        fringe = plan.fringes[index]
+        phase = 2 * np.pi * fringe.stripes * (truth + 0.5) / WIDTH - fringe.phase_shifts()[step]
+        level = 32000 + 6000 * (np.cos(phase) + random.standard_normal(truth.shape) / ratio)
+        frames.append(np.rint(level).astype(np.uint16))
+    bounds = None
+    if unwrapping == "guided":
+        least = np.clip(truth - random.uniform(0, 60, truth.shape), -0.5, None)
+        most = np.minimum(least + 60, WIDTH - 0.5)
+        bounds = {"x": CoordinateBounds(least.astype(np.float32), most.astype(np.float32))}
+    return Recording(frames, plan, (WIDTH, HEIGHT), 16), truth, bounds
+
+
+def limited(recording: Recording, limit: float) -> Recording:
+    masks = NO_MASKS.model_copy(update={"wrong_order_max": limit})
+    plan = recording.plan.model_copy(update={"masks": masks})
+    return Recording(recording.frames, plan, recording.projector_size, recording.bits)
+
+
+def wrong(u: np.ndarray, truth: np.ndarray, plan: Plan) -> np.ndarray:
+    return np.abs(u - truth) > 0.5 * WIDTH / plan.finest.stripes
+
+
+@case
+def test_the_probability_is_the_frequency(stripes, steps, unwrapping, ratio) -> None:
+    recording, truth, bounds = noisy(stripes, steps, unwrapping, ratio, seed=31)
+    found = decode_axis(recording, "x", bounds)
+    seen = np.isfinite(found.coordinate) & (found.wrong_order < 0.2)
+    p = found.wrong_order[seen]
+    is_wrong = wrong(found.coordinate, truth, recording.plan)[seen]
+    # The noise is estimated from the frames, to some percent; it stands in the exponent.
+    assert is_wrong.sum() == pytest.approx(p.sum(), abs=0.1 * p.sum() + 4 * np.sqrt(p.sum()) + 1)
+    assert p.sum() > 5
+
+
+@case
+def test_the_compiled_mask_is_the_reference_s(stripes, steps, unwrapping, ratio) -> None:
+    recording, _, bounds = noisy(stripes, steps, unwrapping, ratio, seed=32)
+    all_pixels = decode(recording, bounds=bounds)
+    masked = decode(limited(recording, 1e-3), bounds=bounds)
+    expected = decode_axis(recording, "x", bounds).wrong_order
+    clear = all_pixels.valid & (np.abs(np.log(np.maximum(expected, 1e-30) / 1e-3)) > 0.05)
+    np.testing.assert_array_equal(masked.valid[clear], expected[clear] < 1e-3)
+    assert 0.02 < np.mean(expected[clear] < 1e-3) < 0.99
+    np.testing.assert_array_equal((masked.uncertain_order > 0)[clear], ~masked.valid[clear])
+
+
+@case
+def test_few_wrong_orders_are_kept_and_few_right_ones_lost(stripes, steps, unwrapping, ratio) -> None:
+    recording, truth, bounds = noisy(stripes, steps, unwrapping, 1.5 * ratio, seed=33)
+    decoded = decode(limited(recording, 1e-4), bounds=bounds)
+    kept = decoded.valid
+    # At most 1e-4 of 55,000 pixels: 5.5 expected at the very most, 15 are beyond four standard deviations.
+    assert (wrong(decoded.u, truth, recording.plan) & kept).sum() <= 15
+    assert kept.mean() > 0.9
+
+
+def test_the_cause_is_the_set_whose_noise_leaves_the_order_open() -> None:
+    recording, _, _ = noisy((1.0, 4.0, 64.0), (3, 3, 3), "hierarchical", 15.0, seed=34)
+    decoded = decode(limited(recording, 1e-4))
+    causes = uncertain_orders(decoded, recording.plan)
+    assert causes is not None
+    assert causes["x 4 stripes"] > 100
+    # Only at the very edge of the projector are the single stripe and its far end confused.
+    assert sum(causes.values()) - causes["x 4 stripes"] < 0.01 * decoded.u.size
+    assert sum(causes.values()) == (decoded.uncertain_order > 0).sum()
+
+
+def test_shifts_are_those_that_the_sets_hardly_tell_apart() -> None:
+    plan = plan_of((1.0, 8.0, 64.0), (12, 12, 12), "hierarchical")
+    found = alternatives_of(plan, wavelength_sequence(plan, "x", "plan"))
+    multiples = np.rint(found.shifts * 64).astype(int).tolist()
+    assert {1, 8, 64} <= set(multiples)
+    assert not {2, 9, 16} & set(multiples)
+    # One fine period changes the phase of 8 stripes by 1/8 and of 1 stripe by 1/64.
+    np.testing.assert_allclose(found.turns[0], [1 / 64, 1 / 8, 0], atol=1e-12)
+    # Its χ²: what no other position explains of it; one set takes up the share of its information.
+    variance = 2 / 12 / (2 * np.pi) ** 2
+    apart = np.array([1 / 64, 1 / 8, 0.0])
+    along = np.array([1.0, 8.0, 64.0]) / np.sqrt(1 + 64 + 4096)
+    assert found.separations[0] == pytest.approx((apart @ apart - (apart @ along) ** 2) / variance)
+    assert found.separations[-1] == pytest.approx(0.0, abs=1e-9)
+    assert found.edge == 1.0
