@@ -21,6 +21,7 @@ from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import reconstruct
+from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
@@ -153,4 +154,5 @@ def _scanned(
     settings = session.records[0].settings
     frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    return points_of(decode(recording), calibration, plan, recording.mean_image())[1]
+    decoded = decode(recording, bounds=depth_bounds(plan, calibration))
+    return points_of(decoded, calibration, plan, recording.mean_image())[1]

@@ -12,12 +12,12 @@ from fpplab.core.conventions import Axis, Floats, Map, axis_length
 from fpplab.core.errors import DataError
 from fpplab.patterns.recording import Recording
 
-Interval = tuple[float | Floats, float | Floats]
+PositionInterval = tuple[float | Floats, float | Floats]
 """Least and greatest position, as shares of the projector's length."""
 
 
 @dataclass(frozen=True, eq=False)
-class CoordinateBounds:
+class PossibleCoordinates:
     """Interval of one projector coordinate for every camera pixel, maps [v, u] in px.
 
     Attributes
@@ -32,13 +32,13 @@ class CoordinateBounds:
 
 
 def widest(
-    bounds: Mapping[Axis, CoordinateBounds] | None, axis: Axis, projector_size: tuple[int, int]
+    bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
 ) -> float:
     """Find the greatest width of the intervals along one axis.
 
     Parameters
     ----------
-    bounds : mapping of str to CoordinateBounds, or None
+    bounds : mapping of str to PossibleCoordinates, or None
         By axis.
     axis : str
         Which axis.
@@ -57,16 +57,16 @@ def widest(
 
 
 def interval_of(
-    bounds: Mapping[Axis, CoordinateBounds] | None,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
     axis: Axis,
     length: int,
     pixels: NDArray[np.int64] | None = None,
-) -> Interval:
+) -> PositionInterval:
     """Give the intervals along one axis as positions.
 
     Parameters
     ----------
-    bounds : mapping of str to CoordinateBounds, or None
+    bounds : mapping of str to PossibleCoordinates, or None
         By axis.
     axis : str
         Which axis.
@@ -87,12 +87,12 @@ def interval_of(
     return (low, high) if pixels is None else (low.ravel()[pixels], high.ravel()[pixels])
 
 
-def check_bounds(bounds: Mapping[Axis, CoordinateBounds] | None, recording: Recording) -> None:
+def check_bounds(bounds: Mapping[Axis, PossibleCoordinates] | None, recording: Recording) -> None:
     """Refuse intervals of another camera.
 
     Parameters
     ----------
-    bounds : mapping of str to CoordinateBounds, or None
+    bounds : mapping of str to PossibleCoordinates, or None
         By axis.
     recording : Recording
         Frames that are to be decoded with them.

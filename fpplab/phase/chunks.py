@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 CHUNK = 2048
@@ -11,6 +12,9 @@ CHUNK = 2048
 # takes a row's element for the one it has just stored in another row, and waits.
 ROW = CHUNK + 48
 """Distance between the rows of a working buffer."""
+
+LOW, HIGH = np.uintp(7 * ROW), np.uintp(8 * ROW)
+"""Rows of the buffer of unwrapping with the interval of possible positions."""
 
 # NaN and infinity keep their meaning: only what cannot hide them is relaxed.
 compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})

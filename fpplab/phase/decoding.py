@@ -18,7 +18,7 @@ from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase.bounds import CoordinateBounds, check_bounds, interval_of, widest
+from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
@@ -39,7 +39,7 @@ _BLOCK = 1 << 18
 def decode(
     recording: Recording,
     progress: Progress = no_progress,
-    bounds: Mapping[Axis, CoordinateBounds] | None = None,
+    bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> Decoded:
     """Find projector coordinates, modulation and uncertainty of every camera pixel.
 
@@ -51,7 +51,7 @@ def decode(
         All frames of a plan.
     progress : callable
         Told the share done, 0 … 1; what it raises ends the work.
-    bounds : mapping of str to CoordinateBounds, optional
+    bounds : mapping of str to PossibleCoordinates, optional
         By axis, which projector coordinates each camera pixel may have, as calibration and depth range tell;
         by default all of the projector's. Guided unwrapping needs them.
 
@@ -145,7 +145,7 @@ def _repair(
     sequence: WavelengthSequence,
     noise: NoiseModel,
     doubt: Map,
-    bounds: Mapping[Axis, CoordinateBounds] | None,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
 ) -> None:
     """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
     plan, vote = recording.plan, recording.plan.order_vote

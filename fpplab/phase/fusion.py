@@ -29,7 +29,9 @@ _ROUNDING = _f(ROUNDING_TURNS**2)
 _FUSED_MOMENT, _ALL, _ALL_MOMENT, _ALL_SQUARE = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
 LEAST, CHI2 = _u(5 * ROW), _ALL_SQUARE
 """Rows that stay: the least (B/u_I)² of all sets, and χ² once the fusion is finished."""
-FUSION_ROWS = 6
+POSITION, FINEST, DOUBT = _u(6 * ROW), _u(7 * ROW), _u(8 * ROW)
+"""Rows with the position of the finest set and its weight; the last is for `fpplab.phase.wrong_order`."""
+FUSION_ROWS = 9
 """Rows of the working buffer."""
 
 
@@ -62,26 +64,25 @@ def weigh(modulation: Any, offset: Any, noise: Any, stripes: Any, recipe: Any, n
 
 
 @compiled
-def _start_fusion(sums: Any, finest: Any, unit: Any, n: int) -> None:
+def _start_fusion(sums: Any, positions: Any, finest: Any, unit: Any, n: int) -> None:
     """Begin with the finest set, from whose position all others are counted."""
     per_unit = _ONE / unit
     for j in range(n):
         i = _u(j)
-        sums[i] = sums[i + _ALL] = finest[i]
+        sums[i] = sums[i + _ALL] = sums[i + FINEST] = finest[i]
+        sums[i + POSITION] = positions[i]
         sums[i + LEAST] = finest[i] * per_unit
         sums[i + _FUSED_MOMENT] = sums[i + _ALL_MOMENT] = sums[i + _ALL_SQUARE] = _ZERO
 
 
 @compiled
-def _add_set(
-    sums: Any, positions: Any, turns: Any, weights: Any, finest: Any, stripes: Any, unit: Any, n: int
-) -> None:
+def _add_set(sums: Any, turns: Any, weights: Any, stripes: Any, unit: Any, n: int) -> None:
     """Add another set, in the order that brings it nearest to the finest one."""
     period, per_unit = _ONE / stripes, _ONE / unit
     for j in range(n):
         i = _u(j)
-        w, of_finest = weights[i], finest[i]
-        off = turns[i] - positions[i] * stripes
+        w, of_finest = weights[i], sums[i + FINEST]
+        off = turns[i] - sums[i + POSITION] * stripes
         off = (off - np.floor(off + _HALF)) * period
         moment = w * off
         square = moment * off
@@ -97,15 +98,14 @@ def _add_set(
 
 
 @compiled
-def _finish_fusion(
-    sums: Any, positions: Any, length: Any, n: int, coordinate: Any, sigma: Any, chi2: Any
-) -> None:
+def _finish_fusion(sums: Any, length: Any, n: int, coordinate: Any, sigma: Any, chi2: Any) -> None:
     """Write the coordinate and its uncertainty, and add the axis' χ²."""
     for j in range(n):
         i = _u(j)
         weight = max(sums[i], _TINY)
-        coordinate[i] = (positions[i] + sums[i + _FUSED_MOMENT] / weight) * length - _HALF
-        sigma[i] = length / np.sqrt(weight)
+        variance = _ONE / weight
+        coordinate[i] = (sums[i + POSITION] + sums[i + _FUSED_MOMENT] * variance) * length - _HALF
+        sigma[i] = length * np.sqrt(variance)
         moment = sums[i + _ALL_MOMENT]
         own = max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)
         sums[i + CHI2] = own
@@ -160,11 +160,11 @@ def fuse_axis(
         How many sets the axis has.
     """
     finest, count = recipe.finest[axis], 0
-    _start_fusion(sums, weights[finest], _unit(recipe, finest), n)
+    _start_fusion(sums, rows, weights[finest], _unit(recipe, finest), n)
     for s in range(len(recipe.axis)):
         count += recipe.axis[s] == axis
         if recipe.axis[s] == axis and s != finest:
             stripes, unit = recipe.set_stripes[s], _unit(recipe, s)
-            _add_set(sums, rows, turns[s], weights[s], weights[finest], stripes, unit, n)
-    _finish_fusion(sums, rows, recipe.length[axis], n, coordinate, sigma, chi2)
+            _add_set(sums, turns[s], weights[s], stripes, unit, n)
+    _finish_fusion(sums, recipe.length[axis], n, coordinate, sigma, chi2)
     return count

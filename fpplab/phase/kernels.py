@@ -17,7 +17,7 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from fpplab.phase.chunks import CHUNK, ROW, compiled
+from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
 from fpplab.phase.wrong_order import mask_wrong_orders
 
@@ -49,7 +49,7 @@ _HIGHEST = _u(_SUM_ROWS * ROW)
 # Rows of the buffer of unwrapping: two hypotheses of position, cost and worst disagreement.
 _COST, _WORST = _u(ROW), _u(2 * ROW)
 _OTHER, _OTHER_COST, _OTHER_WORST, _PHASE = _u(3 * ROW), _u(4 * ROW), _u(5 * ROW), _u(6 * ROW)
-_UNWRAP_ROWS = 7
+_UNWRAP_ROWS = 9
 
 
 def _arctangent() -> tuple[np.float32, ...]:
@@ -292,12 +292,12 @@ def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
 
 
 @compiled
-def _start(rows: Any, low: Any, high: Any, n: int, stripes: Any) -> None:
+def _start(rows: Any, n: int, stripes: Any) -> None:
     """Start both hypotheses: the period of the base nearest to the middle, and the next nearest one."""
     period = _ONE / stripes
     for j in range(n):
         i = _u(j)
-        middle = _HALF * (low[i] + high[i])
+        middle = _HALF * (rows[i + LOW] + rows[i + HIGH])
         p = (rows[i + _PHASE] + np.floor(middle * stripes - rows[i + _PHASE] + _HALF)) * period
         rows[i] = p
         rows[i + _OTHER] = p - period if p > middle else p + period
@@ -326,9 +326,7 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @compiled
-def _choose(
-    rows: Any, weights: Any, low: Any, high: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any
-) -> None:
+def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
     """Choose the hypothesis that lies in the interval of possible positions and agrees better."""
     edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
     apart = _APART * stripes * stripes
@@ -337,8 +335,9 @@ def _choose(
         variance = _ONE / max(weights[i], _TINY)
         tolerance = edge_margin + _SIGMAS * np.sqrt(variance)
         a, b = rows[i], rows[i + _OTHER]
-        out_a = max(low[i] - a, a - high[i], _ZERO)
-        out_b = max(low[i] - b, b - high[i], _ZERO)
+        low, high = rows[i + LOW], rows[i + HIGH]
+        out_a = max(low - a, a - high, _ZERO)
+        out_b = max(low - b, b - high, _ZERO)
         far_a = _FAR + out_a if out_a > tolerance else _ZERO
         far_b = _FAR + out_b if out_b > tolerance else _ZERO
         cost_a, cost_b = rows[i + _COST] + far_a, rows[i + _OTHER_COST] + far_b
@@ -355,17 +354,15 @@ def _choose(
 
 
 @compiled
-def _unwrap(
-    axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, low: Any, high: Any, good: Any, n: int
-) -> None:
+def _unwrap(axis: int, recipe: Any, rows: Any, turns: Any, weights: Any, good: Any, n: int) -> None:
     """Unwrap one axis to the position of its finest set."""
     first, last = recipe.wavelengths[axis], recipe.wavelengths[axis + 1]
     _combined_phase(rows, turns, recipe.coefficients[first], n)
-    _start(rows, low, high, n, recipe.stripes[first])
+    _start(rows, n, recipe.stripes[first])
     for r in range(first + 1, last):
         _combined_phase(rows, turns, recipe.coefficients[r], n)
         _refine(rows, n, recipe.stripes[r], recipe.trust[r])
-    _choose(rows, weights, low, high, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
+    _choose(rows, weights, good, n, recipe.length[axis], recipe.stripes[last - 1], recipe)
 
 
 @compiled
@@ -420,7 +417,6 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
     sums, rows = np.zeros((_SUM_ROWS + 1) * ROW, np.float32), np.empty(_UNWRAP_ROWS * ROW, np.float32)
     fusion = np.empty(FUSION_ROWS * ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    low, high = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     # Each set's offsets become its weights, once they are known.
     turns, modulation, weights = (
         np.empty((sets, ROW), np.float32),
@@ -452,13 +448,13 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
-                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, low)
-                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, high)
-                _unwrap(axis, recipe, rows, turns, weights[finest], low, high, good, n)
+                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, rows[7 * ROW :])
+                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, rows[8 * ROW :])
+                _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
                 count = fuse_axis(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
                 freedom += count - 1
                 cause = maps.cause[at : at + n]
-                mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, low, high, good, n, cause)
+                mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, good, n, cause)
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[2 * ROW : 2 * ROW + n]

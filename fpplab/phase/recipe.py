@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length, full_scale
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import alternatives_of
-from fpplab.phase.bounds import CoordinateBounds, widest
+from fpplab.phase.bounds import PossibleCoordinates, widest
 from fpplab.phase.kernels import GROUP, Recipe
 from fpplab.phase.quality import NoiseModel
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
@@ -20,7 +20,7 @@ def recipe_of(
     recording: Recording,
     sequences: Sequence[WavelengthSequence],
     noise: NoiseModel,
-    bounds: Mapping[Axis, CoordinateBounds] | None = None,
+    bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> Recipe:
     """Give frames, plan, rules and noise as tables.
 
@@ -32,7 +32,7 @@ def recipe_of(
         Of every coded axis, x before y.
     noise : NoiseModel
         Of the recording's grey levels.
-    bounds : mapping of str to CoordinateBounds, optional
+    bounds : mapping of str to PossibleCoordinates, optional
         By axis, which coordinates each pixel may have; by default all of the projector's.
 
     Returns
@@ -94,7 +94,7 @@ def recipe_of(
 
 
 def _interval_of(
-    bounds: Mapping[Axis, CoordinateBounds] | None, axis: Axis, length: int
+    bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, length: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Ends of the intervals as flat arrays of positions, empty where none are known."""
     if bounds is None or axis not in bounds:

@@ -19,7 +19,7 @@ from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
-from fpplab.phase.bounds import CoordinateBounds, Interval, interval_of, widest
+from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
 from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
 from fpplab.phase.quality import NoiseModel, noise_of
@@ -123,7 +123,7 @@ def unwrap(
     sigma: float | Floats = 0.0,
     edge_margin: float = 0.0,
     changed_order: NDArray[np.int64] | None = None,
-    interval: Interval = (0.0, 1.0),
+    interval: PositionInterval = (0.0, 1.0),
 ) -> Unwrapped:
     """Unwrap the wrapped phases of one axis.
 
@@ -322,7 +322,11 @@ def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -
 
 
 def wrong_order_probability(
-    seen: AxisPhases, found: Floats, alternatives: Alternatives, interval: Interval, edge_margin: float
+    seen: AxisPhases,
+    found: Floats,
+    alternatives: Alternatives,
+    interval: PositionInterval,
+    edge_margin: float,
 ) -> Floats:
     """Compute the probability that the fringe order of each pixel is wrong, see `fpplab.phase.wrong_order`.
 
@@ -374,7 +378,7 @@ class DecodedAxis:
 
 
 def decode_axis(
-    recording: Recording, axis: Axis, bounds: Mapping[Axis, CoordinateBounds] | None = None
+    recording: Recording, axis: Axis, bounds: Mapping[Axis, PossibleCoordinates] | None = None
 ) -> DecodedAxis:
     """Decode one axis, without masks and without repair of orders.
 
@@ -386,7 +390,7 @@ def decode_axis(
         Frames of a plan that codes the axis.
     axis : str
         Which axis, x or y.
-    bounds : mapping of str to CoordinateBounds, optional
+    bounds : mapping of str to PossibleCoordinates, optional
         As for `fpplab.phase.decoding.decode`.
 
     Returns

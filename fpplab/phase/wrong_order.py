@@ -14,30 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.phase.chunks import compiled
-from fpplab.phase.fusion import CHI2, LEAST
+from fpplab.phase.chunks import HIGH, LOW, compiled
+from fpplab.phase.fusion import CHI2, DOUBT, FINEST, LEAST, POSITION
 
 FARTHEST_SIGMAS = 5.0
 """How many standard deviations beyond the possible positions a shifted one is still considered."""
 LIKELIEST = 50.0
 """Logarithm of the odds beyond which they are not told apart: the order is certainly wrong."""
 
-_u = np.uintp
+_f, _u = np.float32, np.uintp
+_HALF = _f(0.5)
 
 
 @compiled
 def mask_wrong_orders(
-    axis: int,
-    recipe: Any,
-    positions: Any,
-    off: Any,
-    weights: Any,
-    sums: Any,
-    low: Any,
-    high: Any,
-    good: Any,
-    n: int,
-    cause: Any,
+    axis: int, recipe: Any, rows: Any, off: Any, weights: Any, sums: Any, good: Any, n: int, cause: Any
 ) -> None:
     """Mask the pixels whose order along one axis is wrong with more than the allowed probability.
 
@@ -47,16 +38,14 @@ def mask_wrong_orders(
         0 or 1.
     recipe : Recipe
         With the shifts.
-    positions : ndarray of float32, (n,)
-        Of the finest set, as shares of the projector's length.
+    rows : ndarray of float32
+        Buffer of unwrapping, with the interval of possible positions.
     off : ndarray of float32, (S, n)
-        Distance of every other set from it.
+        Distance of every other set from the finest, as a share of the projector's length.
     weights : ndarray of float32, (S, n)
         Inverse variances of the sets' positions.
     sums : ndarray of float32
         Buffer of the finished fusion.
-    low, high : ndarray of float32, (n,)
-        Interval of possible positions.
     good : ndarray of float32, (n,)
         Whether each pixel is measured, 0 or 1; set to 0 where it is masked.
     n : int
@@ -70,22 +59,24 @@ def mask_wrong_orders(
     least, edge = recipe.least_separation[axis], recipe.edge_shift[axis]
     margin = recipe.order_margin[axis]
     enough = math.log(2.0 * (last - first) / recipe.wrong_order_max)
+    # A pixel that the bound clears has at least the separation of twice `enough`, and so at most this noise.
+    finest = recipe.finest[axis]
+    unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
+    reach = margin + FARTHEST_SIGMAS * math.sqrt(least / (2.0 * enough * unit))
+    if _mark_doubtful(rows, sums, good, n, _f(least), _f(edge), _f(reach), _f(enough)) == 0:
+        return
     for i in range(n):
-        if good[i] == 0.0:
+        if sums[_u(i) + DOUBT] == 0.0:
             continue
-        position, chi2 = positions[i], sums[_u(i) + CHI2]
-        reach = math.sqrt(sums[_u(i) + LEAST] * least)
-        tolerance = margin + FARTHEST_SIGMAS / math.sqrt(weights[recipe.finest[axis], i])
-        span = max(position - low[i], high[i] - position) + tolerance
-        if reach * (0.5 * reach - math.sqrt(chi2)) >= enough and span < edge:
-            continue
-        ends = (low[i] - margin - position, high[i] + margin - position)
+        position, low, high = sums[_u(i) + POSITION], rows[_u(i) + LOW], rows[_u(i) + HIGH]
+        tolerance = margin + FARTHEST_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+        ends = (low - margin - position, high + margin - position)
         best, inside = _evidence(axis, recipe, off, weights, i, 0.0, first, ends)
         odds, likeliest, which = 0.0, -1.0, 0
         for r in range(first, last):
             for sign in (-1.0, 1.0):
                 moved = position + sign * recipe.shifts[r]
-                if low[i] - tolerance <= moved <= high[i] + tolerance:
+                if low - tolerance <= moved <= high + tolerance:
                     other, share = _evidence(axis, recipe, off, weights, i, sign, r, ends)
                     own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / max(inside, 1e-9)
                     odds += own
@@ -94,6 +85,27 @@ def mask_wrong_orders(
         if odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
             cause[i] = 1 + recipe.causes[which]
+
+
+@compiled
+def _mark_doubtful(
+    rows: Any, sums: Any, good: Any, n: int, least: Any, edge: Any, tolerance: Any, enough: Any
+) -> Any:
+    """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
+
+    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`.
+    """
+    count = _f(0)
+    for j in range(n):
+        i = _u(j)
+        square = sums[i + LEAST] * least
+        surplus = _HALF * square - enough
+        span = max(sums[i + POSITION] - rows[i + LOW], rows[i + HIGH] - sums[i + POSITION])
+        doubt = _f(0) if surplus * abs(surplus) >= square * sums[i + CHI2] else good[i]
+        doubt = doubt if span + tolerance < edge else good[i]
+        sums[i + DOUBT] = doubt
+        count += doubt
+    return count
 
 
 @compiled

@@ -13,7 +13,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis, Floats
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
-from fpplab.phase.bounds import CoordinateBounds
+from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.reconstruction.triangulation import camera_slopes
 
 MARGIN_PX = 0.5
@@ -24,7 +24,7 @@ GRID_PX = 16
 """Camera pixels between those whose segments are projected; the others are interpolated."""
 
 
-def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, CoordinateBounds] | None:
+def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, PossibleCoordinates] | None:
     """Compute the possible projector coordinates of every camera pixel within a plan's range of depths.
 
     Parameters
@@ -36,7 +36,7 @@ def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, CoordinateB
 
     Returns
     -------
-    dict of str to CoordinateBounds, or None
+    dict of str to PossibleCoordinates, or None
         By coded axis; None where the plan has no range.
 
     Raises
@@ -53,7 +53,7 @@ def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, CoordinateB
         columns, rows = np.arange(width), np.arange(height)
     pixels = _segments(slopes[:, rows[:, None], columns], calibration, plan.depth_mm)
     across, down = _interpolation(columns, width), _interpolation(rows, height)
-    bounds: dict[Axis, CoordinateBounds] = {}
+    bounds: dict[Axis, PossibleCoordinates] = {}
     for axis in plan.axes:
         along = pixels[..., AXES.index(axis)]
         last = calibration.projector.size[AXES.index(axis)] - 0.5
@@ -61,7 +61,7 @@ def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, CoordinateB
             np.clip(down @ end @ across.T, -0.5, last)
             for end in (along.min(axis=0) - MARGIN_PX, along.max(axis=0) + MARGIN_PX)
         )
-        bounds[axis] = CoordinateBounds(least.astype(np.float32), most.astype(np.float32))
+        bounds[axis] = PossibleCoordinates(least.astype(np.float32), most.astype(np.float32))
     return bounds
 
 

@@ -8,7 +8,7 @@ import pytest
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.recording import Recording
 from fpplab.phase import check_unwrapping, decode
-from fpplab.phase.bounds import CoordinateBounds
+from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.reference import decode_axis
 from fpplab.phase.unwrapping import wavelength_sequence
 from tests.phase.test_fusion import WIDTH, plan_of
@@ -33,7 +33,7 @@ def test_light_from_beyond_the_interval_is_not_measured() -> None:
     recording, truth, bounds = noisy((12.0, 45.0, 167.0), (4, 4, 4), "guided", 60.0, seed=42)
     assert bounds is not None
     off = {
-        "x": CoordinateBounds(
+        "x": PossibleCoordinates(
             *(np.clip(end + 70, -0.5, WIDTH - 0.5) for end in (bounds["x"].least, bounds["x"].most))
         )
     }
@@ -46,7 +46,7 @@ def test_light_from_beyond_the_interval_is_not_measured() -> None:
 def test_bounds_hold_for_every_method() -> None:
     recording, truth, _ = noisy((1.0, 8.0, 64.0), (12, 12, 12), "hierarchical", 30.0, seed=43)
     least = np.full(truth.shape, 300, np.float32)
-    decoded = decode(recording, bounds={"x": CoordinateBounds(least, least + 300)})
+    decoded = decode(recording, bounds={"x": PossibleCoordinates(least, least + 300)})
     inside = (truth > 301) & (truth < 599)
     assert decoded.valid[inside].all()
     assert not decoded.valid[(truth < 298) | (truth > 602)].any()
@@ -80,4 +80,4 @@ def test_bounds_of_another_camera_are_refused() -> None:
     frames = [np.zeros((2, WIDTH), np.uint8)] * GUIDED.images
     maps = np.zeros((3, 3), np.float32)
     with pytest.raises(DataError, match=r"bounds along x are maps of the shape \(3, 3\)"):
-        decode(Recording(frames, GUIDED, (WIDTH, 2)), bounds={"x": CoordinateBounds(maps, maps + 60)})
+        decode(Recording(frames, GUIDED, (WIDTH, 2)), bounds={"x": PossibleCoordinates(maps, maps + 60)})

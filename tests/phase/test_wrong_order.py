@@ -10,7 +10,7 @@ from fpplab.patterns.plan import MaskRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.phase.alternatives import alternatives_of
-from fpplab.phase.bounds import CoordinateBounds
+from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.precision import uncertain_orders
 from fpplab.phase.reference import decode_axis
 from fpplab.phase.unwrapping import wavelength_sequence
@@ -46,7 +46,7 @@ def noisy(
     if unwrapping == "guided":
         least = np.clip(truth - random.uniform(0, 60, truth.shape), -0.5, None)
         most = np.minimum(least + 60, WIDTH - 0.5)
-        bounds = {"x": CoordinateBounds(least.astype(np.float32), most.astype(np.float32))}
+        bounds = {"x": PossibleCoordinates(least.astype(np.float32), most.astype(np.float32))}
     return Recording(frames, plan, (WIDTH, HEIGHT), 16), truth, bounds
 
 
