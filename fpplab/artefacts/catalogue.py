@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fpplab.artefacts import shapes
 from fpplab.artefacts.base import Artefact, Lengths
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import write_atomic
-from fpplab.core.geometry import RigidTransform
 
 if TYPE_CHECKING:
     import trimesh
@@ -53,9 +51,6 @@ def artefact_types() -> dict[str, type[Artefact]]:
 
 NAMES = tuple(name for name, shape in artefact_types().items() if not shape.is_standard)
 """Names of the artefacts, which measured clouds are compared with."""
-
-SAME_MM = 1e-3
-"""Deviation of corners up to which a mesh is that of an artefact; files have 32 bit floats."""
 
 STANDARDS = tuple(name for name, shape in artefact_types().items() if shape.is_standard)
 """Names of the standards, which an acceptance test measures."""
@@ -112,49 +107,6 @@ def usual_sizes(name: str) -> dict[str, Lengths]:
         There is no artefact of that name; the message lists the names.
     """
     return asdict(_artefact_type(name)())
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedArtefact:
-    """An artefact, and where it is in the frame of a mesh.
-
-    Attributes
-    ----------
-    artefact : Artefact
-        With its lengths.
-    pose : RigidTransform
-        T_mesh_artefact, in mm.
-    """
-
-    artefact: Artefact
-    pose: RigidTransform
-
-
-def recognise(mesh: trimesh.Trimesh) -> PlacedArtefact | None:
-    """Recognise an artefact or standard of usual size by its mesh, wherever that is placed.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        In mm, as `make` gives it or read from a file that `save_stl` wrote, moved by any rigid motion.
-
-    Returns
-    -------
-    PlacedArtefact or None
-        None for any other mesh, such as that of a printed shape.
-    """
-    for shape in artefact_types().values():
-        known = shape()
-        drawn = np.asarray(known.mesh().triangles, np.float64).reshape(-1, 3)
-        seen = np.asarray(mesh.triangles, np.float64).reshape(-1, 3)
-        if len(drawn) != len(seen):
-            continue
-        turn, _ = Rotation.align_vectors(seen - seen.mean(axis=0), drawn - drawn.mean(axis=0))
-        rotation = turn.as_matrix()
-        pose = RigidTransform(rotation, seen.mean(axis=0) - rotation @ drawn.mean(axis=0))
-        if np.abs(pose.apply(drawn) - seen).max() <= SAME_MM:
-            return PlacedArtefact(known, pose)
-    return None
 
 
 def _artefact_type(name: str) -> type[Artefact]:

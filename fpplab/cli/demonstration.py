@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fpplab import artefacts
+from fpplab.artefacts.recognition import recognise
 from fpplab.calibration.model import Calibration
 from fpplab.cli import console
 from fpplab.comparison import Comparison, compare
@@ -156,7 +157,7 @@ def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Pat
     truth.apply_transform(standing.matrix)
     artefacts.save_stl(truth, out / TRUTH)
     with console.progress(f"Comparing the {name}"):
-        placed = artefacts.recognise(truth)
+        placed = recognise(truth)
         comparison = compare(cloud, truth, calibration, align=True, artefact=placed)
         unfiltered = compare(triangulate(decoded, calibration, normals=False), truth, calibration, align=True)
     return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison, unfiltered)

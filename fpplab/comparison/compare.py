@@ -21,7 +21,7 @@ import igl
 import numpy as np
 import trimesh
 
-from fpplab.artefacts import PlacedArtefact
+from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import STEEPEST_DEG
@@ -246,7 +246,8 @@ def compare(
     near_mm : float
         Distance of reconstructed surface up to which a place of the truth counts as measured.
     artefact : PlacedArtefact, optional
-        What the mesh is (`fpplab.artefacts.recognise`): its lengths are measured after an alignment.
+        What the mesh is, from `fpplab.artefacts.recognition.recognise`: its lengths are measured after an
+        alignment.
 
     Returns
     -------

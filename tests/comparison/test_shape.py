@@ -12,7 +12,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from fpplab import artefacts
-from fpplab.artefacts import PlacedArtefact, recognise
+from fpplab.artefacts.recognition import PlacedArtefact, recognise
 from fpplab.cli import app
 from fpplab.clouds import Cloud, load_mesh, save_cloud
 from fpplab.comparison import compare

@@ -126,7 +126,7 @@ def test_an_unknown_kind_lists_the_known() -> None:
 
 
 def test_an_unknown_method_lists_the_known() -> None:
-    assert sorted(unwrapping_methods()) == ["heterodyne", "hierarchical"]
+    assert sorted(unwrapping_methods()) == ["guided", "heterodyne", "hierarchical"]
     wrong = {"fringes": [{"axis": "x", "stripes": 1, "steps": 4}], "unwrapping": "magic"}
     with pytest.raises(
         ConfigError, match="'unwrapping' is 'magic': should be 'hierarchical' or 'heterodyne'"

@@ -41,7 +41,8 @@ def compare_command(
     by `fpplab artefact` lengths such as step heights, measured and true. `warnings` tells where these
     contradict the distances.
     """
-    from fpplab import artefacts, comparison
+    from fpplab import comparison
+    from fpplab.artefacts.recognition import recognise
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import load_cloud, load_mesh
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
@@ -59,7 +60,7 @@ def compare_command(
         known.check_camera(measured.size, source or cloud)
     with console.progress("Comparing"):
         truth = load_mesh(mesh)
-        artefact = artefacts.recognise(truth) if align else None
+        artefact = recognise(truth) if align else None
         result = comparison.compare(measured, truth, known, align=align, artefact=artefact)
     if out:
         picture = figures.error_map(measured, result.distances_mm, result.counted)
