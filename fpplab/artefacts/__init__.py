@@ -4,14 +4,7 @@ Importing this package does not import trimesh, so that names are available quic
 """
 
 from fpplab.artefacts.base import Artefact, Lengths
-from fpplab.artefacts.catalogue import (
-    NAMES,
-    STANDARDS,
-    artefact_types,
-    make,
-    save_stl,
-    usual_sizes,
-)
+from fpplab.artefacts.catalogue import NAMES, STANDARDS, artefact_types, make, save_stl, usual_sizes
 from fpplab.artefacts.lengths import Corner, FeatureLength, FlatFace, SphereFace
 from fpplab.artefacts.parts import check_solid, load_part
 from fpplab.artefacts.slicing import layer_count, sliced

@@ -16,6 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from fpplab.comparison.robust import huber_weights, robust_spread
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
@@ -39,8 +40,6 @@ searched. The second is small, since wrong poses of a nearly symmetric part are 
 DETAIL_SIZE, DIRECTION_POINTS = 0.004, 400_000
 """Size of features, in sizes of the mesh, that are ignored when the direction that the surface faces is
 determined, and number of surface samples that determine it."""
-HUBER = 1.345
-"""Residual, in standard deviations, from which Huber's weight falls."""
 JUDGED_SHARE, GOOD_SHARE = 0.8, 0.97
 """Share of the cloud, its nearest points, by which a pose is judged; the rest may belong to other objects. To
 count as good without a further search, a pose must fit nearly all points but outliers, since small features
@@ -275,12 +274,8 @@ def refine_pose(
     """
     for done in range(rounds):
         distance, placed, normals = target.residuals(points, pose)
-        scale = max(
-            1.4826 * float(np.median(np.abs(distance))),
-            full_weight_distance * SEARCH_DECAY**done * target.size,
-            1e-12,
-        )
-        weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(distance), 1e-12))
+        spread = max(robust_spread(distance), full_weight_distance * SEARCH_DECAY**done * target.size)
+        weight = huber_weights(distance, spread)
         centre = placed.mean(axis=0)
         rows = np.hstack([np.cross(placed - centre, normals) / target.size, normals])
         matrix, right = rows.T @ (rows * weight[:, None]), -rows.T @ (weight * distance)

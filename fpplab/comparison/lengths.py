@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.artefacts import Corner, FeatureLength, FlatFace, SphereFace
-from fpplab.comparison.alignment import HUBER
+from fpplab.comparison.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 from fpplab.comparison.scale import COVERAGE
 from fpplab.core.conventions import Floats, Mask
 
@@ -214,9 +214,10 @@ def _fit_centre(points: Floats, camera: Floats, sphere: SphereFace) -> Estimate 
     reach = np.linalg.norm(away, axis=1)
     view = (camera - sphere.centre) / np.linalg.norm(camera - sphere.centre)
     cap = (np.abs(reach - sphere.radius) <= REACH_MM) & (away @ view >= CAP_COSINE * reach)
-    away, cell = away[cap], _cells(away[cap])
+    away = away[cap]
     if len(away) < LEAST_POINTS:
         return None
+    cell = _cells(away)
     moved, covariance = np.zeros(4), np.zeros((4, 4))
     for _ in range(FIT_ROUNDS):
         local = away - moved[:3]
@@ -256,27 +257,18 @@ def _on_face(points: Floats, face: FlatFace) -> Mask:
 
 
 def _cells(points: Floats) -> NDArray[np.int64]:
-    """Number the cells of space that points (N, 3) of a face lie in, (N,)."""
-    if len(points) == 0:
-        return np.zeros(0, np.int64)
+    """Number the cells of a face, across its first two axes, that points (N, 3) of it lie in, (N,)."""
     side = max(float(np.ptp(points, axis=0).max()) / CELLS_PER_FACE, 1e-6)
-    numbers = np.unique(np.floor(points[:, :2] / side).astype(np.int64), axis=0, return_inverse=True)[1]
-    return np.asarray(numbers, np.int64).reshape(-1)
+    return cell_numbers(points[:, :2], side)
 
 
 def _robust_fit(rows: Floats, values: Floats, cell: NDArray[np.int64]) -> Estimate | None:
     """Fit `rows @ x = values` with Huber's weights; None if the cells are too few for a covariance."""
-    cells, count = int(cell.max()) + 1, rows.shape[1]
-    if cells <= count + 1:
+    if cell.max() + 1 <= rows.shape[1] + 1:
         return None
     weight = np.ones(len(values))
     for _ in range(FIT_ROUNDS):
         found = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], values * np.sqrt(weight), rcond=None)[0]
         rest = values - rows @ found
-        spread = max(1.4826 * float(np.median(np.abs(rest))), 1e-12)
-        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-15))
-    sums = np.zeros((cells, count))
-    np.add.at(sums, cell, rows * (weight * rest)[:, None])
-    full = rows[weight == 1.0]
-    inverse = np.linalg.pinv(full.T @ full)
-    return found, np.asarray(inverse @ (sums.T @ sums) @ inverse * cells / (cells - count))
+        weight = huber_weights(rest, robust_spread(rest))
+    return found, clustered_covariance(rows, weight * rest, weight == 1.0, cell)

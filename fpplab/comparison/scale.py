@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.comparison.alignment import HUBER, AlignmentMesh
+from fpplab.comparison.alignment import AlignmentMesh
+from fpplab.comparison.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 
@@ -100,9 +101,7 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
 
     References
     ----------
-    Chen and Medioni, "Object modelling by registration of multiple range images", 1992; Huber and Ronchetti,
-    "Robust statistics", 2009, on the covariance of M-estimates; Liang and Zeger, "Longitudinal data analysis
-    using generalized linear models", 1986, on clusters.
+    Chen and Medioni, "Object modelling by registration of multiple range images", 1992.
     """
     if len(points) > SCALE_POINTS:
         points = points[np.random.default_rng(seed).choice(len(points), SCALE_POINTS, replace=False)]
@@ -114,8 +113,7 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
     for _ in range(SCALE_ROUNDS):
         smaller = centre + (points - centre) / scale
         distance, placed, normals = target.residuals(smaller, pose)
-        spread = _spread(distance)
-        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(distance), 1e-12))
+        weight = huber_weights(distance, robust_spread(distance))
         rows = _rows(placed - centre, normals, target.size)
         matrix = rows.T @ (rows * weight[:, None])
         if not _determines_scale(matrix):
@@ -127,16 +125,13 @@ def fit_scale(points: Floats, target: AlignmentMesh, seed: int = 0) -> FittedSca
         pose = RigidTransform(turn.rotation, centre - step[3:6] - turn.rotation @ centre) @ pose
         if np.abs(step).max() < CONVERGED_SCALE * target.size:
             break
-    sigma = _sigma(rows, weight * distance, weight == 1.0, _cells(placed, target.size / CELLS_ACROSS))
-    if sigma is None:
+    cell = cell_numbers(placed, target.size / CELLS_ACROSS)
+    if cell.max() + 1 < LEAST_CELLS:
         return None
+    covariance = clustered_covariance(rows, weight * distance, weight == 1.0, cell)
+    sigma = float(np.sqrt(covariance[6, 6]))
     spread_mm = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1))))
     return FittedScale(1e6 * (scale - 1.0), 1e6 * sigma / target.size, spread_mm)
-
-
-def _spread(distance: Floats) -> float:
-    """Estimate the standard deviation of distances robustly."""
-    return max(1.4826 * float(np.median(np.abs(distance))), 1e-9)
 
 
 def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
@@ -146,7 +141,7 @@ def _clear_of_edges(points: Floats, target: AlignmentMesh) -> NDArray[np.bool_]:
     convex edges of a part that makes it look larger.
     """
     distance, placed, normals = target.residuals(points, RigidTransform.identity())
-    reach, kept = EDGE_SPREADS * _spread(distance), np.ones(len(points), np.bool_)
+    reach, kept = EDGE_SPREADS * robust_spread(distance), np.ones(len(points), np.bool_)
     for side in (-reach, reach):
         moved = target.residuals(placed + side * normals, RigidTransform.identity())[2]
         kept &= np.einsum("ij,ij->i", moved, normals) > SAME_FACE
@@ -163,21 +158,3 @@ def _determines_scale(matrix: Floats) -> bool:
     """Tell whether the scale's column is not a combination of those of the rigid motion."""
     rigid = np.linalg.lstsq(matrix[:6, :6], matrix[:6, 6], rcond=1e-12)[0]
     return bool(matrix[6, 6] - matrix[:6, 6] @ rigid > LEAST_SHARE * matrix[6, 6])
-
-
-def _cells(points: Floats, side: float) -> NDArray[np.int64]:
-    """Number the cells of space that points (N, 3) lie in, (N,)."""
-    numbers = np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True)[1]
-    return np.asarray(numbers, np.int64).reshape(-1)
-
-
-def _sigma(rows: Floats, scores: Floats, within: NDArray[np.bool_], cell: NDArray[np.int64]) -> float | None:
-    """Compute the standard uncertainty of the last parameter of an M-estimate of correlated points."""
-    cells = int(cell.max()) + 1
-    if cells < LEAST_CELLS:
-        return None
-    sums = np.zeros((cells, rows.shape[1]))
-    np.add.at(sums, cell, rows * scores[:, None])
-    inverse = np.linalg.pinv(rows[within].T @ rows[within], rcond=1e-12)
-    influence = sums @ inverse[:, -1]
-    return float(np.sqrt(np.sum(influence**2) * cells / (cells - rows.shape[1])))

@@ -1,0 +1,99 @@
+"""Robust least squares (Huber) and its uncertainty where neighbouring points err alike."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Mask
+
+HUBER = 1.345
+"""Residual, in standard deviations, from which Huber's weight falls."""
+LEAST_SPREAD = 1e-12
+"""Least standard deviation in mm of residuals, for points that fit exactly."""
+
+
+def robust_spread(residuals: Floats) -> float:
+    """Estimate the standard deviation of residuals by their median.
+
+    Parameters
+    ----------
+    residuals : ndarray of float64
+        (N,) in mm.
+
+    Returns
+    -------
+    float
+        In mm, at least `LEAST_SPREAD`.
+    """
+    return max(1.4826 * float(np.median(np.abs(residuals))), LEAST_SPREAD)
+
+
+def huber_weights(residuals: Floats, spread: float) -> Floats:
+    """Compute Huber's weights.
+
+    Parameters
+    ----------
+    residuals : ndarray of float64
+        (N,) in mm.
+    spread : float
+        Their standard deviation in mm.
+
+    Returns
+    -------
+    ndarray of float64
+        (N,), 1 up to `HUBER` standard deviations and falling beyond.
+    """
+    return np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residuals), LEAST_SPREAD))
+
+
+def cell_numbers(places: Floats, side: float) -> NDArray[np.int64]:
+    """Number the cells that places lie in.
+
+    Parameters
+    ----------
+    places : ndarray of float64
+        (N, D) in mm.
+    side : float
+        Of a cell, in mm.
+
+    Returns
+    -------
+    ndarray of int64
+        (N,), from 0 on without gaps.
+    """
+    numbers = np.unique(np.floor(places / side).astype(np.int64), axis=0, return_inverse=True)[1]
+    return np.asarray(numbers, np.int64).reshape(-1)
+
+
+def clustered_covariance(rows: Floats, scores: Floats, within: Mask, cell: NDArray[np.int64]) -> Floats:
+    """Compute the covariance of an M-estimate whose residuals are correlated within cells.
+
+    The sandwich estimator for clusters.
+
+    Parameters
+    ----------
+    rows : ndarray of float64
+        (N, n), derivatives of the residuals by the parameters.
+    scores : ndarray of float64
+        (N,), residuals times their weights.
+    within : ndarray of bool
+        (N,), True for residuals of full weight.
+    cell : ndarray of int64
+        (N,), from `cell_numbers`; more cells than parameters.
+
+    Returns
+    -------
+    ndarray of float64
+        (n, n).
+
+    References
+    ----------
+    Huber and Ronchetti, "Robust statistics", 2009, on the covariance of M-estimates; Liang and Zeger,
+    "Longitudinal data analysis using generalized linear models", 1986, on clusters.
+    """
+    cells, count = int(cell.max()) + 1, rows.shape[1]
+    sums = np.zeros((cells, count))
+    np.add.at(sums, cell, rows * scores[:, None])
+    inverse = np.linalg.pinv(rows[within].T @ rows[within], rcond=1e-12)
+    return np.asarray(inverse @ (sums.T @ sums) @ inverse * cells / (cells - count))
