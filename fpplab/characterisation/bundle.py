@@ -23,6 +23,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import robust_spread
 
 SOFT = 3.0
 """Residuals beyond this many robust standard deviations enter linearly, not squared (Huber)."""
@@ -361,8 +362,7 @@ class Problem:
         float
             Standard deviation of a pixel coordinate in px, at least 1e-6.
         """
-        errors = self._errors(self.unpack(vector))
-        return max(1.4826 * float(np.median(np.abs(errors))), 1e-6)
+        return robust_spread(self._errors(self.unpack(vector)), 1e-6)
 
     def misfit(self, vector: Floats) -> Floats:
         """Compute all residuals.

@@ -13,6 +13,7 @@ from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.result import Rejected
 from fpplab.characterisation.zhang import rms_of_poses
 from fpplab.core.conventions import Floats
+from fpplab.core.robust import robust_spread
 
 MOVED_POSE = 4.0
 """A pose whose RMS is this many times the median is excluded: the board, the rig or the focus changed."""
@@ -107,7 +108,7 @@ def reject_points(
 
 def _spread(residuals: Sequence[Floats]) -> float:
     """Return the robust standard deviation of a coordinate in px."""
-    return 1.4826 * float(np.median(np.abs(np.concatenate(list(residuals)))))
+    return robust_spread(np.concatenate(list(residuals)), 0.0)
 
 
 def _rejected(

@@ -16,10 +16,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from fpplab.comparison.robust import huber_weights, robust_spread
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import huber_weights, robust_spread
 
 COARSE_POINTS = 2_000
 FINE_POINTS = 20_000

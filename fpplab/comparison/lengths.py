@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.artefacts import Corner, FeatureLength, FlatFace, SphereFace
-from fpplab.comparison.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 from fpplab.comparison.scale import COVERAGE
 from fpplab.core.conventions import Floats, Mask
+from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 
 EDGE_MM = 1.0
 """Width left out inside the outline of a face, where pixels see two surfaces."""

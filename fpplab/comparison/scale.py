@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.comparison.alignment import AlignmentMesh
-from fpplab.comparison.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import cell_numbers, clustered_covariance, huber_weights, robust_spread
 
 SCALE_POINTS = 40_000
 """Points that the scale is fitted to, drawn at random."""

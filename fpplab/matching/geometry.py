@@ -26,7 +26,7 @@ from fpplab.characterisation.bundle import DistortionModel, Model, Solution, adj
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
-from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, huber_weights, subsample_pixels
+from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
 
@@ -200,7 +200,7 @@ def _equations(
     displacement: columns of the board's displacement. That of the image is normally distributed with
     `vibration_mm`; the residual is without its estimate `own`.
     """
-    weight, sigma = huber_weights(residual)
+    weight, sigma = level_weights(residual)
     weighted = jacobian * (weight / sigma**2)[:, None]
     block, right_side = jacobian.T @ weighted, weighted.T @ residual
     if vibration_mm == 0:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices
-from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, huber_weights, subsample_pixels
+from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import Twin, TwinParameters
@@ -271,7 +271,7 @@ def _round(
     residual: Floats,
 ) -> tuple[float, TwinParameters, Floats]:
     """Make one step; return the relative gain, the parameters and their residuals."""
-    weight, _ = huber_weights(residual)
+    weight, _ = level_weights(residual)
     cost = float(np.sum(weight * residual**2))
     slopes = []
     for name in names:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Mask, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.core.robust import huber_weights, robust_spread
 from fpplab.targets import Target
 
 EDGE_POINTS = 50
@@ -211,8 +212,8 @@ def subsample_pixels(area: Mask, count: int) -> PixelIndices:
     return v[chosen], u[chosen]
 
 
-def huber_weights(residual: Floats) -> tuple[Floats, float]:
-    """Compute robust weights of residuals.
+def level_weights(residual: Floats) -> tuple[Floats, float]:
+    """Compute robust weights of residuals of grey levels.
 
     Parameters
     ----------
@@ -224,5 +225,5 @@ def huber_weights(residual: Floats) -> tuple[Floats, float]:
     tuple of Floats and float
         Huber's weights, 1 for inliers, and the robust standard deviation in raw levels (from the median).
     """
-    sigma = max(1.4826 * float(np.median(np.abs(residual))), ROUNDING_SIGMA)
-    return np.minimum(1.0, HUBER_LIMIT * sigma / np.maximum(np.abs(residual), 1e-12)), sigma
+    sigma = robust_spread(residual, ROUNDING_SIGMA)
+    return huber_weights(residual, sigma, HUBER_LIMIT), sigma

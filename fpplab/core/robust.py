@@ -8,43 +8,47 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Floats, Mask
 
 HUBER = 1.345
-"""Residual, in standard deviations, from which Huber's weight falls."""
-LEAST_SPREAD = 1e-12
-"""Least standard deviation in mm of residuals, for points that fit exactly."""
+"""Residual, in standard deviations, from which Huber's weight usually falls."""
+NEGLIGIBLE_RESIDUAL = 1e-12
+"""Residual and standard deviation that stand for 0, where something fits exactly."""
 
 
-def robust_spread(residuals: Floats) -> float:
-    """Estimate the standard deviation of residuals by their median.
+def robust_spread(residuals: Floats, least: float = NEGLIGIBLE_RESIDUAL) -> float:
+    """Estimate the standard deviation of residuals by the median of their sizes.
 
     Parameters
     ----------
     residuals : ndarray of float64
-        (N,) in mm.
+        Of any shape and unit.
+    least : float
+        What it is at least, in the same unit.
 
     Returns
     -------
     float
-        In mm, at least `LEAST_SPREAD`.
+        In the same unit.
     """
-    return max(1.4826 * float(np.median(np.abs(residuals))), LEAST_SPREAD)
+    return max(1.4826 * float(np.median(np.abs(residuals))), least)
 
 
-def huber_weights(residuals: Floats, spread: float) -> Floats:
+def huber_weights(residuals: Floats, spread: float, limit: float = HUBER) -> Floats:
     """Compute Huber's weights.
 
     Parameters
     ----------
     residuals : ndarray of float64
-        (N,) in mm.
+        Of any shape and unit.
     spread : float
-        Their standard deviation in mm.
+        Their standard deviation in the same unit.
+    limit : float
+        Residual, in standard deviations, from which the weight falls.
 
     Returns
     -------
     ndarray of float64
-        (N,), 1 up to `HUBER` standard deviations and falling beyond.
+        Of the same shape, 1 up to the limit and falling beyond.
     """
-    return np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residuals), LEAST_SPREAD))
+    return np.minimum(1.0, limit * spread / np.maximum(np.abs(residuals), NEGLIGIBLE_RESIDUAL))
 
 
 def cell_numbers(places: Floats, side: float) -> NDArray[np.int64]:
