@@ -235,8 +235,7 @@ def check_plan(plan: Plan, source: str, calibration: Calibration) -> None:
         It cannot be unwrapped, needs a range of depths and has none, or part of it lies behind the projector.
     """
     bounds, size = depth_bounds(plan, calibration), calibration.projector.size
-    widths = {axis: widest(bounds, axis, size) for axis in plan.axes} if bounds else None
-    check_unwrapping(plan, source, widths)
+    check_unwrapping(plan, source, {axis: widest(bounds, axis, size) for axis in plan.axes})
 
 
 def finish_scan(

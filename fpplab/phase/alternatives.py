@@ -55,7 +55,7 @@ class Alternatives:
         return float(worse.min()) if len(worse) else np.inf
 
 
-def alternatives_of(plan: Plan, sequence: WavelengthSequence, width: float = 1.0) -> Alternatives:
+def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
     """Find the shifts that a wrong order may cause along one axis.
 
     Parameters
@@ -64,8 +64,6 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence, width: float = 1.0
         The plan.
     sequence : WavelengthSequence
         Of the axis.
-    width : float
-        Greatest width of the interval of possible positions of a pixel, as a share of the length.
 
     Returns
     -------
@@ -75,7 +73,7 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence, width: float = 1.0
     fringes = [plan.fringes[k] for k in sequence.sets]
     stripes = np.array([f.stripes for f in fringes])
     weights = (TWO_PI * stripes / [f.phase_noise for f in fringes]) ** 2
-    multiples = np.arange(1, int(np.floor(width * stripes[-1] + 0.5)) + 1)
+    multiples = np.arange(1, int(np.floor(sequence.width * stripes[-1] + 0.5)) + 1)
     turns = multiples[:, None] / stripes[-1] * stripes
     turns -= np.floor(turns + 0.5)
     whitened = turns / stripes * np.sqrt(weights)

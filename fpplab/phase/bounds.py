@@ -30,10 +30,26 @@ class PossibleCoordinates:
     least: Map
     most: Map
 
+    def positions(self, length: int) -> tuple[Map, Map]:
+        """Convert the ends of the intervals.
+
+        Parameters
+        ----------
+        length : int
+            Of the projector along the coordinate, in px.
+
+        Returns
+        -------
+        tuple of ndarray of float32, (height, width)
+            Least and greatest position, as shares of the length.
+        """
+        half, px = np.float32(0.5), np.float32(length)
+        return (self.least + half) / px, (self.most + half) / px
+
 
 def widest(
     bounds: Mapping[Axis, PossibleCoordinates] | None, axis: Axis, projector_size: tuple[int, int]
-) -> float:
+) -> float | None:
     """Find the greatest width of the intervals along one axis.
 
     Parameters
@@ -47,11 +63,11 @@ def widest(
 
     Returns
     -------
-    float
-        Share of the projector's length; 1 where no intervals are known, and never 0.
+    float or None
+        Share of the projector's length, never 0; None where no intervals are known.
     """
     if bounds is None or axis not in bounds:
-        return 1.0
+        return None
     one = bounds[axis]
     return max(float(np.max(one.most - one.least)), 1.0) / axis_length(projector_size, axis)
 
@@ -82,8 +98,7 @@ def interval_of(
     """
     if bounds is None or axis not in bounds:
         return 0.0, 1.0
-    one = bounds[axis]
-    low, high = ((end.astype(np.float64) + 0.5) / length for end in (one.least, one.most))
+    low, high = (end.astype(np.float64) for end in bounds[axis].positions(length))
     return (low, high) if pixels is None else (low.ravel()[pixels], high.ravel()[pixels])
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Axis, Map, axis_length, full_scale
+from fpplab.core.conventions import AXES, Axis, Map, axis_length, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
@@ -26,12 +26,7 @@ from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
-from fpplab.phase.unwrapping import (
-    EDGE_MARGIN_PX,
-    WavelengthSequence,
-    check_unwrapping,
-    wavelength_sequence,
-)
+from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 
 _BLOCK = 1 << 18
 
@@ -70,9 +65,8 @@ def decode(
     recording = recording.checked()
     plan, bits, source = recording.plan, recording.bits, recording.name
     check_bounds(bounds, recording)
-    widths = {axis: widest(bounds, axis, recording.projector_size) for axis in plan.axes}
-    check_unwrapping(plan, source, widths if bounds else None)
-    sequences = [wavelength_sequence(plan, axis, source, widths[axis]) for axis in plan.axes]
+    size = recording.projector_size
+    sequences = [wavelength_sequence(plan, axis, source, widest(bounds, axis, size)) for axis in plan.axes]
     noise = noise_of(recording)
     recipe = recipe_of(recording, sequences, noise, bounds)
     first = recording.frames[0]
@@ -93,7 +87,7 @@ def decode(
 
 def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
-    along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
+    along = {axis: pixels if axis in plan.axes else 0 for axis in AXES}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
     u, v, modulation, sigma, disagreement, doubt_u, doubt_v = (np.empty(n, np.float32) for n in sizes)

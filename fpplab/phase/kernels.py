@@ -448,8 +448,8 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
-                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, rows[7 * ROW :])
-                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, rows[8 * ROW :])
+                _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, rows[LOW:])
+                _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, rows[HIGH:])
                 _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
                 count = fuse_axis(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
                 freedom += count - 1
@@ -457,7 +457,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, good, n, cause)
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
-                    doubt[at : at + n] = rows[2 * ROW : 2 * ROW + n]
+                    doubt[at : at + n] = rows[_WORST : _WORST + _u(n)]
         maps.modulation[at : at + n] = modulation[recipe.reference, :n]
         maps.sigma[at : at + n] = sigma[:n]
         if len(maps.u) > 0:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length, full_scale
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import alternatives_of
-from fpplab.phase.bounds import PossibleCoordinates, widest
+from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.kernels import GROUP, Recipe
 from fpplab.phase.quality import NoiseModel
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
@@ -44,10 +44,10 @@ def recipe_of(
     plan, size = recording.plan, recording.projector_size
     wavelengths = [one for sequence in sequences for one in sequence.wavelengths]
     of_axis: dict[Axis, WavelengthSequence] = {sequence.axis: sequence for sequence in sequences}
-    counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in ("x", "y")]
-    finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in ("x", "y")]
+    counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in AXES]
+    finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in AXES]
     f32, rules = np.float32, plan.masks
-    risks = [alternatives_of(plan, one, widest(bounds, one.axis, size)) for one in sequences]
+    risks = [alternatives_of(plan, one) for one in sequences]
     of_risk = {one.axis: risk for one, risk in zip(sequences, risks, strict=True)}
     known = [of_risk.get(axis) for axis in AXES]
     low_u, high_u, low_v, high_v = (
@@ -99,9 +99,8 @@ def _interval_of(
     """Ends of the intervals as flat arrays of positions, empty where none are known."""
     if bounds is None or axis not in bounds:
         return np.empty(0, np.float32), np.empty(0, np.float32)
-    one = bounds[axis]
-    low, high = (((end.ravel() + 0.5) / length).astype(np.float32) for end in (one.least, one.most))
-    return low, high
+    low, high = bounds[axis].positions(length)
+    return low.ravel(), high.ravel()
 
 
 def _over_all_sets(

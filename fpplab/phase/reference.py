@@ -408,7 +408,7 @@ def decode_axis(
     sequence = wavelength_sequence(plan, axis, recording.name, width)
     seen, interval = axis_phases(recording, sequence, noise_of(recording)), interval_of(bounds, axis, length)
     found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
-    risks = alternatives_of(plan, sequence, width)
+    risks = alternatives_of(plan, sequence)
     wrong = wrong_order_probability(seen, found.position, risks, interval, margin)
     fused = fuse(seen, found.position)
     known = np.where(found.is_unambiguous, 1.0, np.nan)

@@ -39,12 +39,15 @@ class WavelengthSequence:
     trust : tuple of float
         Of each wavelength the inverse variance of its disagreement with the one before, where the variance of
         the finest phase is one; 0 for the base.
+    width : float
+        Greatest width of the interval of possible positions of a pixel, as a share of the projector's length.
     """
 
     axis: Axis
     sets: tuple[int, ...]
     wavelengths: tuple[SyntheticWavelength, ...]
     trust: tuple[float, ...]
+    width: float
 
     @property
     def finest(self) -> int:
@@ -52,7 +55,9 @@ class WavelengthSequence:
         return self.sets[-1]
 
 
-def wavelength_sequence(plan: Plan, axis: Axis, source: str, width: float = 1.0) -> WavelengthSequence:
+def wavelength_sequence(
+    plan: Plan, axis: Axis, source: str, width: float | None = None
+) -> WavelengthSequence:
     """Give the synthetic wavelengths of one coded axis.
 
     Parameters
@@ -63,9 +68,9 @@ def wavelength_sequence(plan: Plan, axis: Axis, source: str, width: float = 1.0)
         An axis that it codes.
     source : str
         What the plan is called in the message.
-    width : float
+    width : float, optional
         Greatest width of the interval of possible positions of a pixel, as a share of the projector's length;
-        1 where calibration and depth range are not known.
+        by default calibration and depth range are not known.
 
     Returns
     -------
@@ -75,15 +80,21 @@ def wavelength_sequence(plan: Plan, axis: Axis, source: str, width: float = 1.0)
     Raises
     ------
     ConfigError
-        The plan cannot be unwrapped without ambiguity; the message says which stripes would do.
+        The plan cannot be unwrapped without ambiguity; the message says which stripes would do. Or it is
+        unwrapped with a calibration and a depth range, and they are not known.
     """
     sets, method = plan.sets_along(axis), unwrapping_methods()[plan.unwrapping]
     units = [
         SyntheticWavelength(tuple(int(i == k) for i in range(len(sets))), plan.fringes[index].stripes)
         for k, index in enumerate(sets)
     ]
+    if width is None and method.guided:
+        raise ConfigError(
+            f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range; "
+            "without them use a plan with 'hierarchical' or 'heterodyne' unwrapping"
+        )
     found = method.wavelengths(units)
-    most = (1.0 / width if method.guided else 1.0) + NEGLIGIBLE
+    most = (1.0 / width if width and method.guided else 1.0) + NEGLIGIBLE
     coarse = [w for w in found if w.stripes <= most]
     if not coarse:
         stripes = [unit.stripes for unit in units]
@@ -91,10 +102,11 @@ def wavelength_sequence(plan: Plan, axis: Axis, source: str, width: float = 1.0)
         advice = method.advice(stripes, found[0].stripes, most)
         raise ConfigError(f"{source}: 'fringes' along {axis} have {listed} stripes: {advice}")
     kept = (coarse[-1], *(w for w in found if w.stripes > most))
-    return WavelengthSequence(axis, sets, kept, _trust(kept, [plan.fringes[i].images for i in sets]))
+    trust = _trust(kept, [plan.fringes[i].images for i in sets])
+    return WavelengthSequence(axis, sets, kept, trust, width or 1.0)
 
 
-def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float] | None = None) -> None:
+def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float | None] | None = None) -> None:
     """Refuse a plan that cannot be unwrapped, before anything is projected.
 
     Parameters
@@ -104,21 +116,15 @@ def check_unwrapping(plan: Plan, source: str, widths: Mapping[Axis, float] | Non
     source : str
         What it is called in the message.
     widths : mapping of str to float, optional
-        By axis, the greatest width of the interval of possible positions of a pixel, as a share of the
-        projector's length; by default neither calibration nor depth range are known.
+        By axis, as for `wavelength_sequence`; by default neither calibration nor depth range are known.
 
     Raises
     ------
     ConfigError
-        As `wavelength_sequence`; or it is unwrapped with a calibration and a depth range, and there are none.
+        As `wavelength_sequence`.
     """
-    if widths is None and unwrapping_methods()[plan.unwrapping].guided:
-        raise ConfigError(
-            f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range; "
-            "without them use a plan with 'hierarchical' or 'heterodyne' unwrapping"
-        )
     for axis in plan.axes:
-        wavelength_sequence(plan, axis, source, (widths or {}).get(axis, 1.0))
+        wavelength_sequence(plan, axis, source, (widths or {}).get(axis))
 
 
 def _trust(wavelengths: tuple[SyntheticWavelength, ...], images: list[int]) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 
 NEGLIGIBLE = 1e-9
 """Stripe counts that differ by less are the same."""
@@ -50,6 +51,41 @@ class SyntheticWavelength:
     def noise_gain(self) -> int:
         """By how much the variance of its phase exceeds that of one set."""
         return sum(c * c for c in self.coefficients)
+
+
+def differences(sets: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+    """Subtract the sets from one another.
+
+    Parameters
+    ----------
+    sets : sequence of SyntheticWavelength
+        Fewest stripes first.
+
+    Returns
+    -------
+    list of SyntheticWavelength
+        Of every two sets that are not the same.
+    """
+    found = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
+    return [w for w in found if w.stripes > NEGLIGIBLE]
+
+
+def distinct(wavelengths: Sequence[SyntheticWavelength]) -> list[SyntheticWavelength]:
+    """Sort wavelengths; of equal ones keep that with fewest phases in it, which carries least noise.
+
+    Parameters
+    ----------
+    wavelengths : sequence of SyntheticWavelength
+        In any order.
+
+    Returns
+    -------
+    list of SyntheticWavelength
+        Fewest stripes first, every stripe count once.
+    """
+    found = sorted(wavelengths, key=lambda w: (w.stripes, -w.noise_gain))
+    kept = [w for w, following in pairwise(found) if following.stripes - w.stripes > NEGLIGIBLE]
+    return kept + found[-1:]
 
 
 class UnwrappingMethod(ABC):

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
-from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
+from fpplab.patterns.unwrapping.base import (
+    NEGLIGIBLE,
+    SyntheticWavelength,
+    UnwrappingMethod,
+    differences,
+    distinct,
+)
 
 
 class Guided(UnwrappingMethod):
@@ -31,10 +36,8 @@ class Guided(UnwrappingMethod):
         list of SyntheticWavelength
             Fewest stripes first, every stripe count once.
         """
-        differences = (fine.beat(coarse) for coarse, fine in combinations(sets, 2))
-        coarser = [d for d in differences if NEGLIGIBLE < d.stripes < sets[0].stripes - NEGLIGIBLE]
-        once = {round(d.stripes, 6): d for d in coarser}
-        return [*sorted(once.values(), key=lambda w: w.stripes), *sets]
+        coarser = [d for d in differences(sets) if d.stripes < sets[0].stripes - NEGLIGIBLE]
+        return [*distinct(coarser), *sets]
 
     def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
         """Ask for a coarser set or a narrower range of depths.

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 
-from fpplab.patterns.unwrapping.base import NEGLIGIBLE, SyntheticWavelength, UnwrappingMethod
+from fpplab.patterns.unwrapping.base import (
+    NEGLIGIBLE,
+    SyntheticWavelength,
+    UnwrappingMethod,
+    differences,
+    distinct,
+)
 
 
 class Heterodyne(UnwrappingMethod):
@@ -28,20 +34,13 @@ class Heterodyne(UnwrappingMethod):
             Fewest stripes first, every stripe count once.
         """
         # Beats of sets that are no neighbours are finer, and so nearer to the coarsest set.
-        found, level = [*sets, *(fine.beat(coarse) for coarse, fine in combinations(sets, 2))], list(sets)
-        found = [w for w in found if w.stripes > NEGLIGIBLE]
+        found, level = [*sets, *differences(sets)], list(sets)
         while level and min(w.stripes for w in level) > 1 + NEGLIGIBLE:
             level = sorted(level, key=lambda w: w.stripes)
             beats = (fine.beat(coarse) for coarse, fine in pairwise(level))
             level = [b for b in beats if b.stripes > NEGLIGIBLE]
             found += level
-        # Of equal wavelengths the one with fewer phases in it carries less noise; sets come last.
-        found.sort(key=lambda w: (w.stripes, -w.noise_gain))
-        return [
-            w
-            for w, following in zip(found, [*found[1:], None], strict=True)
-            if following is None or following.stripes - w.stripes > NEGLIGIBLE
-        ]
+        return distinct(found)
 
     def advice(self, stripes: Sequence[float], coarsest: float, most: float) -> str:
         """Ask for sets whose beats reach one stripe.
