@@ -58,7 +58,7 @@ def _ripple(blur: float, stripes: float, lattice: Lattice) -> Result:
     samples = np.zeros((1, 1, PLACES, 4), np.float32)
     samples[0, 0, :, :2], samples[..., 3] = places, 1.0
     table = LightTable(samples, np.zeros((1, PLACES), np.float32))
-    twin = _seen(table, texture, levels)[:, 0]
+    twin = table.look_up(texture.textures(levels, part=table.part(texture.shape)))[:, 0]
     exact = _exact(places, texture, levels, blur)
     found, true = (
         _spread_px(_phase(seen) - TWO_PI * u * stripes / COLUMNS, stripes) for seen in (twin, exact)
@@ -73,13 +73,6 @@ def _fringes(stripes: float, size: tuple[int, int], lattice: Lattice) -> NDArray
     steps = np.arange(STEPS)[:, None, None] / STEPS
     levels = 0.5 + 0.5 * np.cos(TWO_PI * (u * stripes / size[0] - steps))
     return np.asarray(levels, np.float32)
-
-
-def _seen(table: LightTable, texture: MirrorTexture, levels: NDArray[np.float32]) -> NDArray[np.float32]:
-    left, top, right, bottom = part = table.part(texture.shape)
-    texels = np.stack([texture.filtered(level, part=part)[0] for level in levels], axis=-1)
-    assert texels.shape == (bottom - top, right - left, len(levels))
-    return table.look_up(PatternTextures(texels[None], texture.weights((0.0,)), origin=(left, top)))
 
 
 def _exact(places: Floats, texture: MirrorTexture, levels: NDArray[np.float32], blur: float) -> Floats:
@@ -128,11 +121,7 @@ def _card(name: str) -> Result:
     finally:
         blender.close()
     levels = _fringes(max(STRIPES[:2]), world.projector.size, world.projector.lattice)
-    circles = scene.lamp.circles
-    part = table.part(texture.shape)
-    filtered = [texture.filtered(level, circles, part) for level in levels]
-    texels = np.stack([np.stack(of_circle, axis=-1) for of_circle in zip(*filtered, strict=True)])
-    seen = table.look_up(PatternTextures(texels, texture.weights(circles), texture.fill, part[:2]))
+    seen = table.look_up(texture.textures(levels, scene.lamp.circles, table.part(texture.shape)))
     height, width = seen.shape[1:]
     window = np.s_[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
     phase = _phase(seen[(slice(None), *window)])

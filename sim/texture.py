@@ -168,6 +168,31 @@ class MirrorTexture:
         sharp, inside = self._sharp(light, part, reach)
         return [_convolved(sharp, of_circle)[inside] for of_circle in filters]
 
+    def textures(
+        self, levels: Sequence[Texels] | Texels, circles: Sequence[float] = (0.0,), part: Part | None = None
+    ) -> PatternTextures:
+        """Make the textures of several patterns, to look light up in.
+
+        Parameters
+        ----------
+        levels : sequence of Texels
+            Light of every mirror, (rows, columns), under each pattern.
+        circles : sequence of float
+            Diameters in texels, at most `widest`.
+        part : Part or None
+            Region of the texture; None for all of it.
+
+        Returns
+        -------
+        PatternTextures
+            Of all patterns, with their interpolation.
+        """
+        filtered = [self.filtered(level, circles, part) for level in levels]
+        texels = np.empty((len(circles), *filtered[0][0].shape, len(levels)), np.float32)
+        for of_circle, patterns in zip(texels, zip(*filtered, strict=True), strict=True):
+            cv2.merge(patterns, of_circle)
+        return PatternTextures(texels, self.weights(circles), self.fill, part[:2] if part else (0, 0))
+
     def fine(self, light: NDArray[np.float32], circle: float = 0.0) -> Texels:
         """Make the texture of mirrors with given light as a renderer interpolates it; dark outside.
 

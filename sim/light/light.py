@@ -20,7 +20,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
@@ -34,7 +33,7 @@ from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import LightTable
 from sim.scene import COLOURS, Effort, RenderScene, SubpixelView
-from sim.texture import MirrorTexture, Part, PatternTextures
+from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
 from sim.world.render import shifts
@@ -329,7 +328,7 @@ class Light:
     def _seen(self, setup: Setup, table: LightTable, light: Sequence[PatternLevels]) -> PatternLevels:
         """Look up pictures under mirrors at these light levels, (levels, height, width)."""
         _, scene, texture = self._built(setup)
-        return table.look_up(_textures(texture, scene.lamp.circles, light, table.part(texture.shape)))
+        return table.look_up(texture.textures(light, scene.lamp.circles, table.part(texture.shape)))
 
     def _basis_under(self, setup: Setup, basis: Basis) -> Rendered:
         return self._bases.get((setup, basis), lambda: self._render_basis(setup, basis))
@@ -338,7 +337,7 @@ class Light:
         """Render three channels at a time; the first render, with white as first channel, gives the table."""
         _, scene, texture = self._built(setup)
         first = self._rendered(setup, basis.channels[:COLOURS], survey=True)
-        white = _textures(texture, scene.lamp.circles, basis.channels[:1])
+        white = texture.textures(basis.channels[:1], scene.lamp.circles)
         table = LightTable.of(first, scene).divided_by(white)
         self._albedos.put(setup, table.albedo)
         pictures = _colours(first)
@@ -437,20 +436,6 @@ class Light:
         width, height = self._world.camera.size
         paths = width * height * len(views) * effort.samples * (1 + effort.bounces)
         return self._blender.render(scene, textures, views, effort, START_S + paths / PATHS_PER_S)
-
-
-def _textures(
-    texture: MirrorTexture,
-    circles: Sequence[float],
-    levels: Sequence[PatternLevels] | PatternLevels,
-    part: Part | None = None,
-) -> PatternTextures:
-    """Make the textures of mirrors at these light levels, or a part of them, to look light up in."""
-    filtered = [texture.filtered(level, circles, part) for level in levels]
-    texels = np.empty((len(circles), *filtered[0][0].shape, len(levels)), np.float32)
-    for of_circle, patterns in zip(texels, zip(*filtered, strict=True), strict=True):
-        cv2.merge(patterns, of_circle)
-    return PatternTextures(texels, texture.weights(circles), texture.fill, part[:2] if part else (0, 0))
 
 
 def _colours(rendered: PatternLevels) -> list[PatternLevels]:
