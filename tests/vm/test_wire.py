@@ -11,7 +11,7 @@ import hid
 import pytest
 
 from drivers.dlp4500 import Dlp4500
-from drivers.dlp4500.framing import READ, REPLY_WANTED, request
+from drivers.dlp4500.framing import READ, REPLY_WANTED, make_request
 from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import TIMEOUT_S, HidDevice, connect
 from drivers.emulators.dlpc350 import UsbFault
@@ -37,7 +37,7 @@ def timed(action: Callable[[], object]) -> float:
 
 def raw_round_trip(wire: HidDevice) -> None:
     """The reports of a command and of its answer, with no driver."""
-    for report in request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
+    for report in make_request(VERSION.number, b"", 0, READ | REPLY_WANTED).reports():
         wire.write(b"\0" + report)
     assert wire.read(64, round(1e3 * TIMEOUT_S))
 
