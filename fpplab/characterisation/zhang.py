@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from fpplab.calibration.model import INTRINSICS
-from fpplab.characterisation.bundle import Solution, vectors_of
+from fpplab.characterisation.parameters import Solution, vectors_of
 from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError

@@ -12,7 +12,9 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise, finest_periods, observe
-from fpplab.characterisation.bundle import Model, Problem, adjust_bundle, uncertainty
+from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.parameters import ErrorSizes, Model
+from fpplab.characterisation.problem import Problem
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
