@@ -31,7 +31,8 @@ from fpplab.characterisation import (
     finest_periods,
     observe,
 )
-from fpplab.characterisation.bundle import Model, adjust_bundle
+from fpplab.characterisation.bundle import adjust_bundle
+from fpplab.characterisation.parameters import Model
 from fpplab.characterisation.zhang import calibrate_separately, stereo
 from fpplab.cli import console
 from fpplab.core import config

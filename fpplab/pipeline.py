@@ -388,9 +388,9 @@ def characterise_sessions(
     progress : callable
         Told the share done, 0 … 1.
     level : DistortionModel or str
-        Which distortion is fitted; `auto` chooses.
+        Which distortion is fitted; `auto` takes k3 and gives the errors of all.
     refine_board : bool, optional
-        Whether the board's shape is fitted too; by default as the target says.
+        Whether the board's shape is fitted too; by default it is.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Characterisation: calibrate a camera, a projector and the pose between them from poses of a board."""
 
-from fpplab.characterisation.bundle import DistortionModel
 from fpplab.characterisation.fitting import characterise
 from fpplab.characterisation.observation import Observation, finest_periods, observe
+from fpplab.characterisation.parameters import DistortionModel
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
 
 __all__ = [

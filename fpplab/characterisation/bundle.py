@@ -1,37 +1,33 @@
 """Bundle adjustment of camera, projector, the pose between them, and every pose of the board.
 
 Both devices see the same points of the same board, so one least-squares problem contains all that is
-known; it minimises the points' reprojection error in pixels, of both devices alike (Triggs et al.,
-"Bundle adjustment: a modern synthesis", 2000). The normal equations are built block by block: the residuals
-of a pose depend only on the devices, on the pose, and on the board's own points.
+known (Triggs et al., "Bundle adjustment: a modern synthesis", 2000). How large the errors of each kind are is
+estimated from the residuals themselves, as variance components.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import astuple, replace
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.optimize import least_squares
 
 from fpplab.calibration.model import INTRINSICS, POSE, Uncertainty
 from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
+from fpplab.characterisation.pose_effects import KINDS, pose_effects, widened
+from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
-from fpplab.core.geometry import RigidTransform
 from fpplab.core.robust import robust_spread
 
 SOFT = 3.0
 """Residuals beyond this many robust standard deviations enter linearly, not squared (Huber)."""
 
-RATIONAL_SIGMA = 1.0
-"""Prior standard deviation of k4, k5, k6 about zero. Wide lenses need them of order one. On a lens of little
-distortion k1, k2, k3 compensate them, and without the prior all would grow together until a pole of the
-model, cancelled at the points by a zero of the numerator, lies in the image."""
+CLIPPED = 0.99501
+"""Mean square of a normal variable that is cut off at `SOFT` standard deviations."""
 
 LEAST_EIGENVALUE = 1e-13
 """Least significant eigenvalue of normal equations scaled to a diagonal of ones, relative to the greatest."""
@@ -39,96 +35,46 @@ LEAST_EIGENVALUE = 1e-13
 UNDETERMINED = "the poses do not determine all parameters; add some that are tilted by 20° or more"
 """Message for poses that leave a parameter undetermined."""
 
+FIRST_DAMPING = 1e-6
+"""Damping at which the fit starts, relative to the diagonal of the normal equations."""
+
 MOST_DAMPING = 1e8
 """Damping at which the fit ends: no step reduces the residuals."""
 
-ROUNDS = 3
-"""Most iterations of the estimate of the noise; it usually converges in the second."""
+LEAST_GAIN = 1e-7
+"""Relative reduction of the loss at which the fit ends: a thirtieth of a standard deviation
+for 10 000 residuals."""
+
+ROUNDS = 20
+"""Most iterations of the estimate of the errors' sizes."""
+
+SETTLED = 0.01
+"""Relative change of the errors' sizes at which their iteration ends."""
+
+FIRST_MM = 0.03
+"""Size of the errors of the board's points in mm from which the estimate starts, without a tolerance."""
+
+LEAST_PX = 1e-6
+"""Least standard deviation in px that is estimated."""
+
+LEAST_SHARE = 0.02
+"""Least size of the errors of the board that is estimated, relative to the noise of the camera's
+points: smaller ones have no effect."""
 
 
-class DistortionModel(StrEnum):
-    """How many distortion coefficients are estimated, in both devices alike; the others are zero."""
-
-    K1 = "k1"
-    K2 = "k2"
-    TANGENTIAL = "tangential"
-    K3 = "k3"
-    RATIONAL = "rational"
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """The intrinsic parameters that are free; the first of `INTRINSICS`."""
-        return INTRINSICS[: {"k1": 5, "k2": 6, "tangential": 8, "k3": 9, "rational": 12}[self]]
+LEAST_OWN = 0.05
+"""Least share of the residuals' squares that is ascribed to independent errors."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """All parameters that are adjusted.
-
-    Attributes
-    ----------
-    camera : Floats
-        (12,) as named in `INTRINSICS`.
-    projector : Floats
-        (12,) as named in `INTRINSICS`.
-    T_projector_camera : Floats
-        (6,) rotation vector in rad and translation in mm.
-    poses : Floats
-        (M, 6) `T_camera_target` of every pose: rotation vectors in rad and translations in mm.
-    board : Floats
-        (P, 3) points of the board in mm.
-    """
-
-    camera: Floats
-    projector: Floats
-    T_projector_camera: Floats
-    poses: Floats
-    board: Floats
-
-    def residuals(self, index: int, observation: Observation) -> tuple[Floats, Floats]:
-        """Compute the reprojection errors of one pose.
-
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        observation : Observation
-            What was measured in it.
-
-        Returns
-        -------
-        camera : Floats
-            (K, 2) model minus observation in px.
-        projector : Floats
-            (K, 2) model minus observation in px.
-        """
-        points, pose = self.board[observation.ids], self.poses[index]
-        seen = _view(points, pose, self.camera)[0] - observation.camera_px
-        chained, _ = _chain(pose, self.T_projector_camera)
-        return seen, _view(points, chained, self.projector)[0] - observation.projector_px
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """What is fitted to observations: the level of the distortion, and the board as it was drawn.
-
-    Attributes
-    ----------
-    level : DistortionModel
-        Which distortion coefficients are estimated.
-    drawn : Floats
-        (P, 3) points of the board as drawn, in mm.
-    board_sigma_mm : float or None
-        Standard deviation in mm of the board's points from there; None takes the board as exact.
-    """
-
-    level: DistortionModel
-    drawn: Floats
-    board_sigma_mm: float | None = None
-
-
-def adjust_bundle(observations: Sequence[Observation], start: Solution, model: Model) -> Solution:
-    """Find the best solution near a start, by a robust fit.
+def adjust_bundle(
+    observations: Sequence[Observation],
+    start: Solution,
+    model: Model,
+    sizes: ErrorSizes | None = None,
+    *,
+    first: ErrorSizes | None = None,
+) -> tuple[Solution, ErrorSizes]:
+    """Find the best solution near a start, by a robust fit, and how large the errors of each kind are.
 
     Parameters
     ----------
@@ -138,11 +84,17 @@ def adjust_bundle(observations: Sequence[Observation], start: Solution, model: M
         Initial values.
     model : Model
         Which parameters are estimated.
+    sizes : ErrorSizes or None
+        Of the errors, where they are known; None estimates them.
+    first : ErrorSizes or None
+        From which the estimate starts.
 
     Returns
     -------
-    Solution
-        At the minimum of Huber's loss of the reprojection errors.
+    solution : Solution
+        At the minimum of Huber's loss of the whitened residuals.
+    sizes : ErrorSizes
+        By which they were weighted.
 
     Raises
     ------
@@ -151,24 +103,106 @@ def adjust_bundle(observations: Sequence[Observation], start: Solution, model: M
 
     References
     ----------
-    Triggs et al., "Bundle adjustment: a modern synthesis", 2000.
+    Triggs et al., "Bundle adjustment: a modern synthesis", 2000. W. Förstner, "Ein Verfahren zur Schätzung
+    von Varianz- und Kovarianzkomponenten", 1979, for the variance components.
     """
-    problem = Problem(tuple(observations), model, 1.0)
-    vector = problem.pack(start)
-    for _ in range(ROUNDS):
-        noise = problem.spread(vector)
-        settled = abs(noise - problem.noise_px) < 1e-3 * noise
-        problem = replace(problem, noise_px=noise)
-        if settled:
+    first = sizes or first or _first_sizes(observations, start, model)
+    problem = Problem(tuple(observations), model, first, start)
+    vector = _descend(problem, problem.pack(start))
+    for _ in range(0 if sizes else ROUNDS):
+        near = problem.unpack(vector)
+        found = variance_components(replace(problem, near=near), vector)
+        change = np.log(np.array(astuple(found)[:KINDS]) / np.array(astuple(problem.sizes)[:KINDS]))
+        problem = replace(problem, near=near, sizes=found)
+        if np.abs(change).max() < SETTLED:
             break
         vector = _descend(problem, vector)
-    return problem.unpack(vector)
+    return problem.unpack(vector), problem.sizes
 
 
-def uncertainty(observations: Sequence[Observation], best: Solution, model: Model) -> Uncertainty:
+def _first_sizes(observations: Sequence[Observation], start: Solution, model: Model) -> ErrorSizes:
+    """Sizes from the residuals of the start, robustly."""
+    pairs = [start.residuals(i, o) for i, o in enumerate(observations)]
+    noise = [robust_spread(np.concatenate(device), LEAST_PX) for device in zip(*pairs, strict=True)]
+    board = (model.tolerance_mm or FIRST_MM,) * 2
+    return ErrorSizes(noise[0], noise[1], *board)
+
+
+def variance_components(problem: Problem, vector: Floats) -> ErrorSizes:
+    """Estimate the errors' sizes once from the residuals at a solution: one step of an iteration.
+
+    The squares of the residuals of one kind, less what effects of the poses leave in them, are divided by
+    their redundancy: the number of residuals less the trace of their share of the normal equations. Without
+    effects the fixed point is the estimate of restricted maximum likelihood.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the sizes so far.
+    vector : Floats
+        (n,) parameters at its minimum.
+
+    Returns
+    -------
+    ErrorSizes
+        The next.
+
+    Raises
+    ------
+    CalibrationError
+        A parameter is not determined.
+
+    References
+    ----------
+    W. Förstner, 1979.
+    """
+    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
+    of_camera, _ = problem.normal_equations(vector, SOFT, camera_alone=True)
+    known, _, sigmas = problem.priors
+    held = np.diag(inverse)[known] / sigmas**2
+    used_by_camera = float(np.sum(inverse * of_camera))
+    used_by_projector = len(vector) - used_by_camera - float(held.sum())
+    effects = pose_effects(problem, vector, inverse, SOFT)
+    variances, doubts = effects.variances()
+    leaked = effects.leaked @ variances[effects.device]
+    errors, pulls = problem.errors(vector), problem.pulls(vector)
+    noise = [
+        max(size * _ratio(residuals, len(residuals) - used, leak), LEAST_PX)
+        for size, residuals, used, leak in zip(
+            astuple(problem.sizes), errors, (used_by_camera, used_by_projector), leaked, strict=False
+        )
+    ]
+    board = list(astuple(problem.sizes)[2:4])
+    if problem.model.refined:
+        pitch = float(np.median(problem.near.poses[:, 5])) / problem.near.camera[0]
+        board = [
+            max(
+                size * _ratio(pulls[row], float((1.0 - held[row]).sum()), leak),
+                LEAST_SHARE * noise[0] * pitch,
+            )
+            for size, row, leak in zip(board, problem.board_rows, leaked[2:], strict=True)
+        ]
+    return ErrorSizes(*noise, *board, *np.sqrt(widened(variances, doubts)).tolist())
+
+
+def _ratio(residuals: Floats, redundancy: float, leaked: float) -> float:
+    """Return the estimated standard deviation of residuals that should have one of 1.
+
+    leaked: the part of their sum of squares that effects of the poses cause.
+    """
+    if redundancy < 1e-3 * len(residuals):
+        return 1.0
+    squares = float(np.sum(np.minimum(residuals**2, SOFT**2))) / CLIPPED
+    return float(np.sqrt(max(squares - leaked, LEAST_OWN * squares) / redundancy))
+
+
+def uncertainty(
+    observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
+) -> Uncertainty:
     """Estimate the uncertainty of the devices and of the pose between them.
 
-    The covariance is marginal: it contains the uncertainty of the poses and of the board.
+    The covariance is marginal: it contains the uncertainty of the poses, of the errors that the points of
+    one pose share, of the board's shape and of its scale.
 
     Parameters
     ----------
@@ -178,28 +212,128 @@ def uncertainty(observations: Sequence[Observation], best: Solution, model: Mode
         What `adjust_bundle` found for this model.
     model : Model
         Which parameters are estimated.
+    sizes : ErrorSizes
+        Of the errors, as `adjust_bundle` found them.
 
     Returns
     -------
     Uncertainty
-        Covariance of the estimated parameters, from the scatter of the residuals.
+        Covariance of the estimated parameters.
 
     Raises
     ------
     CalibrationError
         The poses do not determine the parameters.
     """
-    problem = Problem(tuple(observations), model, 1.0)
-    vector = problem.pack(best)
-    return replace(problem, noise_px=problem.spread(vector)).uncertainty(vector)
+    problem = Problem(tuple(observations), model, sizes, best)
+    vector, shared = problem.pack(best), slice(problem.heads[2])
+    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
+    effects = pose_effects(problem, vector, inverse, SOFT)
+    passed = (
+        effects.passed[shared] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
+    )
+    covariance = inverse[shared, shared] + passed @ passed.T
+    # All lengths grow with the board's, and no image changes.
+    longer = np.zeros(len(covariance))
+    longer[-3:] = model.scale_tolerance * best.T_projector_camera[3:]
+    covariance = covariance + np.outer(longer, longer)
+    terms = [f"{d}.{term}" for d in ("camera", "projector") for term in model.level.terms]
+    names = (*terms, *(f"T_projector_camera.{term}" for term in POSE))
+    return Uncertainty(names, 0.5 * (covariance + covariance.T))
+
+
+def fits_without_each_pose(
+    observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
+) -> list[Solution]:
+    """Fit all poses but one, for each in turn, to first order.
+
+    That is one step of Gauss and Newton from the joint fit.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    best : Solution
+        What `adjust_bundle` found for this model and these sizes.
+    model : Model
+        Which parameters are estimated.
+    sizes : ErrorSizes
+        By which residuals are weighted.
+
+    Returns
+    -------
+    list of Solution
+        By the pose that is left out, of which it has the pose of the joint fit.
+
+    Raises
+    ------
+    CalibrationError
+        The other poses do not determine the parameters.
+    """
+    problem = Problem(tuple(observations), model, sizes, best)
+    vector, (_, _, carried, first, _) = problem.pack(best), problem.heads
+    parts = [problem.pose_equations(index, vector, SOFT) for index in range(len(observations))]
+    normal, gradient = problem.normal_equations(vector, SOFT)
+    found = []
+    for index, (own, pull) in enumerate(parts):
+        others = np.delete(np.arange(len(vector)), np.arange(first + 6 * index, first + 6 * index + 6))
+        left = (normal - own)[np.ix_(others, others)]
+        scale = 1.0 / np.sqrt(np.diag(left))
+        try:
+            scaled = left * np.outer(scale, scale) + FIRST_DAMPING**2 * np.eye(len(left))
+            factor = np.linalg.cholesky(scaled)
+        except np.linalg.LinAlgError as error:
+            raise CalibrationError(UNDETERMINED) from error
+        moved = vector.copy()
+        moved[others] -= scale * cho_solve((factor, True), scale * (gradient - pull)[others])
+        moved[carried] = np.clip(moved[carried], 0.0, 1.0)
+        found.append(problem.unpack(moved))
+    return found
+
+
+def inverse_of(problem: Problem, normal: Floats) -> Floats:
+    """Invert normal equations.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose they are.
+    normal : Floats
+        (n, n) of its parameters.
+
+    Returns
+    -------
+    Floats
+        (n, n).
+
+    Raises
+    ------
+    CalibrationError
+        A parameter is not determined.
+    """
+    scale = np.sqrt(np.diag(normal))
+    if np.any(scale == 0):
+        raise CalibrationError(UNDETERMINED)
+    scaled = normal / np.outer(scale, scale)
+    rational = np.arange(INTRINSICS.index("k4"), len(problem.model.level.terms))
+    rational = np.concatenate([rational, len(problem.model.level.terms) + rational])
+    # k4, k5, k6 of a lens may be undetermined by any poses; all other parameters must be determined.
+    others = np.delete(np.arange(len(normal)), rational)
+    values = np.linalg.eigvalsh(scaled[np.ix_(others, others)])
+    if values[0] < LEAST_EIGENVALUE * values[-1]:
+        raise CalibrationError(UNDETERMINED)
+    values, vectors = np.linalg.eigh(scaled)
+    inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
+    return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _descend(problem: Problem, vector: Floats) -> Floats:
-    """Minimise Huber's loss by Levenberg-Marquardt's method with reweighting."""
-    limit, damping = SOFT * problem.noise_px, 1e-4
-    cost = _huber(problem.misfit(vector), limit)
+    """Minimise Huber's loss by reweighted Levenberg-Marquardt, the share carried within 0 to 1."""
+    damping, carried = FIRST_DAMPING, problem.heads[2]
+    cost = _huber(problem.misfit(vector))
     for _ in range(200):
-        normal, gradient = problem.normal_equations(vector, limit)
+        normal, gradient = problem.normal_equations(vector, SOFT)
+        _hold_at_bound(normal, gradient, carried, vector[carried])
         normal[np.diag_indices_from(normal)] *= 1.0 + damping
         try:
             # NumPy's factorisation, not SciPy's, which spends 100 ms on waking threads for small matrices.
@@ -209,19 +343,27 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
             if damping > MOST_DAMPING:
                 raise CalibrationError(UNDETERMINED) from error
             continue
-        gain = cost - _huber(problem.misfit(trial), limit)
+        trial[carried] = np.clip(trial[carried], 0.0, 1.0)
+        gain = cost - _huber(problem.misfit(trial))
         if gain > 0:
             vector, cost, damping = trial, cost - gain, 0.1 * damping
         else:
             damping *= 10.0
-        if abs(gain) <= 1e-9 * cost or damping > MOST_DAMPING:
+        if abs(gain) <= LEAST_GAIN * cost or damping > MOST_DAMPING:
             break
     return vector
 
 
-def _huber(residuals: Floats, limit: float) -> float:
+def _hold_at_bound(normal: Floats, gradient: Floats, at: int, value: float) -> None:
+    """Take a parameter out of normal equations, in place, if it is 0 or 1 and would leave that range."""
+    if (value <= 0.0 and gradient[at] > 0) or (value >= 1.0 and gradient[at] < 0):
+        normal[at], normal[:, at], gradient[at] = 0.0, 0.0, 0.0
+        normal[at, at] = 1.0
+
+
+def _huber(residuals: Floats) -> float:
     size = np.abs(residuals)
-    return float(np.sum(np.where(size <= limit, size**2, limit * (2 * size - limit))))
+    return float(np.sum(np.where(size <= SOFT, size**2, SOFT * (2 * size - SOFT))))
 
 
 def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Floats:
@@ -247,298 +389,3 @@ def fit_pose(observation: Observation, solution: Solution, start: Floats) -> Flo
         return np.concatenate(pair).ravel()
 
     return np.asarray(least_squares(misfit, start, x_scale="jac", method="lm").x)
-
-
-def vectors_of(transform: RigidTransform) -> Floats:
-    """Write a rigid transform as six numbers.
-
-    Parameters
-    ----------
-    transform : RigidTransform
-        The transform.
-
-    Returns
-    -------
-    Floats
-        (6,) rotation vector in rad and translation in mm.
-    """
-    return np.concatenate([transform.rotation_vector, transform.translation])
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """The least-squares problem: parameters packed in one vector, residuals and normal equations.
-
-    The vector holds the camera's estimated intrinsics, the projector's, T_projector_camera, the poses and,
-    where the board is estimated too, its points.
-
-    Attributes
-    ----------
-    observations : tuple[Observation, ...]
-        The poses.
-    model : Model
-        Which parameters are estimated.
-    noise_px : float
-        Standard deviation of a pixel coordinate, which weights the points' errors against the board's.
-    """
-
-    observations: tuple[Observation, ...]
-    model: Model
-    noise_px: float
-
-    @property
-    def _free(self) -> int:
-        return len(self.model.level.terms)
-
-    @property
-    def _heads(self) -> tuple[int, int, int, int]:
-        """Where the projector, T_projector_camera, the poses and the board begin in the vector."""
-        n = self._free
-        return n, 2 * n, 2 * n + 6, 2 * n + 6 + 6 * len(self.observations)
-
-    @property
-    def _rational(self) -> NDArray[np.intp]:
-        """Where k4, k5, k6 of both devices are in the vector, as far as they are estimated."""
-        rational = np.arange(INTRINSICS.index("k4"), self._free)
-        return np.concatenate([rational, self._free + rational])
-
-    def pack(self, solution: Solution) -> Floats:
-        """Pack the estimated parameters of a solution.
-
-        Parameters
-        ----------
-        solution : Solution
-            All parameters.
-
-        Returns
-        -------
-        Floats
-            (n,) the vector.
-        """
-        n = self._free
-        parts = [
-            solution.camera[:n],
-            solution.projector[:n],
-            solution.T_projector_camera,
-            solution.poses.ravel(),
-        ]
-        if self.model.board_sigma_mm is not None:
-            parts.append(solution.board.ravel())
-        return np.concatenate(parts)
-
-    def unpack(self, vector: Floats) -> Solution:
-        """Unpack a vector of estimated parameters.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) as from `pack`.
-
-        Returns
-        -------
-        Solution
-            With zero for the distortion coefficients that are not estimated.
-        """
-        projector, pair, poses, board = self._heads
-        held = np.zeros(len(INTRINSICS) - self._free)
-        return Solution(
-            np.append(vector[:projector], held),
-            np.append(vector[projector:pair], held),
-            vector[pair:poses],
-            vector[poses:board].reshape(-1, 6),
-            self.model.drawn if self.model.board_sigma_mm is None else vector[board:].reshape(-1, 3),
-        )
-
-    def spread(self, vector: Floats) -> float:
-        """Estimate the noise of the points robustly, from the median of the residuals' size.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-
-        Returns
-        -------
-        float
-            Standard deviation of a pixel coordinate in px, at least 1e-6.
-        """
-        return robust_spread(self._errors(self.unpack(vector)), 1e-6)
-
-    def misfit(self, vector: Floats) -> Floats:
-        """Compute all residuals.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-
-        Returns
-        -------
-        Floats
-            (R,) in px: reprojection errors, then deviations from prior knowledge, of which one standard
-            deviation counts `noise_px`.
-        """
-        _, pulls, _ = self._known(vector)
-        return np.concatenate([self._errors(self.unpack(vector)), pulls])
-
-    def _known(self, vector: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Return the parameters with a prior: their indices, residuals in px, and derivatives of these."""
-        rational = self._rational
-        stiffness = np.full(len(rational), self.noise_px / RATIONAL_SIGMA)
-        pulls = vector[rational] * stiffness
-        if self.model.board_sigma_mm is None:
-            return rational, pulls, stiffness
-        board = np.arange(self._heads[3], len(vector))
-        stiff = np.full(len(board), self.noise_px / self.model.board_sigma_mm)
-        moved = vector[board] - self.model.drawn.ravel()
-        return (
-            np.concatenate([rational, board]),
-            np.concatenate([pulls, moved * stiff]),
-            np.concatenate([stiffness, stiff]),
-        )
-
-    def _errors(self, solution: Solution) -> Floats:
-        pairs = [solution.residuals(i, o) for i, o in enumerate(self.observations)]
-        return np.concatenate([np.concatenate(pair).ravel() for pair in pairs])
-
-    def normal_equations(self, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
-        """Build the normal equations of the residuals r with derivatives J.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters.
-        limit : float
-            Residuals beyond it, in px, get Huber's weight in W.
-
-        Returns
-        -------
-        matrix : Floats
-            `JᵀWJ`, (n, n).
-        gradient : Floats
-            `JᵀWr`, (n,).
-        """
-        solution = self.unpack(vector)
-        matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
-        for index, observation in enumerate(self.observations):
-            self._add_pose(matrix, gradient, index, observation, solution, limit)
-        known, pulls, stiffness = self._known(vector)
-        weight = stiffness * _weight(pulls, limit)
-        matrix[known, known] += weight * stiffness
-        gradient[known] += weight * pulls
-        return matrix, gradient
-
-    def _add_pose(
-        self,
-        matrix: Floats,
-        gradient: Floats,
-        index: int,
-        observation: Observation,
-        solution: Solution,
-        limit: float,
-    ) -> None:
-        residuals = np.concatenate(solution.residuals(index, observation)).ravel()
-        columns, slopes, by_point = self._pose_slopes(index, observation, solution)
-        weight = _weight(residuals, limit)
-        weighted = slopes * weight[:, None]
-        matrix[np.ix_(columns, columns)] += slopes.T @ weighted
-        gradient[columns] += weighted.T @ residuals
-        if self.model.board_sigma_mm is None:
-            return
-        # Rows lie by device, point and coordinate; every point has its own three columns.
-        shape = (2, len(observation.ids), 2)
-        points = by_point.reshape(*shape, 3)
-        heavy = (by_point * weight[:, None]).reshape(*shape, 3)
-        own = self._heads[3] + 3 * observation.ids[:, None] + np.arange(3)
-        shared = np.einsum("dkui,dkuc->kic", heavy, slopes.reshape(*shape, -1))
-        matrix[own[:, :, None], own[:, None, :]] += np.einsum("dkui,dkuj->kij", heavy, points)
-        matrix[own[:, :, None], columns[None, None, :]] += shared
-        matrix[columns[None, :, None], own[:, None, :]] += shared.transpose(0, 2, 1)
-        gradient[own] += np.einsum("dkui,dku->ki", heavy, residuals.reshape(shape))
-
-    def _pose_slopes(
-        self, index: int, observation: Observation, solution: Solution
-    ) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Differentiate the residuals (R,) of one pose.
-
-        Returns the indices (C,) of the parameters that they all depend on, the derivatives by these (R, C),
-        and by the board's points, each residual by its own point (R, 3).
-        """
-        n, (_, pair, poses, _) = self._free, self._heads
-        columns = np.append(np.arange(poses), poses + 6 * index + np.arange(6))
-        points, pose = solution.board[observation.ids], solution.poses[index]
-        chained, (by_pose, by_pair) = _chain(pose, solution.T_projector_camera)
-        _, seen = _view(points, pose, solution.camera)
-        _, projected = _view(points, chained, solution.projector)
-        rows = len(seen)
-        slopes = np.zeros((2 * rows, len(columns)))
-        slopes[:rows, :n], slopes[:rows, -6:] = seen[:, 6 : 6 + n], seen[:, :6]
-        slopes[rows:, n:pair] = projected[:, 6 : 6 + n]
-        slopes[rows:, pair:poses] = projected[:, :6] @ by_pair
-        slopes[rows:, -6:] = projected[:, :6] @ by_pose
-        # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-        by_point = [
-            part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))
-        ]
-        return columns, slopes, np.concatenate(by_point)
-
-    def uncertainty(self, vector: Floats) -> Uncertainty:
-        """Estimate the covariance of the devices and the pose between them from the scatter of the residuals.
-
-        Parameters
-        ----------
-        vector : Floats
-            (n,) parameters at the minimum.
-
-        Returns
-        -------
-        Uncertainty
-            Of the estimated parameters.
-
-        Raises
-        ------
-        CalibrationError
-            A parameter is not determined.
-        """
-        residuals, (normal, _) = self.misfit(vector), self.normal_equations(vector)
-        scale = np.sqrt(np.diag(normal))
-        if np.any(scale == 0):
-            raise CalibrationError(UNDETERMINED)
-        scaled = normal / np.outer(scale, scale)
-        # k4, k5, k6 of a lens may be undetermined by any poses; all other parameters must be determined.
-        others = np.delete(np.arange(len(vector)), self._rational)
-        poses = np.linalg.eigvalsh(scaled[np.ix_(others, others)])
-        if poses[0] < LEAST_EIGENVALUE * poses[-1]:
-            raise CalibrationError(UNDETERMINED)
-        values, vectors = np.linalg.eigh(scaled)
-        inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
-        spread = np.sum(residuals**2) / max(len(residuals) - len(vector), 1)
-        shared = slice(self._heads[2])
-        covariance = spread * inverse[shared, shared] / np.outer(scale[shared], scale[shared])
-        terms = [f"{d}.{term}" for d in ("camera", "projector") for term in self.model.level.terms]
-        names = (*terms, *(f"T_projector_camera.{term}" for term in POSE))
-        return Uncertainty(names, 0.5 * (covariance + covariance.T))
-
-
-def _weight(residuals: Floats, limit: float) -> Floats:
-    """Return Huber's weights: 1 up to `limit`, then falling as 1/r."""
-    if not np.isfinite(limit):
-        return np.ones_like(residuals)
-    return np.asarray(limit / np.maximum(np.abs(residuals), limit))
-
-
-def _view(points: Floats, pose: Floats, intrinsics: Floats) -> tuple[Floats, Floats]:
-    """Project points: pixels (K, 2), and derivatives (2 K, 18) by rotation, translation, `INTRINSICS`."""
-    fx, fy, cx, cy = intrinsics[:4]
-    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    pixels, slopes = cv2.projectPoints(points, pose[:3], pose[3:], matrix, intrinsics[4:])
-    return np.asarray(pixels, np.float64).reshape(-1, 2), np.asarray(slopes, np.float64)
-
-
-def _chain(pose: Floats, pair: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
-    """Return `pair @ pose` as (6,), with its derivatives (6, 6) by `pose` and by `pair`."""
-    out = cv2.composeRT(pose[:3], pose[3:], pair[:3], pair[3:])
-    rotation, translation, r_r1, r_t1, r_r2, r_t2, t_r1, t_t1, t_r2, t_t2 = out
-    by_pose = np.block([[r_r1, r_t1], [t_r1, t_t1]])
-    by_pair = np.block([[r_r2, r_t2], [t_r2, t_t2]])
-    return np.concatenate([rotation.ravel(), translation.ravel()]), (by_pose, by_pair)

@@ -11,20 +11,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-import numpy as np
-
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
 from fpplab.characterisation.board_diagnosis import find_description_error
-from fpplab.characterisation.bundle import (
+from fpplab.characterisation.bundle import adjust_bundle, fit_pose, fits_without_each_pose, uncertainty
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import (
+    DEFAULT_SCALE_TOLERANCE,
     DistortionModel,
+    ErrorSizes,
     Model,
     Solution,
-    adjust_bundle,
-    fit_pose,
-    uncertainty,
 )
-from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
 from fpplab.characterisation.zhang import (
     ImageSize,
@@ -43,11 +42,8 @@ from fpplab.targets import Target
 LEAST_POSES = 3
 """Zhang's method needs this many tilted poses when nothing of the device is known."""
 
-SIMPLEST = next(iter(DistortionModel))
-"""The level taken unless another predicts poses left out better."""
-
-LEAST_GAIN = 0.02
-"""Least relative reduction of the mean square error in poses left out by a level with more coefficients."""
+DEFAULT_LEVEL = DistortionModel.K3
+"""The level taken unless one is named: weak priors limit what the points do not determine of it."""
 
 WORST_FOCAL = 0.03
 """Greatest relative uncertainty of a focal length that is accepted."""
@@ -55,14 +51,17 @@ WORST_FOCAL = 0.03
 SUSPECT_PX = 1.0
 """RMS in px of the camera alone above which other descriptions of the board are tried."""
 
-BOARD_SIGMA_MM = 0.1
-"""Standard deviation in mm of a printed board's points, where its target file does not give a tolerance."""
+MOVED_CHANCE = 1e-4
+"""Probability at which noise alone explains a board's motion so badly that it is named."""
 
 UNJUDGED = (
-    f"{LEAST_POSES} poses leave none to judge the distortion by, so {SIMPLEST} was taken, the simplest "
-    "model; take more poses, or name the model"
+    f"{LEAST_POSES} poses leave none to judge the distortion by, so {DEFAULT_LEVEL} was taken, unchecked; "
+    "take more poses"
 )
-"""Warning when there are too few poses to choose the level by."""
+"""Warning when there are too few poses to compare the levels by."""
+
+Fit = tuple[Solution, ErrorSizes]
+"""What `adjust_bundle` returns."""
 
 Residuals = tuple[Floats, Floats]
 """Of one pose, model minus observation in px, for the camera and the projector, (K, 2) each."""
@@ -81,9 +80,9 @@ def characterise(
 ) -> Characterisation:
     """Calibrate both devices and the pose between them, from what `observe` measured in each pose.
 
-    With `level="auto"` that level is taken which has the smallest error in poses left out, or the simplest
-    that is as good within the standard error of the difference over the poses, or within `LEAST_GAIN`. With
-    only `LEAST_POSES` poses none can be left out, and the simplest level is taken, with a warning.
+    With `level="auto"` that is `DEFAULT_LEVEL`, and the errors of all levels in poses left out are given as
+    well, of the others to first order. A coefficient that is held at zero would count as exact, so the
+    simplest level that fits is not the one whose uncertainty is right.
 
     Parameters
     ----------
@@ -102,8 +101,8 @@ def characterise(
     level : DistortionModel or 'auto'
         How many distortion coefficients are estimated.
     refine_board : bool or None
-        Whether the board's own shape is estimated too, with a prior of `target.tolerance_mm`, or of
-        `BOARD_SIGMA_MM` without it; None does so when the target has a tolerance.
+        Whether the board's own shape is estimated too; how far its points are off is estimated from the
+        residuals. None does so.
 
     Returns
     -------
@@ -121,22 +120,23 @@ def characterise(
     Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
     missing = dict(left_out or {})
-    most = DistortionModel.K3 if level == "auto" else level
-    model = Model(most, target.points(), _board_sigma(target, refine_board))
-    kept, start, separate_px = _settled(observations, target, model, (camera_size, projector_size), missing)
-    kept, start, rejected = _without_outliers(kept, start, model)
-    # A model with few coefficients would hide that tilts are missing, so all are estimated here.
-    _determined(start, uncertainty(kept, start, model).sigma)
+    chosen = DEFAULT_LEVEL if level == "auto" else level
+    model = Model(chosen, target.points(), refine_board is not False, target.tolerance_mm, _scale(target))
+    kept, fit, separate_px = _settled(observations, target, model, (camera_size, projector_size), missing)
+    kept, fit, rejected = _without_outliers(kept, fit, model)
+    solution, sizes = fit
+    # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
+    most = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
+    _determined(solution, uncertainty(kept, solution, most, sizes).sigma)
     few = level == "auto" and len(kept) <= LEAST_POSES
-    tried = [_tried(kept, start, model, one) for one in _candidates(level, few)]
-    trial, solution, _ = tried[_chosen(tried)]
-    known = uncertainty(kept, solution, replace(model, level=trial.level))
+    tried = {one: _tried(kept, fit, model, one) for one in _candidates(level, few)}
+    known = uncertainty(kept, solution, model, sizes)
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = Calibration(
         Pinhole(camera_size, matrix_of(solution.camera), solution.camera[4:]),
         Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
         transform(solution.T_projector_camera),
-        trial.fitted_px,
+        tried[chosen].fitted_px,
         known,
     )
     poses = tuple(transform(p) for p in solution.poses)
@@ -147,28 +147,33 @@ def characterise(
         cameras,
         projectors,
         separate_px,
-        trial.held_out_px,
+        tried[chosen].held_out_px,
         solution.board,
         missing,
         known.sigma,
-        trial.level,
-        tuple(t for t, _, _ in tried),
+        chosen,
+        tuple(tried.values()),
         tuple(rejected),
-        (UNJUDGED,) * few + coverage.warnings(kept, poses, calibration, solution.board),
-        None if model.board_sigma_mm is None else model.drawn,
+        (
+            *(UNJUDGED,) * few,
+            *coverage.warnings(kept, poses, calibration, solution.board),
+        ),
+        model.drawn if model.refined else None,
+        solution,
+        sizes,
+        model,
     )
 
 
-def _board_sigma(target: Target, refine: bool | None) -> float | None:
-    if refine is None:
-        return target.tolerance_mm
-    return (target.tolerance_mm or BOARD_SIGMA_MM) if refine else None
+def _scale(target: Target) -> float:
+    given = target.scale_tolerance
+    return DEFAULT_SCALE_TOLERANCE if given is None else given
 
 
 def _settled(
     observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
     missing: dict[str, str],
-) -> tuple[list[Observation], Solution, dict[str, float]]:  # fmt: skip
+) -> tuple[list[Observation], Fit, dict[str, float]]:  # fmt: skip
     """Select the poses that are consistent: these, their joint fit, and the RMS of the steps before it.
 
     The others are added to `missing`.
@@ -180,10 +185,10 @@ def _settled(
         odd = outliers.find_moved_pose(kept, start, 5.0)
         if odd is None:
             pair, separate_px["stereo"] = stereo(kept, start, sizes[0])
-            start = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
-            odd = outliers.find_moved_pose(kept, start, 1.0)
+            fit = adjust_bundle(kept, replace(start, T_projector_camera=pair), model)
+            odd = outliers.find_moved_pose(kept, fit[0], 1.0)
         if odd is None:
-            return kept, start, separate_px
+            return kept, fit, separate_px
         missing[kept[odd].name] = (
             f"{kept[odd].name}: fits {outliers.MOVED_POSE:g} times worse than the other poses; "
             "the board or the rig moved during the capture"
@@ -210,69 +215,57 @@ def _started(
 
 
 def _without_outliers(
-    observations: list[Observation], solution: Solution, model: Model
-) -> tuple[list[Observation], Solution, list[Rejected]]:
+    observations: list[Observation], fit: Fit, model: Model
+) -> tuple[list[Observation], Fit, list[Rejected]]:
     """Repeat the fit without outlying points until there are none."""
     left, rejected = outliers.rejection_limits(observations), list[Rejected]()
     while True:
-        observations, found = outliers.reject_points(observations, solution, left)
+        observations, found = outliers.reject_points(observations, fit[0], left)
         if not found:
-            return observations, solution, rejected
+            return observations, fit, rejected
         rejected += found
-        solution = adjust_bundle(observations, solution, model)
+        fit = adjust_bundle(observations, fit[0], model, first=fit[1])
 
 
 def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[DistortionModel, ...]:
-    """List the levels to try, the simplest first; `auto` has no choice when the poses are few."""
+    """List the levels to try, the simplest first; `auto` compares none when the poses are few."""
     if level == "auto":
-        return (SIMPLEST,) if few else tuple(DistortionModel)
+        return (DEFAULT_LEVEL,) if few else tuple(DistortionModel)
     return (level,)
 
 
 def _tried(
-    observations: Sequence[Observation], settled: Solution, model: Model, level: DistortionModel
-) -> tuple[ModelTrial, Solution, list[Residuals] | None]:
-    """Fit one level: its errors, its fit, and its residuals in each pose when that was left out.
-
-    settled: the fit of `model`, from which that of another level starts.
-    """
-    own = replace(model, level=level)
-    solution = settled if level is model.level else adjust_bundle(observations, settled, own)
+    observations: Sequence[Observation], settled: Fit, model: Model, level: DistortionModel
+) -> ModelTrial:
+    """Fit one level, with errors of the sizes found for `model`, and in each pose when that was left out."""
+    (solution, sizes), own = settled, replace(model, level=level)
+    if level is not model.level:
+        solution, _ = adjust_bundle(observations, solution, own, sizes)
     fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
-    held = _leave_one_out(observations, solution, own)
-    return ModelTrial(level, _rms_px(fitted), _rms_px(held) if held else None), solution, held
+    held = _leave_one_out(observations, (solution, sizes), own, refit=level is model.level)
+    return ModelTrial(level, _rms_px(fitted), _rms_px(held) if held else None)
 
 
 def _leave_one_out(
-    observations: Sequence[Observation], solution: Solution, model: Model
+    observations: Sequence[Observation], fit: Fit, model: Model, refit: bool
 ) -> list[Residuals] | None:
-    """Compute the residuals in each pose when only its own pose is fitted to it, all else to the others."""
+    """Compute the residuals in each pose when only its own pose is fitted to it, all else to the others.
+
+    refit: whether the fits to the others are repeated until they converge, or are of first order.
+    """
     if len(observations) <= LEAST_POSES:
         return None
+    solution, sizes = fit
     held_out = []
-    for held, observation in enumerate(observations):
-        others = [o for i, o in enumerate(observations) if i != held]
-        trained = adjust_bundle(
-            others, replace(solution, poses=np.delete(solution.poses, held, axis=0)), model
-        )
-        pose = fit_pose(observation, trained, solution.poses[held])
-        held_out.append(replace(trained, poses=pose[None]).residuals(0, observation))
+    for held, first in enumerate(fits_without_each_pose(observations, solution, model, sizes)):
+        observation = observations[held]
+        near = first
+        if refit:
+            others = [o for i, o in enumerate(observations) if i != held]
+            near, _ = adjust_bundle(others, without_poses(first, held), model, sizes)
+        pose = fit_pose(observation, near, solution.poses[held])
+        held_out.append(replace(near, poses=pose[None]).residuals(0, observation))
     return held_out
-
-
-def _chosen(tried: Sequence[tuple[ModelTrial, Solution, list[Residuals] | None]]) -> int:
-    """Choose from `tried`, simplest first, by errors pose by pose, because some poses are always worse."""
-    if len(tried) == 1:
-        return 0
-    errors = np.array([[_mean_square(pair) for pair in held] for _, _, held in tried if held])
-    best = errors[np.argmin(errors.mean(axis=1))]
-    excess = errors - best
-    doubt = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
-    return int(np.flatnonzero(excess.mean(axis=1) <= np.maximum(doubt, LEAST_GAIN * best.mean()))[0])
-
-
-def _mean_square(pair: Residuals) -> float:
-    return float(np.mean(np.sum(np.concatenate(pair) ** 2, axis=1)))
 
 
 def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:

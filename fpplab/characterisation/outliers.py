@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.characterisation.bundle import Solution
 from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.result import Rejected
 from fpplab.characterisation.zhang import rms_of_poses
 from fpplab.core.conventions import Floats

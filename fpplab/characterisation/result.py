@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation.bundle import DistortionModel
 from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Model, Solution
 from fpplab.characterisation.zhang import rms
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -96,6 +96,12 @@ class Characterisation:
         What the poses leave undetermined.
     drawn : Floats or None
         (P, 3) where the board's points were drawn, in mm, if its shape was estimated.
+    solution : Solution or None
+        All parameters as adjusted.
+    sizes : ErrorSizes or None
+        Standard deviations of the errors of each kind, as estimated.
+    model : Model or None
+        What was fitted.
     """
 
     calibration: Calibration
@@ -113,6 +119,9 @@ class Characterisation:
     rejected: tuple[Rejected, ...] = ()
     warnings: tuple[str, ...] = ()
     drawn: Floats | None = None
+    solution: Solution | None = None
+    sizes: ErrorSizes | None = None
+    model: Model | None = None
 
     @property
     def points(self) -> int:

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from fpplab.calibration.model import INTRINSICS
-from fpplab.characterisation.bundle import Solution, vectors_of
 from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import Solution, vectors_of
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation import Characterisation
-from fpplab.characterisation.bundle import DistortionModel, Model, Solution, adjust_bundle, vectors_of
+from fpplab.characterisation.bundle import adjust_bundle
+from fpplab.characterisation.parameters import DistortionModel, Model, Solution, vectors_of
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -116,9 +117,8 @@ def refine_by_reprojection(parameters: TwinParameters, found: Characterisation) 
         There is no solution: the poses do not determine the parameters.
     """
     model = Model(found.level, found.board)
-    return with_solution(
-        parameters, adjust_bundle(found.observations, solution_of(parameters, found.board), model)
-    )
+    adjusted, _ = adjust_bundle(found.observations, solution_of(parameters, found.board), model)
+    return with_solution(parameters, adjusted)
 
 
 def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -> TwinParameters:

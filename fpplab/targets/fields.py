@@ -34,7 +34,13 @@ class PrintFields(Document):
     tolerance_mm: Positive | None = None
     """Standard deviation in mm of the points from where they are drawn.
 
-    With it, characterisation estimates the board's shape as well; without it the board is taken as exact.
+    Characterisation starts from it to estimate how far the points are off.
+    """
+
+    scale_tolerance: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    """Relative standard uncertainty of the board's scale, 0.0002 if it is not given.
+
+    No image shows the scale of a board: it is part of the uncertainty of every length that is measured.
     """
 
     foreground: Reflectance = 0.0

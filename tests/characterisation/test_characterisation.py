@@ -12,7 +12,9 @@ import pytest
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import DistortionModel, Observation, characterise, finest_periods, observe
-from fpplab.characterisation.bundle import Model, Problem, adjust_bundle, uncertainty
+from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.parameters import ErrorSizes, Model
+from fpplab.characterisation.problem import Problem
 from fpplab.core.geometry import Pinhole
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -106,8 +108,8 @@ def test_a_board_within_its_tolerance_has_its_shape_found() -> None:
     bend = 0.1 * (drawn[:, 0] / 30) ** 2 - 0.05
     bent = drawn + np.stack([np.zeros(52), np.zeros(52), bend], axis=1)
     seen = observed(poses(10), noise_px=0.03, points=bent)
-    flat = characterise(seen, BOARD, CAMERA.size, SQUARE.size)
-    fitted = characterise(seen, BOARD.model_copy(update={"tolerance_mm": 0.1}), CAMERA.size, SQUARE.size)
+    flat = characterise(seen, BOARD, CAMERA.size, SQUARE.size, refine_board=False)
+    fitted = characterise(seen, BOARD, CAMERA.size, SQUARE.size)
     assert flat.calibration.rms_px["joint"] > 2 * 0.03 * np.sqrt(2)
     assert fitted.calibration.rms_px["joint"] == pytest.approx(0.03 * np.sqrt(2), rel=0.12)
     heights = fitted.board[:, 2]
@@ -116,8 +118,8 @@ def test_a_board_within_its_tolerance_has_its_shape_found() -> None:
 
 
 @pytest.mark.parametrize("level", list(DistortionModel))
-@pytest.mark.parametrize("tolerance", [None, 0.1])
-def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, tolerance: float | None) -> None:
+@pytest.mark.parametrize("refined", [False, True])
+def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, refined: bool) -> None:
     seen = observed(poses(3), noise_px=0.5)
     seen[1] = replace(
         seen[1],
@@ -127,7 +129,9 @@ def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, tolera
     )
     start = truth_of(poses(3))
     start.camera[9:], start.projector[9:] = (0.3, -0.2, 0.1), (-0.1, 0.2, 0.4)
-    problem = Problem(tuple(seen), Model(level, BOARD.points() + 0.02, tolerance), 0.3)
+    start = replace(start, carried=0.3)
+    sizes = ErrorSizes(0.3, 0.2, 0.1, 0.05)
+    problem = Problem(tuple(seen), Model(level, BOARD.points() + 0.02, refined), sizes, start)
     vector = problem.pack(start)
     slopes = np.empty((len(problem.misfit(vector)), len(vector)))
     for column in range(len(vector)):
@@ -155,12 +159,12 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
     """40 repeats with fresh noise and, where it is free, a freshly bent board."""
     held, start, pulls, distances = poses(6), truth_of(poses(6)), [], []
     expected = values(Calibration(CAMERA, SQUARE, PAIR, {}))
-    model = Model(DistortionModel.TANGENTIAL, BOARD.points(), tolerance)
+    model = Model(DistortionModel.TANGENTIAL, BOARD.points(), tolerance is not None)
     for seed in range(40):
         bend = np.random.default_rng([7, seed]).normal(0, tolerance or 0, (52, 3))
         seen = observed(held, noise_px=0.05, points=BOARD.points() + bend, seed=seed)
-        solution = adjust_bundle(seen, start, model)
-        known = uncertainty(seen, solution, model)
+        solution, sizes = adjust_bundle(seen, start, model)
+        known = uncertainty(seen, solution, model, sizes)
         found = np.concatenate([solution.camera[:8], solution.projector[:8], solution.T_projector_camera])
         error = found - [expected[name] for name in known.names]
         pair = known.covariance[-3:, -3:]

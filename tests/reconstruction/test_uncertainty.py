@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import characterise
-from fpplab.characterisation.bundle import DistortionModel, vectors_of
+from fpplab.characterisation.parameters import DistortionModel, vectors_of
 from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import Cloud
 from fpplab.core.errors import CalibrationError

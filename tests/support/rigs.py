@@ -8,7 +8,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation
-from fpplab.characterisation.bundle import Solution, vectors_of
+from fpplab.characterisation.parameters import Solution, vectors_of
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole, RigidTransform

@@ -43,15 +43,14 @@ def characterise_command(
         typer.Option(
             "--model",
             help="Distortion: k1; k2 (k1 k2); tangential (k1 k2 p1 p2); k3 (and k3); rational (and k4 k5 k6, "
-            "for wide lenses); auto: the simplest that is as good as any in poses left out.",
+            "for wide lenses); auto: k3, with the errors of all in poses left out.",
         ),
     ] = ModelName.AUTO,
     refine_board: Annotated[
         bool | None,
         typer.Option(
             "--refine-board/--flat-board",
-            help="Fit the board's shape too, held by the target's tolerance_mm or 0.1 mm; or take it as "
-            "flat and exact. By default as the target file says.",
+            help="Fit the board's shape too, which is the default; or take it as flat and exact.",
         ),
     ] = None,
     force: Force = False,

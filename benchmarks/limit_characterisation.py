@@ -1,0 +1,373 @@
+"""How near characterisation comes to the optimum, and whether it states its own uncertainty rightly.
+
+Observations are drawn from exact truths: no image is rendered. The optimum is the estimate by generalised
+least squares that is told the true size of every error, started from the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks import Result, above, below
+from fpplab.calibration.model import PARAMETERS, Calibration
+from fpplab.characterisation import Observation, characterise
+from fpplab.characterisation.bundle import adjust_bundle
+from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Model, Solution, vectors_of
+from fpplab.cli import console
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.reconstruction.uncertainty import calibration_jacobian
+from fpplab.targets import Target
+
+SIZE, PROJECTOR = (1200, 900), (1824, 1140)
+LENSES = {
+    "k1": ((-0.09, 0, 0, 0, 0), (-0.05, 0, 0, 0, 0)),
+    "tangential": ((-0.09, 0.3, 1e-3, -8e-4, 0), (-0.05, 0.1, -6e-4, 4e-4, 0)),
+    "k3": ((-0.09, 0.3, 1e-3, -8e-4, 4.0), (-0.05, 0.1, -6e-4, 4e-4, -2.0)),
+}
+NOISES = {"even": (0.02, 0.02, 0.0), "uneven": (0.02, 0.06, 0.0), "carried": (0.04, 0.01, 1.0)}
+"""Camera, projector beyond what is carried, in px, and share of the camera's error that is carried."""
+DOTS_UM = (0.0, 2.0, 5.0, 10.0, 40.0)
+POSES, SCALE = 12, 2e-4
+PAIR = RigidTransform.from_vectors(np.radians([4.0, 18.0, 1.0]), np.array([-80.0, 60.0, 15.0]))
+MOST_EXCESS, COVERED = 1.10, (0.93, 0.97)
+SEEDS, DRAWS = 8, 300
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One kind of lens, noise and board.
+
+    Attributes
+    ----------
+    lens : str
+        One of `LENSES`.
+    noise : str
+        One of `NOISES`.
+    dots_um : float
+        Standard deviation in µm of each coordinate of the board's points from where they are drawn.
+    drift_um : float
+        How far the board of the first pose moves away from the camera until the projector's coordinates are
+        taken, in µm.
+    """
+
+    lens: str = "tangential"
+    noise: str = "even"
+    dots_um: float = 5.0
+    drift_um: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """A truth, and what was seen of it.
+
+    Attributes
+    ----------
+    observations : list of Observation
+        The poses.
+    truth : Solution
+        All parameters.
+    scale : float
+        Relative error of the board's scale.
+    """
+
+    observations: list[Observation]
+    truth: Solution
+    scale: float
+
+
+def board() -> Target:
+    """Describe the board: 52 circles on 60 mm x 42 mm.
+
+    Returns
+    -------
+    Target
+        Its scale is as uncertain as the draws'.
+    """
+    return Target.load("target_paper").model_copy(update={"scale_tolerance": SCALE})
+
+
+def draw(setting: Setting, seed: int) -> Draw:
+    """Draw poses, a board and noise.
+
+    Parameters
+    ----------
+    setting : Setting
+        Of the lens, the noise and the board.
+    seed : int
+        Of everything.
+
+    Returns
+    -------
+    Draw
+        Observations with their truth.
+    """
+    random = np.random.default_rng([20261123, seed])
+    lenses = LENSES[setting.lens]
+    camera = Pinhole.from_focal(SIZE, (2200, 2195), (610, 440), lenses[0])
+    projector = Pinhole.from_focal(PROJECTOR, (2600, 2605), (860, 1125), lenses[1])
+    scale = SCALE * random.standard_normal()
+    drawn = board().points()
+    points = (1.0 + scale) * (drawn + random.normal(0, 1e-3 * setting.dots_um, drawn.shape))
+    camera_px, projector_px, carried = NOISES[setting.noise]
+    found, poses = [], []
+    for k in range(POSES):
+        tilt = np.radians(random.uniform(-35, 35, 3))
+        T = RigidTransform.from_vectors(tilt, random.uniform((-30, -20, 220), (30, 20, 280)))
+        poses.append(vectors_of(T))
+        error = random.normal(0, camera_px, (len(points), 2))
+        seen = T.apply(points)
+        at = camera.project(seen)
+        moved = seen + np.array([0, 0, 1e-3 * setting.drift_um * (k == 0)])
+        light = projector.project(moved, PAIR)
+        light = light + carried * np.einsum("kij,kj->ki", _carry(camera, projector, T, points), error)
+        light = light + random.normal(0, projector_px, light.shape)
+        found.append(Observation(f"pose_{k}", np.arange(len(points)), at + error, light))
+    truth = Solution(
+        _intrinsics(camera), _intrinsics(projector), vectors_of(PAIR), np.array(poses), points, carried
+    )
+    return Draw(found, truth, scale)
+
+
+def _intrinsics(device: Pinhole) -> Floats:
+    return np.concatenate([device.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], device.distortion])
+
+
+def _carry(camera: Pinhole, projector: Pinhole, T: RigidTransform, points: Floats) -> Floats:
+    """Derivatives (K, 2, 2) of projector by camera pixels over the board, by central differences."""
+    steps = [
+        np.array([h, 0, 0]) if axis == 0 else np.array([0, h, 0]) for axis in (0, 1) for h in (1e-3, -1e-3)
+    ]
+    slopes = []
+    for project in (camera.project, lambda p: projector.project(p, PAIR)):
+        seen = [project(T.apply(points + step)) for step in steps]
+        slopes.append(np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=-1))
+    return np.asarray(slopes[1] @ np.linalg.inv(slopes[0]))
+
+
+def cloud_of(truth: Solution) -> Floats:
+    """List points of the measuring volume.
+
+    Parameters
+    ----------
+    truth : Solution
+        Devices.
+
+    Returns
+    -------
+    Floats
+        (N, 3) in mm in the camera's frame: a curved surface as large as the boards' places.
+    """
+    x, y = np.meshgrid(np.linspace(-35, 35, 9), np.linspace(-25, 25, 7))
+    return np.asarray(np.stack([x, y, 250 + 15 * np.cos(x / 20) * np.cos(y / 20)], axis=-1).reshape(-1, 3))
+
+
+def _vector(solution: Solution) -> Floats:
+    return np.concatenate([solution.camera, solution.projector, solution.T_projector_camera])
+
+
+def _calibration(solution: Solution) -> Calibration:
+    devices = [
+        Pinhole.from_focal(size, tuple(v[:2]), tuple(v[2:4]), tuple(v[4:]))
+        for size, v in ((SIZE, solution.camera), (PROJECTOR, solution.projector))
+    ]
+    pair = RigidTransform.from_vectors(solution.T_projector_camera[:3], solution.T_projector_camera[3:])
+    return Calibration(devices[0], devices[1], pair, {})
+
+
+def motions(points: Floats) -> tuple[Floats, Floats]:
+    """Split displacements of a cloud into rigid motion and form.
+
+    Parameters
+    ----------
+    points : Floats
+        (N, 3) in mm.
+
+    Returns
+    -------
+    place : Floats
+        (3 N, 3 N) the identity: the displacement as it is.
+    form : Floats
+        (3 N, 3 N) what the best rigid motion leaves of a displacement.
+    """
+    centred = points - points.mean(axis=0)
+    turns = [np.cross(axis, centred) for axis in np.eye(3)]
+    shifts = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    q, _ = np.linalg.qr(np.stack([m.ravel() for m in (*shifts, *turns)], axis=1))
+    whole = np.eye(points.size)
+    return whole, whole - q @ q.T
+
+
+def errors(found: Floats, draw: Draw) -> tuple[float, float]:
+    """Compute the error of a cloud that a calibration measures.
+
+    Parameters
+    ----------
+    found : Floats
+        (30,) parameters in the order of `PARAMETERS`.
+    draw : Draw
+        With the truth.
+
+    Returns
+    -------
+    place_um, form_um : float
+        RMS over the points, in µm, of displacement and of what the best rigid motion leaves of it.
+    """
+    points = cloud_of(draw.truth)
+    slopes = calibration_jacobian(points, _calibration(draw.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
+    moved = slopes @ (found - _vector(draw.truth))
+    return _rms_um(moved), _rms_um(motions(points)[1] @ moved)
+
+
+def _rms_um(moved: Floats) -> float:
+    return 1e3 * float(np.sqrt(np.sum(moved**2) / (len(moved) // 3)))
+
+
+def optimum(setting: Setting, seen: Draw) -> Floats:
+    """Estimate by generalised least squares with the true size of every error.
+
+    Parameters
+    ----------
+    setting : Setting
+        What was drawn.
+    seen : Draw
+        The observations.
+
+    Returns
+    -------
+    Floats
+        (30,) parameters in the order of `PARAMETERS`.
+    """
+    camera_px, projector_px, _ = NOISES[setting.noise]
+    dots_mm = max(1e-3 * setting.dots_um, 1e-5)
+    sizes = ErrorSizes(camera_px, projector_px, dots_mm, dots_mm)
+    model = Model(DistortionModel.K3, board().points(), True)
+    solution, _ = adjust_bundle(seen.observations, replace(seen.truth, board=model.drawn), model, sizes)
+    return _vector(solution)
+
+
+def form_beside_optimum(setting: Setting, seeds: Sequence[int]) -> tuple[float, float, float]:
+    """Compare the form that characterisation reaches with the optimum.
+
+    Parameters
+    ----------
+    setting : Setting
+        What is drawn.
+    seeds : sequence of int
+        Of the draws.
+
+    Returns
+    -------
+    found_um, optimum_um, stated_um : float
+        RMS over the seeds, in µm: form as characterised, at the optimum, and as predicted by the covariance.
+    """
+    forms = []
+    for seed in seeds:
+        seen = draw(setting, seed)
+        result = characterise(seen.observations, board(), SIZE, PROJECTOR, level=DistortionModel.K3)
+        assert result.solution is not None
+        _, form = errors(_vector(result.solution), seen)
+        _, best = errors(optimum(setting, seen), seen)
+        forms.append((form, best, _stated(result.calibration, seen)[2]))
+    return tuple(np.sqrt(np.mean(np.square(forms), axis=0)).tolist())
+
+
+def _stated(calibration: Calibration, seen: Draw) -> tuple[Floats, float, float]:
+    """Covariance of all parameters; predicted place and form in µm as RMS."""
+    known = calibration.uncertainty
+    assert known is not None
+    rows = [PARAMETERS.index(name) for name in known.names]
+    covariance = np.zeros((len(PARAMETERS),) * 2)
+    covariance[np.ix_(rows, rows)] = known.covariance
+    points = cloud_of(seen.truth)
+    slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
+    shape = motions(points)[1] @ slopes
+    place, form = (1e3 * np.sqrt(np.trace(m @ covariance @ m.T) / len(points)) for m in (slopes, shape))
+    return covariance, float(place), float(form)
+
+
+def intervals(setting: Setting, seed: int) -> dict[str, bool]:
+    """Tell which 95 % intervals of one characterisation contain the truth.
+
+    Parameters
+    ----------
+    setting : Setting
+        What is drawn.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    dict of str to bool
+        By quantity: each focal length, baseline, and squared place and form error, whose 95 % quantile is
+        that of the sum of squares of normal variables with the predicted covariance.
+    """
+    seen = draw(setting, seed)
+    result = characterise(seen.observations, board(), SIZE, PROJECTOR, level=DistortionModel.K3)
+    assert result.solution is not None
+    covariance = _stated(result.calibration, seen)[0]
+    error = _vector(result.solution) - _vector(seen.truth)
+    t = seen.truth.T_projector_camera[3:] / np.linalg.norm(seen.truth.T_projector_camera[3:])
+    along = np.zeros(len(PARAMETERS))
+    along[-3:] = t
+    focal = ("camera.fx", "camera.fy", "projector.fx", "projector.fy")
+    lines = {name: np.eye(len(PARAMETERS))[PARAMETERS.index(name)] for name in focal} | {"baseline": along}
+    inside = {k: bool(abs(a @ error) < 1.959964 * np.sqrt(a @ covariance @ a)) for k, a in lines.items()}
+    points = cloud_of(seen.truth)
+    slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
+    for name, projection in zip(("place", "form"), motions(points), strict=True):
+        moved = projection @ slopes
+        sizes = np.linalg.eigvalsh(moved @ covariance @ moved.T)
+        chances = np.random.default_rng(0).chisquare(1, (20_000, 30)) @ np.maximum(sizes[-30:], 0)
+        inside[name] = bool(np.sum((moved @ error) ** 2) < np.quantile(chances, LEVEL))
+    return inside
+
+
+def coverage(setting: Setting, seeds: Sequence[int]) -> dict[str, float]:
+    """Count how often 95 % intervals contain the truth.
+
+    Parameters
+    ----------
+    setting : Setting
+        What is drawn.
+    seeds : sequence of int
+        Of the draws.
+
+    Returns
+    -------
+    dict of str to float
+        Share of the draws, by quantity.
+    """
+    found = [intervals(setting, seed) for seed in seeds]
+    return {name: float(np.mean([one[name] for one in found])) for name in found[0]}
+
+
+def run() -> list[Result]:
+    """Measure form beside the optimum for every kind of board, lens and noise, and coverage.
+
+    Returns
+    -------
+    list of Result
+        A figure each.
+    """
+    settings = [
+        *(Setting(dots_um=dots) for dots in DOTS_UM),
+        *(Setting(lens=lens) for lens in LENSES if lens != "tangential"),
+        *(Setting(noise=noise) for noise in NOISES if noise != "even"),
+    ]
+    results = []
+    with console.progress("Characterising") as report:
+        for k, setting in enumerate(settings):
+            found, best, _ = form_beside_optimum(setting, range(1000, 1000 + SEEDS))
+            name = f"form_{setting.lens}_{setting.noise}_{setting.dots_um:g}um"
+            results.append(below(name, found, "um", MOST_EXCESS * best))
+            report(0.3 * (k + 1) / len(settings))
+        for name, share in coverage(Setting(), range(2000, 2000 + DRAWS)).items():
+            results.append(above(f"coverage_{name}", share, "share", COVERED[0]))
+            results.append(below(f"coverage_{name}_at_most", share, "share", COVERED[1]))
+        report(1.0)
+    return results

@@ -1,0 +1,188 @@
+"""What the errors of one pose share, because the board moved or bent, or a device warmed up.
+
+The residuals of a pose are then not independent of one another, and the estimate is more uncertain than their
+scatter says. Such effects are taken as random and smooth over the board, of a size in each device that is
+estimated from the residuals. They do not move the estimate, which stays that of independent errors: with few
+poses an effect of each would take over what belongs to the lenses. They widen its covariance (K.-Y. Liang and
+S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, with a model of the covariance
+within a pose instead of the empirical one, which is of too low a rank with few poses).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.optimize import nnls
+from scipy.stats import norm
+
+from fpplab.characterisation.problem import Problem
+from fpplab.core.conventions import Floats
+
+FUNCTIONS = 6
+"""Number of smooth functions over the board, by which an effect of one pose changes one coordinate."""
+
+KINDS = 4
+"""Kinds of independent errors: camera, projector, board within its plane, board out of its plane."""
+
+
+def smooth_functions(places: Floats) -> Floats:
+    """Evaluate polynomials of second degree over a board that are orthogonal at its points.
+
+    Parameters
+    ----------
+    places : Floats
+        (K, 2) in mm on the board, K at least 6.
+
+    Returns
+    -------
+    Floats
+        (K, 6) with a mean square of 1 each; the first is constant.
+    """
+    centred = places - places.mean(axis=0)
+    x, y = (centred / np.abs(centred).max()).T
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1))
+    return np.asarray(basis * np.sqrt(len(places)))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEffects:
+    """How effects of the poses reach residuals and estimate; E effects, n parameters.
+
+    Attributes
+    ----------
+    scores : Floats
+        (E,) weighted products of the effects' derivatives, in 1/px, and the residuals.
+    seen : Floats
+        (E, E) derivatives of the scores by the effects; the scores' covariance if there are none.
+    passed : Floats
+        (n, E) derivatives of the estimate by the effects.
+    device : NDArray[np.intp]
+        (E,) 0 for effects on the camera's points, 1 on the projector's.
+    leaked : Floats
+        (4, E) by kind of independent errors and effect: the sum of squares of the whitened residuals of this
+        kind that an effect of 1 px causes.
+    """
+
+    scores: Floats
+    seen: Floats
+    passed: Floats
+    device: NDArray[np.intp]
+    leaked: Floats
+
+    @property
+    def groups(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows of the effects on the camera's points and on the projector's."""
+        return np.flatnonzero(self.device == 0), np.flatnonzero(self.device == 1)
+
+    def variances(self) -> tuple[Floats, Floats]:
+        """Estimate the variance of the effects in each device by the method of moments.
+
+        Returns
+        -------
+        variances : Floats
+            (2,) of camera and projector in px², at least 0.
+        doubts : Floats
+            (2,) their standard uncertainties in px².
+
+        References
+        ----------
+        C. R. Rao, "Estimation of variance and covariance components - MINQUE theory", 1971.
+        """
+        groups = self.groups
+        squares = np.array([np.sum(self.scores[g] ** 2) - np.trace(self.seen[np.ix_(g, g)]) for g in groups])
+        design = np.array([[np.sum(self.seen[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
+        scale = 1.0 / np.sqrt(np.diag(design))
+        found, _ = nnls(design * np.outer(scale, scale), squares * scale)
+        variances = found * scale
+        spread = self.seen + self.seen * variances[self.device] @ self.seen
+        noise = np.array([[2.0 * np.sum(spread[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
+        inverse = np.linalg.inv(design)
+        return variances, np.sqrt(np.diag(inverse @ noise @ inverse.T))
+
+
+def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float) -> PoseEffects:
+    """Compute how effects of the poses reach the residuals of a fit and the estimate.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the errors' sizes.
+    vector : Floats
+        (n,) parameters at its minimum.
+    inverse : Floats
+        (n, n) inverse of its normal equations.
+    limit : float
+        Residuals beyond it, in standard deviations, get Huber's weight.
+
+    Returns
+    -------
+    PoseEffects
+        By 12 effects in each device and pose: smooth functions over the board, in u and v.
+    """
+    solution = problem.unpack(vector)
+    columns, scores, own, bases = [], [], [], []
+    for index in range(len(problem.observations)):
+        basis = problem.whitened(index, _basis(problem, index), solution.carried)
+        residuals, weight = problem.weighted_residuals(index, solution, limit)
+        scores.append(basis.T @ (weight * residuals))
+        own.append(basis.T @ (weight[:, None] * basis))
+        columns.append(problem.transposed(index, solution, weight[:, None] * basis))
+        bases.append(basis)
+    through = np.hstack(columns)
+    passed = -inverse @ through
+    effects = len(problem.observations) * 4 * FUNCTIONS
+    device = np.arange(effects) // (2 * FUNCTIONS) % 2
+    return PoseEffects(
+        np.concatenate(scores),
+        block_diag(*own) + through.T @ passed,
+        passed,
+        device,
+        _leaked(problem, vector, bases, passed),
+    )
+
+
+def _basis(problem: Problem, index: int) -> Floats:
+    """Derivatives (4 K, 24) of the residuals of a pose by its effects: by device, coordinate and function."""
+    functions = smooth_functions(problem.model.drawn[problem.observations[index].ids, :2])
+    rows = np.zeros((2, len(functions), 2, 2, 2, FUNCTIONS))
+    for device in (0, 1):
+        for coordinate in (0, 1):
+            rows[device, :, coordinate, device, coordinate] = functions
+    return rows.reshape(4 * len(functions), -1)
+
+
+def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Floats) -> Floats:
+    """Sums of squares (4, E) of the whitened residuals of each kind of errors by effect."""
+    solution, known = problem.unpack(vector), problem.priors
+    total = np.zeros((KINDS, passed.shape[1]))
+    for index, basis in enumerate(bases):
+        left = problem.applied(index, solution, passed)
+        own = slice(index * basis.shape[1], (index + 1) * basis.shape[1])
+        left[:, own] += basis
+        total[:2] += np.sum(left.reshape(2, -1, passed.shape[1]) ** 2, axis=1)
+    for kind, rows in zip((2, 3), problem.board_rows, strict=True):
+        total[kind] = np.sum((passed[known[0][rows]] / known[2][rows, None]) ** 2, axis=0)
+    return total
+
+
+def widened(variances: Floats, doubts: Floats) -> Floats:
+    """Compute the expected variances, given uncertain estimates of them.
+
+    Parameters
+    ----------
+    variances : Floats
+        Estimates, in any unit.
+    doubts : Floats
+        Their standard uncertainties, of the same shape and unit.
+
+    Returns
+    -------
+    Floats
+        The mean of a normal distribution that is cut off at zero: with few poses, effects that were not
+        found may still be there.
+    """
+    at = variances / doubts
+    return np.asarray(variances + doubts * np.exp(norm.logpdf(at) - norm.logcdf(at)))

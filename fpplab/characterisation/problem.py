@@ -1,0 +1,483 @@
+"""The least-squares problem of the joint adjustment: whitened residuals and their normal equations.
+
+A point's coordinate in the projector is read at the pixel where the camera detects the point, so that part
+of the detection error is carried into it: with A the derivative of projector by camera coordinates over the
+board, and κ the share that is carried, the projector's residual less κ A times the camera's is independent
+of the camera's. Each residual is divided by the standard deviation of its kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import INTRINSICS
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, chain, view
+from fpplab.core.conventions import Floats
+from fpplab.core.robust import huber_weights
+
+RATIONAL_SIGMA = 1.0
+"""Prior standard deviation of k4, k5, k6 about zero. Wide lenses need them of order one. On a lens of little
+distortion k1, k2, k3 compensate them, and without the prior all would grow together until a pole of the
+model, cancelled at the points by a zero of the numerator, lies in the image."""
+
+DISTORTION_SHARES = {"k1": (0.3, 2), "k2": (0.1, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.05, 6)}
+"""Prior standard deviation of each term's distortion about zero, as a share of the radius of the outermost
+point, and the power of that radius in it. They are several times the distortion of camera and projector
+lenses, and only limit combinations of terms that the points do not determine."""
+
+CARRIED_SIGMA = 1.0
+"""Prior standard deviation about zero of the share of the detection error that is carried; it is 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The least-squares problem: parameters packed in one vector, residuals and normal equations.
+
+    The vector holds the camera's estimated intrinsics, the projector's, T_projector_camera, the share that
+    is carried, the poses and, where the board is refined, its points.
+
+    Attributes
+    ----------
+    observations : tuple[Observation, ...]
+        The poses.
+    model : Model
+        Which parameters are estimated.
+    sizes : ErrorSizes
+        By which residuals are weighted.
+    near : Solution
+        Where the derivatives by the detection error are taken.
+    """
+
+    observations: tuple[Observation, ...]
+    model: Model
+    sizes: ErrorSizes
+    near: Solution
+
+    @property
+    def _free(self) -> int:
+        return len(self.model.level.terms)
+
+    @property
+    def heads(self) -> tuple[int, int, int, int, int]:
+        """Where projector, T_projector_camera, share carried, poses and board begin in the vector."""
+        n = self._free
+        return n, 2 * n, 2 * n + 6, 2 * n + 7, 2 * n + 7 + 6 * len(self.observations)
+
+    @property
+    def priors(self) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Indices (Q,) of the parameters that have a prior, its means and its standard deviations."""
+        n, (_, _, carried, _, board) = self._free, self.heads
+        lenses = np.concatenate([np.arange(4, n), n + np.arange(4, n)])
+        sigmas = [*self._lens_priors, CARRIED_SIGMA]
+        index = np.append(lenses, carried)
+        if not self.model.refined:
+            return index, np.zeros(len(index)), np.array(sigmas)
+        of_board = (self.sizes.in_plane_mm, self.sizes.in_plane_mm, self.sizes.out_of_plane_mm)
+        drawn = self.model.drawn.ravel()
+        return (
+            np.concatenate([index, np.arange(board, board + len(drawn))]),
+            np.concatenate([np.zeros(len(index)), drawn]),
+            np.concatenate([sigmas, np.tile(of_board, len(drawn) // 3)]),
+        )
+
+    @cached_property
+    def _lens_priors(self) -> list[float]:
+        """Standard deviations of the distortion coefficients of camera and projector."""
+        sigmas = []
+        for device in ("camera", "projector"):
+            lens = getattr(self.near, device)
+            pixels = np.concatenate([getattr(o, f"{device}_px") for o in self.observations])
+            radius = float(np.hypot(*((pixels - lens[2:4]) / lens[:2]).T).max())
+            for term in self.model.level.terms[4:]:
+                share, power = DISTORTION_SHARES.get(term, (RATIONAL_SIGMA, 0))
+                sigmas.append(share / radius**power)
+        return sigmas
+
+    @cached_property
+    def _carry(self) -> list[Floats]:
+        """By pose: A (K, 2, 2)."""
+        found = []
+        for index, observation in enumerate(self.observations):
+            _, _, by_point = _pose_slopes(self.near, index, observation, self._free)
+            camera, projector = by_point.reshape(2, -1, 2, 3)
+            found.append(projector[..., :2] @ np.linalg.inv(camera[..., :2]))
+        return found
+
+    @property
+    def board_rows(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which rows (Q,) of `priors` are of the board's points within its plane, and out of it."""
+        place, board = self.priors[0], self.heads[-1]
+        axis = (place - board) % 3
+        return (place >= board) & (axis < 2), (place >= board) & (axis == 2)
+
+    def pack(self, solution: Solution) -> Floats:
+        """Pack the estimated parameters of a solution.
+
+        Parameters
+        ----------
+        solution : Solution
+            All parameters.
+
+        Returns
+        -------
+        Floats
+            (n,) the vector.
+        """
+        n = self._free
+        parts = [
+            solution.camera[:n],
+            solution.projector[:n],
+            solution.T_projector_camera,
+            np.array([solution.carried]),
+            solution.poses.ravel(),
+        ]
+        if self.model.refined:
+            parts.append(solution.board.ravel())
+        return np.concatenate(parts)
+
+    def unpack(self, vector: Floats) -> Solution:
+        """Unpack a vector of estimated parameters.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) as from `pack`.
+
+        Returns
+        -------
+        Solution
+            With zero for the distortion coefficients that are not estimated.
+        """
+        projector, pair, carried, poses, board = self.heads
+        held = np.zeros(len(INTRINSICS) - self._free)
+        return Solution(
+            np.append(vector[:projector], held),
+            np.append(vector[projector:pair], held),
+            vector[pair:carried],
+            vector[poses:board].reshape(-1, 6),
+            vector[board:].reshape(-1, 3) if self.model.refined else self.model.drawn,
+            float(vector[carried]),
+        )
+
+    def _raw(self, index: int, solution: Solution) -> Floats:
+        """Residuals (4 K,) of one pose in px."""
+        return np.concatenate(solution.residuals(index, self.observations[index])).ravel()
+
+    def weighted_residuals(self, index: int, solution: Solution, limit: float) -> tuple[Floats, Floats]:
+        """Compute the whitened residuals of one pose with their weights.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        solution : Solution
+            All parameters.
+        limit : float
+            Residuals beyond it, in standard deviations, get Huber's weight.
+
+        Returns
+        -------
+        residuals : Floats
+            (4 K,) in standard deviations.
+        weight : Floats
+            (4 K,) up to 1.
+        """
+        residuals = self.whitened(index, self._raw(index, solution), solution.carried)
+        return residuals, huber_weights(residuals, 1.0, limit)
+
+    def transposed(self, index: int, solution: Solution, rows: Floats) -> Floats:
+        """Multiply rows of one pose by the transposed derivatives of its whitened residuals.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        solution : Solution
+            Where the derivatives are taken.
+        rows : Floats
+            (4 K, E) a row for each residual.
+
+        Returns
+        -------
+        Floats
+            (n, E).
+        """
+        columns, slopes, by_point = self.slopes(index, solution)
+        found = np.zeros((self.heads[-1] + self.model.refined * self.model.drawn.size, rows.shape[1]))
+        found[columns] = slopes.T @ rows
+        if self.model.refined:
+            shape = (2, len(by_point) // 4, 2)
+            found[self._own(index)] = np.einsum(
+                "dkui,dkue->kie", by_point.reshape(*shape, 3), rows.reshape(*shape, -1)
+            )
+        return found
+
+    def applied(self, index: int, solution: Solution, change: Floats) -> Floats:
+        """Multiply changes of the parameters by the derivatives of the whitened residuals of one pose.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        solution : Solution
+            Where the derivatives are taken.
+        change : Floats
+            (n, E).
+
+        Returns
+        -------
+        Floats
+            (4 K, E).
+        """
+        columns, slopes, by_point = self.slopes(index, solution)
+        found = slopes @ change[columns]
+        if self.model.refined:
+            shape = (2, len(by_point) // 4, 2)
+            moved = np.einsum("dkui,kie->dkue", by_point.reshape(*shape, 3), change[self._own(index)])
+            found += moved.reshape(found.shape)
+        return np.asarray(found)
+
+    def _own(self, index: int) -> NDArray[np.intp]:
+        """Where the points (K, 3) of a pose are in the vector."""
+        return np.asarray(self.heads[-1] + 3 * self.observations[index].ids[:, None] + np.arange(3))
+
+    def whitened(self, index: int, rows: Floats, carried: float) -> Floats:
+        """Make residuals of one pose independent of one another and of unit variance.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        rows : Floats
+            (4 K, …) residuals or their derivatives in px: of the camera's points, then of the projector's.
+        carried : float
+            Share of the detection error that is carried.
+
+        Returns
+        -------
+        Floats
+            Of the same shape, in standard deviations.
+        """
+        shape = rows.shape
+        camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
+        projector = projector - carried * (self._carry[index] @ camera)
+        whole = np.stack([camera / self.sizes.camera_px, projector / self.sizes.projector_px])
+        return np.asarray(whole.reshape(shape))
+
+    def errors(self, vector: Floats) -> tuple[Floats, Floats]:
+        """Compute the whitened residuals of the points.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+
+        Returns
+        -------
+        camera : Floats
+            (R,) in standard deviations.
+        projector : Floats
+            (R,) in standard deviations.
+        """
+        solution = self.unpack(vector)
+        pairs = [
+            np.split(self.weighted_residuals(i, solution, np.inf)[0], 2)
+            for i in range(len(self.observations))
+        ]
+        cameras, projectors = zip(*pairs, strict=True)
+        return np.concatenate(cameras), np.concatenate(projectors)
+
+    def misfit(self, vector: Floats) -> Floats:
+        """Compute all residuals.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+
+        Returns
+        -------
+        Floats
+            (R,) in standard deviations: the points' of the camera, of the projector, then deviations from
+            prior knowledge.
+        """
+        return np.concatenate([*self.errors(vector), self.pulls(vector)])
+
+    def pulls(self, vector: Floats) -> Floats:
+        """Compute the deviations from prior knowledge.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+
+        Returns
+        -------
+        Floats
+            (Q,) in standard deviations, in the order of `priors`.
+        """
+        index, means, sigmas = self.priors
+        return np.asarray((vector[index] - means) / sigmas)
+
+    def normal_equations(
+        self, vector: Floats, limit: float = np.inf, camera_alone: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Build the normal equations of the residuals r with derivatives J.
+
+        Parameters
+        ----------
+        vector : Floats
+            (n,) parameters.
+        limit : float
+            Residuals beyond it, in standard deviations, get Huber's weight in W.
+        camera_alone : bool
+            Whether only the camera's residuals contribute, without projector and priors.
+
+        Returns
+        -------
+        matrix : Floats
+            `JᵀWJ`, (n, n).
+        gradient : Floats
+            `JᵀWr`, (n,).
+        """
+        solution = self.unpack(vector)
+        matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
+        for index in range(len(self.observations)):
+            self._add_pose(matrix, gradient, index, solution, limit, camera_alone)
+        if not camera_alone:
+            known, _, sigmas = self.priors
+            pulls = self.pulls(vector)
+            weight = huber_weights(pulls, 1.0, limit) / sigmas
+            matrix[known, known] += weight / sigmas
+            gradient[known] += weight * pulls
+        return matrix, gradient
+
+    def pose_equations(self, index: int, vector: Floats, limit: float = np.inf) -> tuple[Floats, Floats]:
+        """Build what one pose adds to the normal equations.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        vector : Floats
+            (n,) parameters.
+        limit : float
+            Residuals beyond it, in standard deviations, get Huber's weight in W.
+
+        Returns
+        -------
+        matrix : Floats
+            (n, n).
+        gradient : Floats
+            (n,).
+        """
+        matrix, gradient = np.zeros((len(vector), len(vector))), np.zeros(len(vector))
+        self._add_pose(matrix, gradient, index, self.unpack(vector), limit, False)
+        return matrix, gradient
+
+    def _add_pose(
+        self, matrix: Floats, gradient: Floats, index: int, solution: Solution, limit: float,
+        camera_alone: bool,
+    ) -> None:  # fmt: skip
+        residuals, weight = self.weighted_residuals(index, solution, limit)
+        columns, slopes, by_point = self.slopes(index, solution)
+        if camera_alone:
+            weight[len(weight) // 2 :] = 0.0
+        weighted = slopes * weight[:, None]
+        matrix[np.ix_(columns, columns)] += slopes.T @ weighted
+        gradient[columns] += weighted.T @ residuals
+        if not self.model.refined:
+            return
+        # Rows lie by device, point and coordinate; every point has its own three columns.
+        shape = (2, len(weight) // 4, 2)
+        points = by_point.reshape(*shape, 3)
+        heavy = (by_point * weight[:, None]).reshape(*shape, 3)
+        own = self._own(index)
+        shared = np.einsum("dkui,dkuc->kic", heavy, slopes.reshape(*shape, -1))
+        matrix[own[:, :, None], own[:, None, :]] += np.einsum("dkui,dkuj->kij", heavy, points)
+        matrix[own[:, :, None], columns[None, None, :]] += shared
+        matrix[columns[None, :, None], own[:, None, :]] += shared.transpose(0, 2, 1)
+        gradient[own] += np.einsum("dkui,dku->ki", heavy, residuals.reshape(shape))
+
+    def slopes(self, index: int, solution: Solution) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Differentiate the whitened residuals of one pose.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        solution : Solution
+            Where.
+
+        Returns
+        -------
+        columns : NDArray[np.intp]
+            (C,) the parameters that they all depend on.
+        slopes : Floats
+            (4 K, C) derivatives by these.
+        by_point : Floats
+            (4 K, 3) derivatives by the board's points, each residual by its own point.
+        """
+        _, _, carried, poses, _ = self.heads
+        raw = self._raw(index, solution)
+        pose, shared, by_point = _pose_slopes(solution, index, self.observations[index], self._free)
+        through = self._carry[index]
+        by_carried = np.zeros((len(raw), 1))
+        half = len(raw) // 2
+        by_carried[half:, 0] = -(through @ raw[:half].reshape(-1, 2, 1)).ravel() / self.sizes.projector_px
+        columns = [np.arange(carried), poses + 6 * index + np.arange(6), np.array([carried])]
+        parts = [
+            self.whitened(index, shared, solution.carried),
+            self.whitened(index, pose, solution.carried),
+            by_carried,
+        ]
+        by_point = self.whitened(index, by_point, solution.carried)
+        return np.concatenate(columns).astype(np.intp), np.hstack(parts), by_point
+
+
+def _pose_slopes(
+    solution: Solution, index: int, observation: Observation, free: int
+) -> tuple[Floats, Floats, Floats]:
+    """Differentiate the residuals (4 K,) of one pose in px.
+
+    By the pose (4 K, 6), by `free` intrinsics of both devices and T_projector_camera (4 K, 2 free + 6), and
+    by the board's points, each by its own (4 K, 3).
+    """
+    points, pose = solution.board[observation.ids], solution.poses[index]
+    chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
+    _, seen = view(points, pose, solution.camera)
+    _, projected = view(points, chained, solution.projector)
+    rows, n = len(seen), free
+    shared = np.zeros((2 * rows, 2 * n + 6))
+    shared[:rows, :n] = seen[:, 6 : 6 + n]
+    shared[rows:, n : 2 * n] = projected[:, 6 : 6 + n]
+    shared[rows:, 2 * n :] = projected[:, :6] @ by_pair
+    own = np.concatenate([seen[:, :6], projected[:, :6] @ by_pose])
+    # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
+    by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))]
+    return own, shared, np.concatenate(by_point)
+
+
+def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:
+    """Leave poses out of a solution.
+
+    Parameters
+    ----------
+    solution : Solution
+        All poses.
+    held : Sequence[int] or int
+        Their indices.
+
+    Returns
+    -------
+    Solution
+        Of the other poses.
+    """
+    return replace(solution, poses=np.delete(solution.poses, held, axis=0))
