@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from fpplab.calibration.model import INTRINSICS, POSE, Uncertainty
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
-from fpplab.characterisation.pose_effects import KINDS, pose_effects, widened
+from fpplab.characterisation.pose_effects import KINDS, Motion, PoseEffects, motions, pose_effects, widened
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
@@ -226,9 +226,8 @@ def uncertainty(
         The poses do not determine the parameters.
     """
     problem = Problem(tuple(observations), model, sizes, best)
-    vector, shared = problem.pack(best), slice(problem.heads[2])
-    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
-    effects = pose_effects(problem, vector, inverse, SOFT)
+    shared = slice(problem.heads[2])
+    inverse, effects = _effects(problem, best)
     passed = (
         effects.passed[shared] * np.array([sizes.camera_shared_px, sizes.projector_shared_px])[effects.device]
     )
@@ -240,6 +239,42 @@ def uncertainty(
     terms = [f"{d}.{term}" for d in ("camera", "projector") for term in model.level.terms]
     names = (*terms, *(f"T_projector_camera.{term}" for term in POSE))
     return Uncertainty(names, 0.5 * (covariance + covariance.T))
+
+
+def motions_in_poses(
+    observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
+) -> list[Motion]:
+    """Estimate by how much the board of each pose moved while it was taken.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    best : Solution
+        What `adjust_bundle` found for this model and these sizes.
+    model : Model
+        Which parameters are estimated.
+    sizes : ErrorSizes
+        Of the errors.
+
+    Returns
+    -------
+    list of Motion
+        By pose.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine the parameters.
+    """
+    return motions(_effects(Problem(tuple(observations), model, sizes, best), best)[1])
+
+
+def _effects(problem: Problem, best: Solution) -> tuple[Floats, PoseEffects]:
+    """Inverse (n, n) of the normal equations, and the effects of the poses."""
+    vector = problem.pack(best)
+    inverse = inverse_of(problem, problem.normal_equations(vector, SOFT)[0])
+    return inverse, pose_effects(problem, vector, inverse, SOFT)
 
 
 def fits_without_each_pose(

@@ -14,7 +14,13 @@ from typing import Literal
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
 from fpplab.characterisation.board_diagnosis import find_description_error
-from fpplab.characterisation.bundle import adjust_bundle, fit_pose, fits_without_each_pose, uncertainty
+from fpplab.characterisation.bundle import (
+    adjust_bundle,
+    fit_pose,
+    fits_without_each_pose,
+    motions_in_poses,
+    uncertainty,
+)
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import (
     DEFAULT_SCALE_TOLERANCE,
@@ -156,6 +162,7 @@ def characterise(
         tuple(rejected),
         (
             *(UNJUDGED,) * few,
+            *_motion(kept, fit, model),
             *coverage.warnings(kept, poses, calibration, solution.board),
         ),
         model.drawn if model.refined else None,
@@ -168,6 +175,19 @@ def characterise(
 def _scale(target: Target) -> float:
     given = target.scale_tolerance
     return DEFAULT_SCALE_TOLERANCE if given is None else given
+
+
+def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
+    """Name the poses in which the board moved, by more than noise and the other poses explain."""
+    if not model.refined or len(observations) <= LEAST_POSES:
+        return ()
+    found = motions_in_poses(observations, fit[0], model, fit[1])
+    return tuple(
+        f"{o.name}: the projector's coordinates of the whole board are off by {one.shift_px:.2f} px, as if "
+        "the board had moved while this pose was taken; hold it still, and take the pose again"
+        for o, one in zip(observations, found, strict=True)
+        if one.chance < MOVED_CHANCE / len(observations)
+    )
 
 
 def _settled(

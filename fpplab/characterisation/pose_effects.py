@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
@@ -77,6 +77,28 @@ class PoseEffects:
         """Rows of the effects on the camera's points and on the projector's."""
         return np.flatnonzero(self.device == 0), np.flatnonzero(self.device == 1)
 
+    def without(self, rows: NDArray[np.intp]) -> PoseEffects:
+        """Leave effects out.
+
+        Parameters
+        ----------
+        rows : NDArray[np.intp]
+            Of the effects.
+
+        Returns
+        -------
+        PoseEffects
+            Of the others.
+        """
+        left = np.delete(np.arange(len(self.scores)), rows)
+        return PoseEffects(
+            self.scores[left],
+            self.seen[np.ix_(left, left)],
+            self.passed[:, left],
+            self.device[left],
+            self.leaked[:, left],
+        )
+
     def variances(self) -> tuple[Floats, Floats]:
         """Estimate the variance of the effects in each device by the method of moments.
 
@@ -101,6 +123,48 @@ class PoseEffects:
         noise = np.array([[2.0 * np.sum(spread[np.ix_(g, h)] ** 2) for h in groups] for g in groups])
         inverse = np.linalg.inv(design)
         return variances, np.sqrt(np.diag(inverse @ noise @ inverse.T))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How far the projector's coordinates of a whole pose are shifted, and how rarely chance does so.
+
+    Attributes
+    ----------
+    shift_px : float
+        Length of the shift in px of the projector.
+    chance : float
+        Probability of a shift as clear as this one, given noise and the effects in the other poses.
+    """
+
+    shift_px: float
+    chance: float
+
+
+def motions(effects: PoseEffects) -> list[Motion]:
+    """Estimate by how much the board of each pose moved between its image and its fringes.
+
+    Parameters
+    ----------
+    effects : PoseEffects
+        Of two poses or more.
+
+    Returns
+    -------
+    list of Motion
+        By pose.
+    """
+    found, size = [], 4 * FUNCTIONS
+    for pose in range(len(effects.scores) // size):
+        own = np.arange(pose * size, (pose + 1) * size)
+        variances, _ = effects.without(own).variances()
+        shift = own[[2 * FUNCTIONS, 3 * FUNCTIONS]]
+        seen = effects.seen[np.ix_(shift, shift)]
+        expected = seen + effects.seen[shift] * variances[effects.device] @ effects.seen[:, shift]
+        score = effects.scores[shift]
+        square = float(score @ np.linalg.solve(expected, score))
+        found.append(Motion(float(np.linalg.norm(np.linalg.solve(seen, score))), float(chi2.sf(square, 2))))
+    return found
 
 
 def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float) -> PoseEffects:

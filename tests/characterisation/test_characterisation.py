@@ -141,7 +141,11 @@ def test_normal_equations_are_those_of_the_misfit(level: DistortionModel, refine
         slopes[:, column] = change / (2 * step[column])
     residuals = problem.misfit(vector)
     for limit in (np.inf, 0.5):
-        weight = np.minimum(1.0, limit / np.abs(residuals)) if np.isfinite(limit) else np.ones_like(residuals)
+        weight = (
+            np.minimum(1.0, limit / np.maximum(np.abs(residuals), 1e-12))
+            if np.isfinite(limit)
+            else np.ones_like(residuals)
+        )
         normal, gradient = problem.normal_equations(vector, limit)
         scale = np.sqrt(np.diag(normal))
         expected = slopes.T @ (weight[:, None] * slopes)
@@ -201,11 +205,11 @@ def test_real_captures_are_characterised() -> None:
     assert found.separate_px["stereo"] < 0.302
     assert found.calibration.rms_px["camera"] < 0.075
     assert found.calibration.rms_px["projector"] < 0.075
-    assert len(found.rejected) < 20
+    assert len(found.rejected) < 25
     assert any("camera's image: upper left, left, lower left" in w for w in found.warnings)
     assert found.leave_one_out_px is not None
-    assert found.leave_one_out_px["camera"] < 0.15
-    assert found.leave_one_out_px["projector"] < 0.16
+    assert found.leave_one_out_px["camera"] < 0.13
+    assert found.leave_one_out_px["projector"] < 0.14
     assert found.calibration.camera.matrix[0, 0] == pytest.approx(2191.7, abs=2)
     assert found.calibration.baseline_mm == pytest.approx(166.2, abs=0.4)
     flat = characterise(observations, target, (1688, 1352), (1824, 1140), level="auto", refine_board=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.characterisation import Observation, characterise, observe
+from fpplab.characterisation import DistortionModel, Observation, characterise, observe
 from fpplab.characterisation.outliers import MOST_REJECTED
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -30,6 +30,15 @@ def test_a_pose_in_which_something_moved_is_left_out_and_named() -> None:
     assert "moved" in found.left_out["pose_2"]
     assert [o.name for o in found.observations] == ["pose_0", "pose_1", "pose_3", "pose_4", "pose_5"]
     assert found.calibration.rms_px["joint"] < 0.08
+
+
+def test_a_board_that_moved_while_it_was_taken_is_named() -> None:
+    seen = observed(poses(8), noise_px=0.03)
+    still = characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K2)
+    assert not any("moved" in warning for warning in still.warnings)
+    seen[3] = replace(seen[3], projector_px=seen[3].projector_px + (0.1, 0.15))
+    moved = characterise(seen, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K2)
+    assert [w.split(":")[0] for w in moved.warnings if "moved" in w] == [seen[3].name]
 
 
 def test_too_few_poses_are_refused_naming_each() -> None:
