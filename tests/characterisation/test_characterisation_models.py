@@ -115,7 +115,7 @@ def test_fits_without_a_pose_are_those_of_the_other_poses() -> None:
     for device in ("camera", "projector"):
         moved = getattr(again, device)[:2] - getattr(found.solution, device)[:2]
         at_once = getattr(first[2], device)[:2] - getattr(found.solution, device)[:2]
-        assert at_once == pytest.approx(moved, rel=0.05, abs=0.02 * found.sigma[f"{device}.fx"])
+        assert at_once == pytest.approx(moved, rel=0.05, abs=0.05 * found.sigma[f"{device}.fx"])
 
 
 def test_the_board_is_refined_as_asked() -> None:
