@@ -14,11 +14,14 @@ it moves and rotates the cloud far more than it deforms it. What remains after t
 separately, because it is what a comparison with a true shape shows. A point's uncertainty is stated as the
 root mean square distance from where it should be, √trace of its covariance (Helmert's point error): so the
 contributions, which are independent, add in quadrature whatever their directions.
+
+Variances change slowly from point to point. Those of large clouds are interpolated between the nodes of a
+grid (`fpplab.reconstruction.ray_grid`), by which a standard uncertainty changes by less than 0.5 %.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,11 +35,12 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
+from fpplab.reconstruction.ray_grid import RayGrid
 from fpplab.reconstruction.triangulation import DecodedMaps
 
 BLOCK = 1 << 14
 """Points whose derivatives are in memory at a time: 12 MB."""
-RIGID_SAMPLE = 50_000
+RIGID_SAMPLE = 20_000
 """About as many evenly sampled points are used to fit the rigid motion of the cloud."""
 
 AnyPoints = NDArray[np.floating[Any]]
@@ -92,13 +96,34 @@ def with_uncertainty(
     modes = _Modes.of(calibration, noise)
     centre = cloud.points.mean(axis=0, dtype=np.float64)
     motion = _rigid_part(modes, cloud.points, centre)
-    whole, form = (np.empty(len(cloud), np.float32) for _ in range(2))
-    for part in _blocks(len(cloud)):
-        moved = modes.moved(cloud.points[part])
-        whole[part] = _length(moved)
-        form[part] = _length(moved - _rigid_motions(cloud.points[part] - centre) @ motion)
-        progress(part.stop / len(cloud))
+
+    def exactly(points: AnyPoints, progress: Progress = no_progress) -> Floats:
+        variances = np.empty((len(points), 2))
+        for part in _blocks(len(points)):
+            moved = modes.moved(points[part])
+            left = moved - _rigid_motions(points[part] - centre) @ motion
+            variances[part, 0], variances[part, 1] = _squares(moved), _squares(left)
+            progress(part.stop / len(points))
+        return variances
+
+    variances = _by_grid(cloud.points, exactly, progress)
+    whole, form = np.sqrt(variances.T).astype(np.float32)
     return replace(cloud, sigma_calibration_mm=whole, sigma_form_mm=form)
+
+
+def _by_grid(
+    points: AnyPoints, exactly: Callable[[AnyPoints, Progress], Floats], progress: Progress
+) -> AnyPoints:
+    """Evaluate at nodes and interpolate, and exactly where points are few or far from the others."""
+    grid = RayGrid.around(points)
+    if grid is None:
+        return exactly(points, progress)
+    found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)), points)
+    left = np.flatnonzero(~(found.min(axis=1) > 0))  # outside, or so near to 0 that interpolation passes it
+    if len(left):
+        found[left] = exactly(points[left], no_progress)
+    progress(1.0)
+    return found
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
@@ -242,9 +267,9 @@ def _rigid_motions(points: AnyPoints) -> Floats:
     return motions
 
 
-def _length(moved: Floats) -> Floats:
-    """Return √trace of `moved movedᵀ` at each point, (N,)."""
-    return np.asarray(np.sqrt(np.einsum("nij,nij->n", moved, moved)))
+def _squares(moved: Floats) -> Floats:
+    """Return the trace of `moved movedᵀ` at each point, (N,)."""
+    return np.asarray(np.einsum("nij,nij->n", moved, moved))
 
 
 def _blocks(count: int) -> Iterator[slice]:
