@@ -25,6 +25,7 @@ MARGIN = 0.05
 """By which share of its length the grid reaches beyond the others."""
 
 AnyPoints = NDArray[np.floating[Any]]
+Weights = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +85,9 @@ class RayGrid:
         ndarray of float32, (N, K)
             NaN outside of the grid.
         """
-        shaped = np.ascontiguousarray(values).reshape(*NODES, -1)
+        shaped = np.ascontiguousarray(values.T).reshape(-1, *NODES)
         per_step = (np.array(NODES) - 1) / (self.upper - self.lower)
-        found = np.empty((len(points), shaped.shape[-1]), np.float32)
+        found = np.empty((len(points), len(shaped)), np.float32)
         _interpolate(np.ascontiguousarray(points), self.lower, per_step, shaped, found)
         return found
 
@@ -98,12 +99,10 @@ def _first(place: float, nodes: int) -> int:
 
 
 @njit(cache=True)
-def _cubic(place: float, values: tuple[float, float, float, float]) -> float:
-    """Evaluate the cubic through values at 0, 1, 2 and 3, by Lagrange's formula."""
+def _weights(place: float) -> Weights:
+    """Give the weights of values at 0, 1, 2 and 3 in the cubic through them, by Lagrange's formula."""
     a, b, c = place - 1.0, place - 2.0, place - 3.0
-    ends = b * (place * a * values[3] - a * c * values[0]) / 6.0
-    middle = place * c * (b * values[1] - a * values[2]) / 2.0
-    return ends + middle
+    return -a * b * c / 6.0, place * b * c / 2.0, -place * a * c / 2.0, place * a * b / 6.0
 
 
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -122,34 +121,36 @@ def _at_point(
     x = (point[0] * inverse - lower[0]) * per_step[0]
     y = (point[1] * inverse - lower[1]) * per_step[1]
     z = (point[2] - lower[2]) * per_step[2]
-    nodes_x, nodes_y, nodes_z, count = values.shape
+    count, nodes_x, nodes_y, nodes_z = values.shape
     if not (0.0 <= x <= nodes_x - 1 and 0.0 <= y <= nodes_y - 1 and 0.0 <= z <= nodes_z - 1):
         found[:] = np.nan
         return
     i, j, k = _first(x, nodes_x), _first(y, nodes_y), _first(z, nodes_z)
-    x, y, z = x - i, y - j, z - k
+    along_x, along_y, along_z = _weights(x - i), _weights(y - j), _weights(z - k)
     for n in range(count):
-        planes = (
-            _in_plane(values, i, j, k, n, y, z),
-            _in_plane(values, i + 1, j, k, n, y, z),
-            _in_plane(values, i + 2, j, k, n, y, z),
-            _in_plane(values, i + 3, j, k, n, y, z),
+        found[n] = (
+            along_x[0] * _in_plane(values, i, j, k, n, along_y, along_z)
+            + along_x[1] * _in_plane(values, i + 1, j, k, n, along_y, along_z)
+            + along_x[2] * _in_plane(values, i + 2, j, k, n, along_y, along_z)
+            + along_x[3] * _in_plane(values, i + 3, j, k, n, along_y, along_z)
         )
-        found[n] = _cubic(x, planes)
 
 
 @njit(cache=True, fastmath={"contract"})
-def _in_plane(values: Floats, i: int, j: int, k: int, n: int, y: float, z: float) -> float:
-    rows = (
-        _in_row(values, i, j, k, n, z),
-        _in_row(values, i, j + 1, k, n, z),
-        _in_row(values, i, j + 2, k, n, z),
-        _in_row(values, i, j + 3, k, n, z),
+def _in_plane(values: Floats, i: int, j: int, k: int, n: int, along_y: Weights, along_z: Weights) -> float:
+    return (
+        along_y[0] * _in_row(values, i, j, k, n, along_z)
+        + along_y[1] * _in_row(values, i, j + 1, k, n, along_z)
+        + along_y[2] * _in_row(values, i, j + 2, k, n, along_z)
+        + along_y[3] * _in_row(values, i, j + 3, k, n, along_z)
     )
-    return _cubic(y, rows)
 
 
 @njit(cache=True, fastmath={"contract"})
-def _in_row(values: Floats, i: int, j: int, k: int, n: int, z: float) -> float:
-    row = values[i, j, k, n], values[i, j, k + 1, n], values[i, j, k + 2, n], values[i, j, k + 3, n]
-    return _cubic(z, row)
+def _in_row(values: Floats, i: int, j: int, k: int, n: int, along_z: Weights) -> float:
+    return float(
+        along_z[0] * values[n, i, j, k]
+        + along_z[1] * values[n, i, j, k + 1]
+        + along_z[2] * values[n, i, j, k + 2]
+        + along_z[3] * values[n, i, j, k + 3]
+    )
