@@ -25,7 +25,7 @@ MARGIN = 0.05
 """By which share of its length the grid reaches beyond the others."""
 
 AnyPoints = NDArray[np.floating[Any]]
-Weights = tuple[float, float, float, float]
+CubicWeights = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _first(place: float, nodes: int) -> int:
 
 
 @njit(cache=True)
-def _weights(place: float) -> Weights:
+def _weights(place: float) -> CubicWeights:
     """Give the weights of values at 0, 1, 2 and 3 in the cubic through them, by Lagrange's formula."""
     a, b, c = place - 1.0, place - 2.0, place - 3.0
     return -a * b * c / 6.0, place * b * c / 2.0, -place * a * c / 2.0, place * a * b / 6.0
@@ -137,7 +137,9 @@ def _at_point(
 
 
 @njit(cache=True, fastmath={"contract"})
-def _in_plane(values: Floats, i: int, j: int, k: int, n: int, along_y: Weights, along_z: Weights) -> float:
+def _in_plane(
+    values: Floats, i: int, j: int, k: int, n: int, along_y: CubicWeights, along_z: CubicWeights
+) -> float:
     return (
         along_y[0] * _in_row(values, i, j, k, n, along_z)
         + along_y[1] * _in_row(values, i, j + 1, k, n, along_z)
@@ -147,7 +149,7 @@ def _in_plane(values: Floats, i: int, j: int, k: int, n: int, along_y: Weights, 
 
 
 @njit(cache=True, fastmath={"contract"})
-def _in_row(values: Floats, i: int, j: int, k: int, n: int, along_z: Weights) -> float:
+def _in_row(values: Floats, i: int, j: int, k: int, n: int, along_z: CubicWeights) -> float:
     return float(
         along_z[0] * values[n, i, j, k]
         + along_z[1] * values[n, i, j, k + 1]

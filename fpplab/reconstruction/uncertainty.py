@@ -23,11 +23,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration
 from fpplab.clouds import Cloud
@@ -35,7 +33,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
-from fpplab.reconstruction.ray_grid import RayGrid
+from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid
 from fpplab.reconstruction.triangulation import DecodedMaps
 
 BLOCK = 1 << 14
@@ -43,7 +41,6 @@ BLOCK = 1 << 14
 RIGID_SAMPLE = 20_000
 """About as many evenly sampled points are used to fit the rigid motion of the cloud."""
 
-AnyPoints = NDArray[np.floating[Any]]
 CoordinateNoise = tuple[float, float]
 """Standard deviations of the projector's u and v, relative to one another; infinite for an axis not coded."""
 
