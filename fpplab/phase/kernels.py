@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
+from fpplab.phase.unwrapping import EDGE_SIGMAS
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
-
-EDGE_SIGMAS = 1.5
-"""How many standard deviations of its noise a coordinate may lie beyond the projector's edge."""
 
 APART = 9.0
 """Least difference of χ² by which two hypotheses are distinguished."""
@@ -344,8 +342,7 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         worst_a, worst_b, kept = rows[i + _WORST], rows[i + _OTHER_WORST], good[i]
         worst = worst_b if cost_b < cost_a else worst_a
         far = far_b if cost_b < cost_a else far_a
-        kept = kept if worst <= share else kept * _TO_EXPLAIN
-        kept = kept if far == _ZERO else _ZERO
+        kept = kept if worst <= share and far == _ZERO else kept * _TO_EXPLAIN
         # Where one of them is far their costs differ by far more than this.
         least = max(_APART_LEAST, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO

@@ -21,9 +21,14 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
-from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
+from fpplab.phase.kernels import APART, APART_LEAST
 from fpplab.phase.quality import NoiseModel, noise_of
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
+from fpplab.phase.unwrapping import (
+    EDGE_MARGIN_PX,
+    EDGE_SIGMAS,
+    WavelengthSequence,
+    wavelength_sequence,
+)
 from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
 
 
@@ -107,14 +112,22 @@ class Unwrapped:
         Greatest |coarse prediction − fine phase| of any wavelength, in its periods.
     second_best_order : ndarray of int64
         Index of the wavelength that disagreed most, signed towards its second-best order; 0 if none did.
-    is_unambiguous : ndarray of bool
-        The position lies in the projector and is told apart from its rival.
+    is_possible : ndarray of bool
+        The position lies in the interval of possible ones, but for noise.
+    is_told_apart : ndarray of bool
+        Its rival, the other hypothesis of the base, is told apart from it.
     """
 
     position: Floats
     disagreement: Floats
     second_best_order: NDArray[np.int64]
-    is_unambiguous: NDArray[np.bool_]
+    is_possible: NDArray[np.bool_]
+    is_told_apart: NDArray[np.bool_]
+
+    @property
+    def is_unambiguous(self) -> NDArray[np.bool_]:
+        """Whether the position is possible and told apart from its rival."""
+        return self.is_possible & self.is_told_apart
 
 
 def unwrap(
@@ -167,7 +180,8 @@ def unwrap(
         np.where(swap, rival.position, chosen.position),
         np.where(swap, rival.disagreement, chosen.disagreement),
         np.where(swap, rival.second_best_order, chosen.second_best_order),
-        inside & ~alike,
+        inside,
+        ~alike,
     )
 
 
@@ -200,7 +214,7 @@ def _refine(
     return _Hypothesis(position, worst, second_best), cost
 
 
-def _beyond(position: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
+def _beyond(position: Floats, low: float | Floats, high: float | Floats, tolerance: Floats) -> Floats:
     """A penalty above every cost for positions outside of the possible ones; 0 inside."""
     outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
@@ -381,7 +395,7 @@ def likeliest_order(
 def _likeliest_shift(
     seen: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Shift to the likeliest alternative, 0 where none is likelier than the position; odds of all together."""
+    """Shift to the likeliest alternative, 0 where none is likelier; and the odds of all together."""
     best, inside = _evidence(seen, position, ends)
     odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
@@ -449,7 +463,9 @@ def decode_axis(
     settled = found.position if plan.order_vote else likeliest.position
     fused, freedom = fuse(seen, settled), max(len(sequence.sets) - 1, 1)
     is_explained = fused.chi2 <= AGREEING_SIGMAS**2 * freedom
-    is_known = found.is_unambiguous & (is_explained | (settled == found.position))
+    tolerance = margin + EDGE_SIGMAS * seen.position_sigma[-1]
+    is_possible = _beyond(settled, *interval, tolerance) == 0
+    is_known = found.is_told_apart & is_possible & (is_explained | (settled == found.position))
     known = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(
         coordinate=((fused.position * length - 0.5) * known).astype(np.float32),

@@ -1,10 +1,10 @@
-"""The likeliest fringe order of each pixel, and the probability that it is wrong: compiled functions on chunks.
+"""The likeliest fringe order of each pixel, and the probability that it is wrong: compiled functions.
 
 A pixel's phases could also have come from a shifted position (`fpplab.phase.alternatives`). With Gaussian
 noise the odds of the two are `exp(-(χ²_shifted - χ²)/2)`, and the probability that the chosen order is wrong
 follows from the sum of the odds over all shifts, each weighted by the share of its distribution that lies
-within the possible positions. Where a shifted position is the likelier one, it is taken. Nearly all pixels are far from any doubt, which a bound shows without looking
-at a single shift.
+within the possible positions. Where a shifted position is likelier, it is taken. Nearly all pixels are far
+from any doubt, which a bound shows without looking at a single shift.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from fpplab.phase.chunks import HIGH, LOW, compiled
 from fpplab.phase.fusion import AGREEING_SIGMAS, CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
+from fpplab.phase.unwrapping import EDGE_SIGMAS
 
 FARTHEST_SIGMAS = 5.0
 """How many standard deviations beyond the possible positions a shifted one is still considered."""
@@ -27,7 +28,7 @@ LEAST_INSIDE = 1e-9
 MOVES = 8
 """How many shifts in turn may lead from the order of unwrapping to the likeliest; two are rare."""
 TO_EXPLAIN = 0.5
-"""Mark of a pixel that is measured only if noise explains how far its fringe sets disagree."""
+"""Mark of a pixel whose step by step order is refused: measured only if the likeliest order suits."""
 
 _f, _u = np.float32, np.uintp
 _HALF, _ONE = _f(0.5), _f(1)
@@ -51,8 +52,8 @@ def settle_orders(
     """Choose the likeliest order along one axis, and mask the pixels where it is too uncertain.
 
     Unwrapping goes step by step, and so its order is not always the likeliest of all sets together. A pixel
-    whose steps disagree by more than the allowed share, or whose order is changed here, is measured only if
-    noise explains χ².
+    whose steps disagree by more than the allowed share or lead out of the possible positions, or whose order
+    is changed here, is measured only if the likeliest position is a possible one and noise explains χ².
 
     Parameters
     ----------
@@ -70,8 +71,8 @@ def settle_orders(
     weights : ndarray of float32, (S, n)
         Inverse variances of the sets' positions.
     good : ndarray of float32, (n,)
-        1 where a pixel is measured, `TO_EXPLAIN` where its steps disagree too much, 0 elsewhere; set to 0
-        or 1.
+        1 where a pixel is measured, `TO_EXPLAIN` where its steps disagree too much or lead out of the
+        possible positions, 0 elsewhere; set to 0 or 1.
     n : int
         Number of pixels.
     coordinate, sigma, chi2 : ndarray of float32, (n,)
@@ -104,7 +105,10 @@ def settle_orders(
         if moves > 0:
             _fuse_again(axis, recipe, rows, sums, off, weights, i, coordinate, sigma, chi2)
         if moves > 0 or good[i] < 1.0:
-            good[i] = 1.0 if sums[_u(i) + CHI2] <= AGREEING_SIGMAS**2 * freedom else 0.0
+            is_explained = sums[_u(i) + CHI2] <= AGREEING_SIGMAS**2 * freedom
+            outside = max(ends[0] - rows[_u(i)], rows[_u(i)] - ends[1])
+            is_possible = outside <= EDGE_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+            good[i] = 1.0 if is_explained and is_possible else 0.0
         if good[i] > 0.0 and odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
             cause[i] = 1 + recipe.causes[which]
@@ -181,8 +185,8 @@ def _mark_doubtful(
 ) -> Any:
     """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
 
-    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`. Pixels whose steps
-    disagree are all marked.
+    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`. Pixels whose step
+    by step order is refused are all marked.
     """
     count = _f(0)
     for j in range(n):
