@@ -44,7 +44,8 @@ class MaskRules(Document):
     """Greatest RMS misfit of the sinusoid as a share of B."""
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
     """Greatest difference between the position that coarser fringes predict and the one that finer fringes
-    show, as a share of the finer period.
+    show, as a share of the finer period; a greater one is accepted where the noise of all sets explains it
+    and leaves no doubt of the order.
     """
     wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
     """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.

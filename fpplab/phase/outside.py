@@ -64,7 +64,8 @@ class OutsideShare:
         if self.as_likely > WORTH_SAYING:
             said.append(
                 f"at {self.as_likely:.0%} of the pixels with fringes the fringe sets agree on a position "
-                "outside of the depth range as well as inside, so what lies outside is decoded wrongly, unnoticed"
+                "outside of the depth range as well as inside, so what lies outside is decoded wrongly, "
+                "unnoticed"
             )
         return tuple(said)
 
