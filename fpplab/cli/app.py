@@ -77,7 +77,8 @@ DepthRange = Annotated[
     typer.Option(
         "--depth",
         metavar="NEAR FAR",
-        help="Distances from the camera in mm between which the object lies; as the plan says.",
+        help="Distances from the camera in mm between which the object lies; by default "
+        "`depth_mm` of the plan, or else of the rig file.",
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]

@@ -8,7 +8,8 @@
 `backend` names the class that drives the device: `module:Class`. `bench` is what the devices
 share, where they share anything; `stage` and `fixture` are optional. `bits` and `gain_db` are
 the camera's standing settings; every other key goes to the backend, which refuses what it does
-not know. A relative file name is looked for beside the rig file first.
+not know. `depth_mm` may state between which distances from the camera everything lies that is seen, for plans
+that state none. A relative file name is looked for beside the rig file first.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pydantic import ConfigDict, Field
 
 from fpplab.core import config
 from fpplab.core.config import Document
+from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
 from fpplab.devices.shared import SharedBackend
@@ -57,7 +59,16 @@ class CameraSection(DeviceSection):
     """Gain in dB."""
 
 
-class RigFile(Document):
+class DepthSection(Document):
+    """The part of a rig file that says where everything lies."""
+
+    depth_mm: DepthField | None = None
+    """Least and greatest distance from the camera along its axis, in mm, between which everything lies that
+    is seen: for plans without a `depth_mm` of their own. By default unknown.
+    """
+
+
+class RigFile(DepthSection):
     """Schema of a rig file."""
 
     name: str
@@ -136,6 +147,11 @@ class Rig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.close()
+
+    @property
+    def source(self) -> str:
+        """What messages call the rig: its file."""
+        return str(self._source)
 
     def camera_settings(self, exposure_s: float) -> CameraSettings:
         """Give the rig's standing settings with a plan's exposure.

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Axis, axis_length
+from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind
 from fpplab.patterns.fringe_sets import FringeSet
@@ -29,9 +30,6 @@ def _known_method(name: str) -> str:
     return name
 
 
-_Depth = Annotated[float, Field(gt=0, le=1e6)]
-
-
 class MaskRules(Document):
     """What a pixel must satisfy to be measured.
 
@@ -46,7 +44,8 @@ class MaskRules(Document):
     """Greatest RMS misfit of the sinusoid as a share of B."""
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
     """Greatest difference between the position that coarser fringes predict and the one that finer fringes
-    show, as a share of the finer period.
+    show, as a share of the finer period; a greater one is accepted where the noise of all sets explains it
+    and leaves no doubt of the order.
     """
     wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
     """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.
@@ -126,19 +125,11 @@ class Plan(Document):
     stage_mm: float | None = None
     """Position of the rig's stage during the measurement, in mm; by default the stage is not moved."""
 
-    depth_mm: tuple[_Depth, _Depth] | None = None
+    depth_mm: DepthField | None = None
     """Least and greatest distance from the camera along its axis, in mm, between which everything lies that
     is seen: with a calibration, only projector coordinates that this allows count. Guided unwrapping needs
-    it.
+    it. By default that of the rig file, if it has one.
     """
-
-    @model_validator(mode="after")
-    def _depths_in_order(self) -> Plan:
-        if self.depth_mm is not None and not self.depth_mm[0] < self.depth_mm[1]:
-            raise ValueError(
-                f"'depth_mm' is {list(self.depth_mm)}: the first must be less than the second, both in mm"
-            )
-        return self
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_atomic
+from fpplab.phase.outside import OutsideShare
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,9 @@ class Decoded:
     removed : ndarray of uint8, (height, width), or None
         By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
         none; None without a filter. The other maps keep what was decoded there.
+    outside : OutsideShare or None
+        How many pixels may see something outside of the possible positions; None where it is not known. It
+        is not saved.
     """
 
     u: Map
@@ -50,6 +54,7 @@ class Decoded:
     disagreement: Map | None = None
     removed: NDArray[np.uint8] | None = None
     uncertain_order: NDArray[np.uint8] | None = None
+    outside: OutsideShare | None = None
 
     @property
     def valid(self) -> Mask:

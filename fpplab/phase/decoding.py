@@ -22,6 +22,7 @@ from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, 
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
+from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.recipe import recipe_of
@@ -77,7 +78,8 @@ def decode(
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
-    decoded = _decoded(recording, maps, first.shape)
+    outside = outside_share(recording, sequences, noise, bounds)
+    decoded = replace(_decoded(recording, maps, first.shape), outside=outside)
     if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v

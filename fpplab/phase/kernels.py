@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
-from fpplab.phase.wrong_order import mask_wrong_orders
+from fpplab.phase.unwrapping import EDGE_SIGMAS
+from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
-
-EDGE_SIGMAS = 1.5
-"""How many standard deviations of its noise a coordinate may lie beyond the projector's edge."""
 
 APART = 9.0
 """Least difference of χ² by which two hypotheses are distinguished."""
@@ -38,7 +36,7 @@ does not reach.
 _f = np.float32
 _u = np.uintp
 _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
-_TINY, _FAR = _f(1e-30), _f(100)
+_TINY, _FAR, _TO_EXPLAIN = _f(1e-30), _f(100), _f(TO_EXPLAIN)
 _SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
 
 # Rows of the buffer of sums, at constant distances.
@@ -119,7 +117,7 @@ class Recipe(NamedTuple):
     order_margin : ndarray of float64, (2,)
         `edge_margin` as a share of each axis' length.
     wrong_order_max : float
-        Greatest probability of a wrong order.
+        Greatest probability of a wrong order; infinite where orders stay as unwrapped.
     reference : int
         The set whose modulation is reported.
     grey : float32
@@ -344,8 +342,7 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         worst_a, worst_b, kept = rows[i + _WORST], rows[i + _OTHER_WORST], good[i]
         worst = worst_b if cost_b < cost_a else worst_a
         far = far_b if cost_b < cost_a else far_a
-        kept = kept if worst <= share else _ZERO
-        kept = kept if far == _ZERO else _ZERO
+        kept = kept if worst <= share and far == _ZERO else kept * _TO_EXPLAIN
         # Where one of them is far their costs differ by far more than this.
         least = max(_APART_LEAST, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
@@ -454,7 +451,9 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 count = fuse_axis(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
                 freedom += count - 1
                 cause = maps.cause[at : at + n]
-                mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, good, n, cause)
+                settle_orders(
+                    axis, recipe, rows, fusion, turns, weights, good, n, out, sigma, disagreement, cause
+                )
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[_WORST : _WORST + _u(n)]

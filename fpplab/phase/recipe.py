@@ -78,8 +78,8 @@ def recipe_of(
         least_separation=np.array([risk.least_separation if risk else np.inf for risk in known]),
         edge_shift=np.array([risk.edge if risk else np.inf for risk in known]),
         order_margin=EDGE_MARGIN_PX / np.array(size, np.float64),
-        # With a vote, no order is rejected before its neighbours have voted.
-        wrong_order_max=1.0 if plan.order_vote else rules.wrong_order_max,
+        # With a vote, no order is changed or rejected before its neighbours have voted.
+        wrong_order_max=np.inf if plan.order_vote else rules.wrong_order_max,
         reference=sequences[0].finest,
         grey=f32(recording.grey),
         full_scale=f32(full_scale(recording.bits)),

@@ -21,10 +21,15 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
-from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
+from fpplab.phase.kernels import APART, APART_LEAST
 from fpplab.phase.quality import NoiseModel, noise_of
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
-from fpplab.phase.wrong_order import LIKELIEST
+from fpplab.phase.unwrapping import (
+    EDGE_MARGIN_PX,
+    EDGE_SIGMAS,
+    WavelengthSequence,
+    wavelength_sequence,
+)
+from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +112,22 @@ class Unwrapped:
         Greatest |coarse prediction − fine phase| of any wavelength, in its periods.
     second_best_order : ndarray of int64
         Index of the wavelength that disagreed most, signed towards its second-best order; 0 if none did.
-    is_unambiguous : ndarray of bool
-        The position lies in the projector and is told apart from its rival.
+    is_possible : ndarray of bool
+        The position lies in the interval of possible ones, but for noise.
+    is_told_apart : ndarray of bool
+        Its rival, the other hypothesis of the base, is told apart from it.
     """
 
     position: Floats
     disagreement: Floats
     second_best_order: NDArray[np.int64]
-    is_unambiguous: NDArray[np.bool_]
+    is_possible: NDArray[np.bool_]
+    is_told_apart: NDArray[np.bool_]
+
+    @property
+    def is_unambiguous(self) -> NDArray[np.bool_]:
+        """Whether the position is possible and told apart from its rival."""
+        return self.is_possible & self.is_told_apart
 
 
 def unwrap(
@@ -167,7 +180,8 @@ def unwrap(
         np.where(swap, rival.position, chosen.position),
         np.where(swap, rival.disagreement, chosen.disagreement),
         np.where(swap, rival.second_best_order, chosen.second_best_order),
-        inside & ~alike,
+        inside,
+        ~alike,
     )
 
 
@@ -200,7 +214,7 @@ def _refine(
     return _Hypothesis(position, worst, second_best), cost
 
 
-def _beyond(position: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
+def _beyond(position: Floats, low: float | Floats, high: float | Floats, tolerance: Floats) -> Floats:
     """A penalty above every cost for positions outside of the possible ones; 0 inside."""
     outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
@@ -321,14 +335,33 @@ def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -
     return np.sum(weight * off**2, axis=0) - moment**2 / total, share
 
 
-def wrong_order_probability(
+@dataclass(frozen=True, eq=False)
+class LikeliestOrder:
+    """The likeliest position of each pixel, see `fpplab.phase.wrong_order`.
+
+    Attributes
+    ----------
+    position : ndarray of float64, (...)
+        Of the finest set, as a share of the projector's length.
+    is_changed : ndarray of bool, (...)
+        It is another than the one that was found step by step.
+    wrong : ndarray of float64, (...)
+        Probability that its order is wrong, 0 … 1.
+    """
+
+    position: Floats
+    is_changed: NDArray[np.bool_]
+    wrong: Floats
+
+
+def likeliest_order(
     seen: AxisPhases,
     found: Floats,
     alternatives: Alternatives,
     interval: PositionInterval,
     edge_margin: float,
-) -> Floats:
-    """Compute the probability that the fringe order of each pixel is wrong, see `fpplab.phase.wrong_order`.
+) -> LikeliestOrder:
+    """Move every pixel to its likeliest position, and compute the probability that this is wrong.
 
     Parameters
     ----------
@@ -345,16 +378,33 @@ def wrong_order_probability(
 
     Returns
     -------
-    ndarray of float64, (...)
-        0 … 1.
+    LikeliestOrder
+        Of the shape of `found`.
     """
     ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
-    best, inside = _evidence(seen, found, ends)
-    odds = np.zeros_like(found)
+    position = found
+    for _ in range(MOVES):
+        step, _ = _likeliest_shift(seen, position, alternatives, ends)
+        if not step.any():
+            break
+        position = position + step
+    _, odds = _likeliest_shift(seen, position, alternatives, ends)
+    return LikeliestOrder(position, position != found, odds / (1.0 + odds))
+
+
+def _likeliest_shift(
+    seen: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Shift to the likeliest alternative, 0 where none is likelier; and the odds of all together."""
+    best, inside = _evidence(seen, position, ends)
+    odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
-        chi2, share = _evidence(seen, found + shift, ends)
-        odds += np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, 1e-9)
-    return np.asarray(odds / (1.0 + odds))
+        chi2, share = _evidence(seen, position + shift, ends)
+        own = np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, LEAST_INSIDE)
+        step = np.where(own > likeliest, shift, step)
+        likeliest = np.maximum(own, likeliest)
+        odds += own
+    return step, odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,13 +459,17 @@ def decode_axis(
     seen, interval = axis_phases(recording, sequence, noise_of(recording)), interval_of(bounds, axis, length)
     found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
     risks = alternatives_of(plan, sequence)
-    wrong = wrong_order_probability(seen, found.position, risks, interval, margin)
-    fused = fuse(seen, found.position)
-    known = np.where(found.is_unambiguous, 1.0, np.nan)
-    freedom = max(len(sequence.sets) - 1, 1)
+    likeliest = likeliest_order(seen, found.position, risks, interval, margin)
+    settled = found.position if plan.order_vote else likeliest.position
+    fused, freedom = fuse(seen, settled), max(len(sequence.sets) - 1, 1)
+    is_explained = fused.chi2 <= AGREEING_SIGMAS**2 * freedom
+    tolerance = margin + EDGE_SIGMAS * seen.position_sigma[-1]
+    is_possible = _beyond(settled, *interval, tolerance) == 0
+    is_known = found.is_told_apart & is_possible & (is_explained | (settled == found.position))
+    known = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(
         coordinate=((fused.position * length - 0.5) * known).astype(np.float32),
         sigma=(fused.sigma * length * known).astype(np.float32),
         disagreement=(np.sqrt(fused.chi2 / freedom) * known).astype(np.float32),
-        wrong_order=wrong.astype(np.float32),
+        wrong_order=likeliest.wrong.astype(np.float32),
     )

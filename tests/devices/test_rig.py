@@ -47,6 +47,13 @@ def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     }
     assert described["camera"]["bits"] == 12
     assert "fixture" not in described
+    assert "depth_mm" not in described
+
+
+def test_it_states_where_everything_lies(tmp_path: Path) -> None:
+    with rig_of(GOOD + "depth_mm: [380, 480]\n", tmp_path) as rig:
+        assert rig.file.depth_mm == (380.0, 480.0)
+        assert rig.described()["depth_mm"] == [380.0, 480.0]
 
 
 @pytest.mark.parametrize(
@@ -54,6 +61,12 @@ def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     [
         ("name: test", "", "'name' is missing"),
         ("name: test", "name: test\nlaser: {}", "unknown key 'laser'"),
+        (
+            "name: test",
+            "name: test\ndepth_mm: [480, 380]",
+            r"'depth_mm' is \[480, 380\]: the first must be less",
+        ),
+        ("name: test", "name: test\ndepth_mm: [-1, 380]", r"'depth_mm\[0\]' is -1: should be greater than 0"),
         ("bits: 12", "bits: 11", "'camera.bits' is 11: should be 8, 10, 12 or 16"),
         ("bits: 12", "bits: '12'", "'camera.bits' is '12'"),
         ("reference:ReferenceStage", "reference.ReferenceStage", "'stage.backend' is 'tests"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -44,13 +45,16 @@ def reconstruct_command(
     refuse_existing(page, force)
     known = Calibration.load(calibration)
     recorded = Session.open(session)
+    used = pipeline.depth_range_of(recorded, depth)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering, depth_mm=depth)
         save_cloud(cloud, out)
-        write_scan_report(page, recorded, decoded, cloud)
+        write_scan_report(page, recorded, decoded, cloud, used)
     result = {
         "points": len(cloud.points),
         "removed": removal(decoded),
+        "depth_range": asdict(used) if used else None,
+        "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
         "uncertain_orders": uncertain_orders(decoded, recorded.plan),
         "seconds": seconds(),
     }
