@@ -30,7 +30,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import PossibleCoordinates, widest
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 
 KEPT_SHAPES = 6
@@ -232,7 +232,7 @@ class RigEvaluator:
 
     def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
         plan, rig = candidate.plan(self._study.start), self._rig
-        bounds = _possible_coordinates(plan, calibration)  # may raise, so before anything is acquired
+        bounds = _possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
         size, bits = rig.projector.caps.size, rig.file.camera.bits
@@ -268,9 +268,14 @@ class RigEvaluator:
         return align_mesh(cloud.points.astype(np.float64), mesh).transform
 
 
-def _possible_coordinates(plan: Plan, calibration: Calibration) -> dict[Axis, PossibleCoordinates] | None:
-    """By the plan's range of depths. Raises `DataError` where the plan cannot be unwrapped with them."""
-    bounds, size = depth_bounds(plan, calibration), calibration.projector.size
+def _possible_coordinates(
+    plan: Plan, calibration: Calibration, rig: Rig
+) -> dict[Axis, PossibleCoordinates] | None:
+    """By the range of depths. Raises `DataError` where the plan cannot be unwrapped within it."""
+    depth = first_stated(
+        (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
+    )
+    bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
     try:
         check_unwrapping(plan, "plan", {axis: widest(bounds, axis, size) for axis in plan.axes})
     except ConfigError as reason:
