@@ -231,7 +231,7 @@ class RigEvaluator:
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
         plan, rig = candidate.plan(self._study.start), self._rig
-        size, bits = rig.projector.caps.size, rig.file.camera.bits
+        size, bits = rig.projector.caps.size, self._study.start.bits or rig.file.camera.bits
         return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"))
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:

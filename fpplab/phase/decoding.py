@@ -17,9 +17,9 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.decoded import Decoded
+from fpplab.phase.error_model import error_model_of
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
-from fpplab.phase.quality import noise_of
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import unwrap, wrapped_phase
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
@@ -54,7 +54,8 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
     recording = recording.checked()
     plan, bits, source = recording.plan, recording.bits, recording.name
     sequences = [wavelength_sequence(plan, axis, source) for axis in plan.axes]
-    recipe = recipe_of(recording, sequences, noise_of(recording))
+    errors = error_model_of(recording)
+    recipe = recipe_of(recording, sequences, errors)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)
     highest = _run(recipe, first.dtype, first.size, maps, progress)
@@ -63,10 +64,11 @@ def decode(recording: Recording, progress: Progress = no_progress) -> Decoded:
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
-    decoded = _decoded(recipe, maps, first.shape)
+    decoded = _decoded(recipe, maps, first.shape, errors.phase_error_is_known)
     if plan.order_vote is not None:
         for sequence in sequences:
-            _repair(decoded, recording, sequence, maps.doubt_u if sequence.axis == "x" else maps.doubt_v)
+            doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
+            _repair(decoded, recording, sequence, doubt, errors.saturation)
     return decoded
 
 
@@ -74,17 +76,18 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in ("x", "y")}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
-    sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
+    sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels, doubt["x"], doubt["y"])
     return Maps(*(np.empty(n, np.float32) for n in sizes))
 
 
-def _decoded(recipe: Recipe, maps: Maps, shape: tuple[int, ...]) -> Decoded:
+def _decoded(recipe: Recipe, maps: Maps, shape: tuple[int, ...], phase_error_is_known: bool) -> Decoded:
     spread_u, spread_v = recipe.spread
     v_per_u = float(spread_v / spread_u) if spread_u and spread_v else 1.0
     u, v, modulation, sigma, disagreement = (
         _shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma, maps.disagreement)
     )
-    return Decoded(u, v, modulation, sigma, v_per_u, disagreement)
+    phase_error = _shaped(maps.phase_error, shape) if phase_error_is_known else None
+    return Decoded(u, v, modulation, sigma, v_per_u, disagreement, sigma_phase_error=phase_error)
 
 
 def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
@@ -114,15 +117,17 @@ def _processors() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def _repair(decoded: Decoded, recording: Recording, sequence: WavelengthSequence, doubt: Map) -> None:
+def _repair(
+    decoded: Decoded, recording: Recording, sequence: WavelengthSequence, doubt: Map, saturation: int
+) -> None:
     """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
     plan, vote = recording.plan, recording.plan.order_vote
     assert vote is not None
     coordinate = decoded.u if sequence.axis == "x" else decoded.v
     length = axis_length(recording.projector_size, sequence.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
-    phases = _phases_at(recording, sequence, pixels)
-    sigma, edge_margin = decoded.sigma.reshape(-1)[pixels] / length, EDGE_MARGIN_PX / length
+    phases = _phases_at(recording, sequence, pixels, saturation)
+    sigma, edge_margin = decoded.sigma_total.reshape(-1)[pixels] / length, EDGE_MARGIN_PX / length
     if sequence.axis == "y":
         sigma = sigma * decoded.v_per_u
     found = unwrap(phases, sequence, sigma, edge_margin)
@@ -131,15 +136,17 @@ def _repair(decoded: Decoded, recording: Recording, sequence: WavelengthSequence
     period = length / plan.fringes[sequence.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, vote.window, period)
     dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
-    for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma, decoded.disagreement):
+    for values in decoded.maps:
         if values is not None and values.flags.writeable:
             values.reshape(-1)[dropped] = np.nan
 
 
-def _phases_at(recording: Recording, sequence: WavelengthSequence, pixels: NDArray[np.int64]) -> Floats:
+def _phases_at(
+    recording: Recording, sequence: WavelengthSequence, pixels: NDArray[np.int64], saturation: int
+) -> Floats:
     """Wrapped phases in rad of a few pixels, (K, P), in float64."""
     rows = []
     for k in sequence.sets:
         frames = [frame.reshape(-1)[pixels][None] for frame in recording.of_set(k)]
-        rows.append(wrapped_phase(frames, recording.plan.fringes[k]).phase[0])
+        rows.append(wrapped_phase(frames, recording.plan.fringes[k], saturation).phase[0])
     return np.array(rows, np.float64)

@@ -17,6 +17,9 @@ from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from fpplab.phase.noise import rounding_variance
+from fpplab.phase.saturation import fit_unsaturated
+
 CHUNK = 2048
 """Pixels whose sums are kept in the cache at a time."""
 
@@ -107,7 +110,7 @@ class Recipe(NamedTuple):
     grey : float32
         8-bit grey levels per raw unit.
     full_scale : float32
-        Raw value of a saturated pixel.
+        Raw value from which on a sample is saturated.
     modulation_min, contrast_min, residual_max, disagreement_max : float32
         As in `MaskRules`, in 8-bit grey levels.
     edge_margin : float32
@@ -137,6 +140,13 @@ class Recipe(NamedTuple):
     edge_margin: np.float32
     noise_constant: np.float32
     noise_per_level: np.float32
+    step: np.float32
+    images: NDArray[np.float32]
+    error_constant: NDArray[np.float32]
+    error_harmonic: NDArray[np.float32]
+    error_rising: NDArray[np.float32]
+    harmonics: NDArray[np.float32]
+    shift: NDArray[np.float32]
 
 
 class Maps(NamedTuple):
@@ -151,7 +161,9 @@ class Maps(NamedTuple):
     modulation : ndarray of float32, (P,)
         Fringe amplitude B of the reference set, in 8-bit grey levels.
     sigma : ndarray of float32, (P,)
-        Standard uncertainty of the coordinate of the first coded axis, in px.
+        Standard uncertainty of the coordinate of the first coded axis by noise, in px.
+    phase_error : ndarray of float32, (P,)
+        The same by errors that are common to the pixels of a phase.
     disagreement : ndarray of float32, (P,)
         Disagreement of the fringe sets: the root of χ² per degree of freedom.
     doubt_u, doubt_v : ndarray of float32, (P,)
@@ -162,10 +174,13 @@ class Maps(NamedTuple):
     v: NDArray[np.float32]
     modulation: NDArray[np.float32]
     sigma: NDArray[np.float32]
+    phase_error: NDArray[np.float32]
     disagreement: NDArray[np.float32]
     doubt_u: NDArray[np.float32]
     doubt_v: NDArray[np.float32]
 
+
+rounding = njit(inline="always")(rounding_variance)
 
 # NaN and infinity keep their meaning: only what cannot hide them is relaxed.
 _compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
@@ -294,13 +309,64 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @_compiled
-def _uncertainty(modulation: Any, offset: Any, spread: Any, recipe: Any, out: Any, n: int) -> None:
-    """1-sigma of a coordinate in px: `spread * u_I/B`."""
-    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+def _refit_saturated(
+    sums: Any, at: int, n: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
+) -> None:
+    """Put least squares of the unsaturated samples in place of the sums of pixels with saturated ones."""
+    first, last, full, grey = recipe.first[s], recipe.first[s + 1], recipe.full_scale, recipe.grey
+    count = last - first
+    levels, fitted = np.empty(count, np.float32), np.empty(6, np.float64)
+    cosine, sine = recipe.shift[first:last, 0], recipe.shift[first:last, 1]
     for j in range(n):
         i = _u(j)
-        variance = constant + per_level * offset[i]
-        out[i] = spread * np.sqrt(variance) / max(modulation[i], _TINY)
+        if sums[i + _PEAK] < full:
+            continue
+        sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
+        for k in range(count):
+            levels[k] = _f(_pixels(recipe.addresses[first + k], at + j, 1, like)[0])
+        if fit_unsaturated(levels, cosine, sine, full, recipe.harmonics[s], fitted):
+            offset, c, q = grey * fitted[0], grey * fitted[1], grey * fitted[2]
+            rest = grey * grey * fitted[3]
+            sums[i], sums[i + _COS], sums[i + _MEAN] = _f(q), _f(c), _f(offset)
+            sums[i + _SQUARE] = _f((rest + offset * offset + 0.5 * (c * c + q * q)) / grey)
+            sums[i + _PEAK] = _ZERO
+            loss[i] = _f(fitted[4])
+            # The gains of the lamp count as noise does; the harmonics are those of these samples.
+            lamp = recipe.error_constant[s] - recipe.error_harmonic[s]
+            bent[i] = _f(lamp * fitted[4] + 0.5 * recipe.images[s] * fitted[5] * fitted[5])
+
+
+@_compiled
+def _uncertainty(
+    modulation: Any,
+    offset: Any,
+    loss: Any,
+    bent: Any,
+    rising: Any,
+    spread: Any,
+    recipe: Any,
+    out: Any,
+    common: Any,
+    total: Any,
+    n: int,
+) -> None:
+    """Compute 1-sigma of a coordinate in px, `spread * u_I/B`: by noise, by common errors, by both."""
+    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+    squared = recipe.step * recipe.step
+    per_squared = _ONE / squared
+    for j in range(n):
+        i = _u(j)
+        level, b = offset[i], max(modulation[i], _TINY)
+        per_b = spread / b
+        variance = constant + per_level * level
+        repeated = squared * rounding(variance * per_squared)
+        lost = loss[i] * per_b * per_b
+        own = lost * (variance - repeated)
+        shared = lost * (repeated + rising * level * level) + spread * spread * bent[i]
+        out[i] = np.sqrt(own)
+        common[i] = np.sqrt(shared)
+        # Where nothing tells the common errors, noise alone judges orders.
+        total[i] = np.sqrt(own + (shared if shared >= _ZERO else _ZERO))
 
 
 @_compiled
@@ -396,7 +462,10 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
     sets = len(recipe.origin)
     sums, rows = np.zeros((_SUM_ROWS + 1) * _ROW, np.float32), np.empty(_UNWRAP_ROWS * _ROW, np.float32)
     good, sigma = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    turns, modulation, offset = (
+    own, common = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    turns, modulation, offset, loss, bent = (
+        np.empty((sets, _ROW), np.float32),
+        np.empty((sets, _ROW), np.float32),
         np.empty((sets, _ROW), np.float32),
         np.empty((sets, _ROW), np.float32),
         np.empty((sets, _ROW), np.float32),
@@ -419,12 +488,27 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                     sums,
                     n,
                 )
+            loss[s], bent[s] = _ONE, recipe.error_constant[s]
+            if sums[_PEAK : _PEAK + _u(n)].max() >= recipe.full_scale:
+                _refit_saturated(sums, at, n, s, like, recipe, loss[s], bent[s])
             _demodulate(sums, turns[s], modulation[s], offset[s], good, n, recipe.origin[s], recipe)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:
                 # x comes last, so that its sigma is the one that stays.
-                _uncertainty(modulation[finest], offset[finest], recipe.spread[axis], recipe, sigma, n)
+                _uncertainty(
+                    modulation[finest],
+                    offset[finest],
+                    loss[finest],
+                    bent[finest],
+                    recipe.error_rising[finest],
+                    recipe.spread[axis],
+                    recipe,
+                    own,
+                    common,
+                    sigma,
+                    n,
+                )
                 out = maps.u[at : at + n] if axis == 0 else maps.v[at : at + n]
                 _axis(axis, recipe, rows, turns, sigma, good, n, out)
                 count = recipe.wavelengths[axis + 1] - recipe.wavelengths[axis]
@@ -435,7 +519,8 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[2 * _ROW : 2 * _ROW + n]
         maps.modulation[at : at + n] = modulation[recipe.reference, :n]
-        maps.sigma[at : at + n] = sigma[:n]
+        maps.sigma[at : at + n] = own[:n]
+        maps.phase_error[at : at + n] = common[:n]
         if len(maps.u) > 0:
             _erase(maps.u[at : at + n], good, n)
         if len(maps.v) > 0:
@@ -444,6 +529,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         _erase(disagreement, good, n)
         _erase(maps.modulation[at : at + n], good, n)
         _erase(maps.sigma[at : at + n], good, n)
+        _erase(maps.phase_error[at : at + n], good, n)
     return sums[_SUM_ROWS * _ROW :].max()
 
 

@@ -17,8 +17,10 @@ from fpplab.core.conventions import TWO_PI, Axis, Floats, Map, axis_length
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
+from fpplab.phase.error_model import error_model_of
 from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
-from fpplab.phase.quality import coordinate_uncertainty, noise_of
+from fpplab.phase.quality import coordinate_uncertainty
+from fpplab.phase.saturation import LEAST_SAMPLES, MOST_LOSS
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 
 
@@ -37,7 +39,9 @@ class Wrapped:
     misfit : ndarray of float32, (height, width)
         RMS of what the fringe leaves.
     peak : ndarray of float32, (height, width)
-        The greatest value in any frame.
+        The greatest value in any frame that was used.
+    loss : ndarray of float32, (height, width)
+        Variance of the phase relative to that from all samples; above 1 where saturated ones were left out.
     """
 
     phase: Map
@@ -45,9 +49,12 @@ class Wrapped:
     offset: Map
     misfit: Map
     peak: Map
+    loss: Map
 
 
-def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> Wrapped:
+def wrapped_phase(
+    frames: Sequence[NDArray[np.generic]], fringe: FringeSet, saturation: float = np.inf
+) -> Wrapped:
     """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin.
 
     Parameters
@@ -56,11 +63,13 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         The set's images in order, of any real type.
     fringe : FringeSet
         The set.
+    saturation : float
+        Value from which on a sample is saturated and left out, as long as those that remain give a phase.
 
     Returns
     -------
     Wrapped
-        Phase, modulation, offset, misfit and peak.
+        Phase, modulation, offset, misfit, peak and loss.
 
     Raises
     ------
@@ -82,12 +91,47 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         mean += weights.mean[n] * level
         square += weights.mean[n] * level**2
         np.maximum(peak, level, out=peak)
-    modulation = weights.scale * np.hypot(s, c)
+    loss = np.ones(shape)
+    s, c = weights.scale * s, weights.scale * c
+    if (peak >= saturation).any():
+        levels = np.array([np.asarray(frame, np.float64) for frame in frames])
+        _fit_unsaturated(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
+    modulation = np.hypot(s, c)
     misfit = np.sqrt(np.maximum(square - mean**2 - modulation**2 / 2.0, 0.0))
     phase = ((np.arctan2(s, c) - weights.origin_rad) % TWO_PI).astype(np.float32)
     # Rounding to float32 must not reach the end of the half-open interval.
     phase[phase >= np.float32(TWO_PI)] = 0.0
-    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak)))
+    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak, loss)))
+
+
+def _fit_unsaturated(
+    levels: Floats,
+    shift: Floats,
+    saturation: float,
+    c: Floats,
+    s: Floats,
+    mean: Floats,
+    square: Floats,
+    peak: Floats,
+    loss: Floats,
+) -> None:
+    """Replace the results of pixels with saturated samples by least squares of the others, in place."""
+    basis = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+    for at in np.argwhere(peak >= saturation):
+        pixel, values = tuple(at), levels[(slice(None), *at)]
+        used = values < saturation
+        own = basis[used]
+        if len(own) < LEAST_SAMPLES or np.linalg.matrix_rank(own) < 3:
+            continue
+        fitted = np.linalg.lstsq(own, values[used], rcond=None)[0]
+        along = np.array([0.0, -fitted[2], fitted[1]]) / max(np.hypot(fitted[1], fitted[2]), 1e-30)
+        variance = len(shift) / 2.0 * along @ np.linalg.inv(own.T @ own) @ along
+        if variance > MOST_LOSS:
+            continue
+        mean[pixel], c[pixel], s[pixel] = fitted
+        rest = np.mean((values[used] - own @ fitted) ** 2)
+        square[pixel] = rest + fitted[0] ** 2 + (fitted[1] ** 2 + fitted[2] ** 2) / 2.0
+        peak[pixel], loss[pixel] = values[used].max(), variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,13 +264,14 @@ def decode_axis(recording: Recording, axis: Axis) -> Map:
     """
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     sequence = wavelength_sequence(plan, axis, recording.name)
-    noise = noise_of(recording)
-    sets = [wrapped_phase(recording.of_set(k), plan.fringes[k]) for k in sequence.sets]
-    finest = sets[-1]
-    level = np.sqrt(noise.variance(finest.offset.astype(np.float64) * recording.grey))
-    fringe = plan.fringes[sequence.finest]
+    errors = error_model_of(recording)
+    sets = [wrapped_phase(recording.of_set(k), plan.fringes[k], errors.saturation) for k in sequence.sets]
+    finest, fringe = sets[-1], plan.fringes[sequence.finest]
+    offset = finest.offset.astype(np.float64) * recording.grey
     modulation = np.maximum(finest.modulation.astype(np.float64) * recording.grey, 1e-30)
-    sigma_px = coordinate_uncertainty(fringe.phase_noise * level / modulation, fringe.stripes, length)
+    noise = fringe.phase_noise**2 * errors.noise.variance(offset) / modulation**2 * finest.loss
+    common = np.nan_to_num(errors.sets[sequence.finest].variance(offset / modulation))
+    sigma_px = coordinate_uncertainty(np.sqrt(noise + common), fringe.stripes, length)
     phases = np.array([one.phase for one in sets], np.float64)
     found = unwrap(phases, sequence, sigma_px / length, EDGE_MARGIN_PX / length)
     coordinate = np.where(found.is_unambiguous, found.position * length - 0.5, np.nan)

@@ -99,7 +99,7 @@ def filtered(
     _half_lit(
         *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
         # Times sigma this is the noise of the phase, and that of the modulation as a share of it.
-        *(decoded.modulation, decoded.sigma, plan.finest.phase_per_px(projector_size)),
+        *(decoded.modulation, decoded.sigma_total, plan.finest.phase_per_px(projector_size)),
         *(rules.light_min, removed),
     )
     _erase(grid.index, grid.w, removed)

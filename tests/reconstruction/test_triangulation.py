@@ -33,6 +33,7 @@ class Maps:
     v: NDArray[np.float32]
     sigma: NDArray[np.float32]
     v_per_u: float = 1.0
+    sigma_phase_error: NDArray[np.float32] | None = None
 
 
 def plane() -> NDArray[np.float64]:
