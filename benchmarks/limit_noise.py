@@ -22,11 +22,11 @@ from fpplab.patterns.response import Curve
 from fpplab.phase import decode
 
 PROJECTOR = (912, 1140)
-CAMERA = (192, 96)
+CAMERA = (160, 96)
 STRIPES = (1.0, 8.0, 64.0)
 STEPS = (3, 4, 5, 6, 8, 12)
-EXPONENTS = (1.0, 1.033, 1.1, 1.3)
-SEEDS = (71, 72)
+EXPONENTS = (1.0, 1.1, 1.3)
+SEEDS = (71,)
 READ, SHOT = 0.5, 0.02
 AMBIENT, LIGHT = 0.05, 0.85
 KNOWN, UNKNOWN = 1.1, 1.25

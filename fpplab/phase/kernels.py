@@ -116,7 +116,19 @@ class Recipe(NamedTuple):
     edge_margin : float32
         How far beyond the projector's edge a coordinate may lie besides its noise, in px.
     noise_constant, noise_per_level : float32
-        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels.
+        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels squared.
+    step : float32
+        Smallest difference of two levels, in 8-bit grey levels.
+    images : ndarray of float32, (S,)
+        Number of images of each set.
+    error_constant, error_harmonic, error_rising : ndarray of float32, (S,)
+        Mean square phase error that is common to the pixels of a phase, `constant + rising (A/B)²` of offset
+        and modulation, where the variance of the phase for u_I = B is one; `error_harmonic` is the part of
+        the constant that is the response's. NaN where nothing tells it.
+    harmonics : ndarray of float32, (S, K)
+        Harmonics of the response from the second on, as shares of the fringe.
+    shift : ndarray of float32, (F, 2)
+        Cosine and sine of every frame's phase shift; both 0 for padding.
     """
 
     addresses: NDArray[np.uintp]

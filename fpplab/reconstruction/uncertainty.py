@@ -12,9 +12,10 @@ X and by θ. The change of j itself is proportional to the distance from the epi
 Noise is independent from point to point and lies along the ray. So do the errors that all points of one phase
 have in common (response, lamp, rounding), which averaging over points does not lessen. A calibration error is
 common to all points: it moves and rotates the cloud far more than it deforms it. What remains after the best
-rigid motion is given separately, because it is what a comparison with a true shape shows. A point's uncertainty is stated as the
-root mean square distance from where it should be, √trace of its covariance (Helmert's point error): so the
-contributions, which are independent, add in quadrature whatever their directions.
+rigid motion is given separately, because it is what a comparison with a true shape shows. A point's
+uncertainty is stated as the root mean square distance from where it should be, √trace of its covariance
+(Helmert's point error): so the contributions, which are independent, add in quadrature whatever their
+directions.
 """
 
 from __future__ import annotations

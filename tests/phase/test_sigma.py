@@ -29,7 +29,7 @@ def test_averaging_lessens_sigma_and_leaves_the_phase_error() -> None:
         maps = decode(recording)
         error = (maps.u - u)[maps.valid]
         phase = 2 * np.pi * 64 / 912 * (u[maps.valid] + 0.5)
-        # The harmonic that three steps take for the fringe: its amplitude is the mean over thousands of pixels.
+        # The harmonic that three steps take for the fringe, found in thousands of pixels.
         decoded.append(
             (2 * np.mean(error * np.sin(3 * phase)), np.median(maps.sigma_phase_error[maps.valid]))
         )
