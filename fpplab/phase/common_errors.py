@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Mask
 from fpplab.patterns.fringe_sets import FringeSet
@@ -30,9 +31,8 @@ HARMONICS = (2, 3, 4, 5)
 _GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
 _LEAST_VARIANCE = 1e-3
 _LEAST_THIRD = -0.0168
-_FIT_PIXELS = 8000
 _OUTLIER = 9.0
-_PASSES = 3
+_PASSES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +92,10 @@ class Group:
         Their images, one set after the other, in grey levels.
     offset, modulation : ndarray of float64, (N, P)
         A and B of the pixel in the set of each image.
-    turn : ndarray of complex128, (N, P)
-        exp(iθ_n).
+    phasor : ndarray of complex128, (N, P)
+        exp(iφ) of the pixel in the set of each image.
+    shift : ndarray of float64, (N,)
+        Phase shift δ_n of each image.
     seen : ndarray of float64, (N, N)
         Projection on what no fringe fills; common errors and noise are seen in it.
     freedom : int
@@ -106,7 +108,8 @@ class Group:
     images: Floats
     offset: Floats
     modulation: Floats
-    turn: np.ndarray[tuple[int, int], np.dtype[np.complex128]]
+    phasor: NDArray[np.complex128]
+    shift: Floats
     seen: Floats
     freedom: int
     quiet: Floats
@@ -132,37 +135,31 @@ class Group:
         """
         return replace(self, **{name: getattr(self, name)[:, kept] for name in _STACKED})
 
-    def harmonic(self, k: int, pixels: slice = slice(None)) -> Floats:
-        """Compute one harmonic of unit share in some pixels.
+    def waves(self, shares: Sequence[float]) -> Floats:
+        """Compute a sum of harmonics.
 
         Parameters
         ----------
-        k : int
-            Its number.
-        pixels : slice
-            Which pixels.
+        shares : sequence of float
+            Factors f_k of the harmonics 1, 2, … of amplitude B.
 
         Returns
         -------
         ndarray of float64, (N, P)
-            `B cos kθ_n`.
+            `B Σ f_k cos kθ_n`.
         """
-        return np.asarray(self.modulation[:, pixels] * (self.turn[:, pixels] ** k).real)
+        total, power = np.zeros(self.images.shape), np.ones(self.phasor.shape, np.complex128)
+        for k, share in enumerate(shares, start=1):
+            power = power * self.phasor
+            if share:
+                turn = share * np.exp(-1j * k * self.shift)[:, None]
+                total += power.real * turn.real - power.imag * turn.imag
+        return np.asarray(self.modulation * total)
 
-    def fringe(self, pixels: slice = slice(None)) -> Floats:
-        """Compute the fitted sinusoid in some pixels.
-
-        Parameters
-        ----------
-        pixels : slice
-            Which pixels.
-
-        Returns
-        -------
-        ndarray of float64, (N, P)
-            `A + B cos θ_n`.
-        """
-        return np.asarray(self.offset[:, pixels] + self.harmonic(1, pixels))
+    @property
+    def fringe(self) -> Floats:
+        """The fitted sinusoid `A + B cos θ_n`, (N, P)."""
+        return np.asarray(self.offset + self.waves([1.0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +213,13 @@ def groups_of(samples: Sequence[Floats], fringes: Sequence[FringeSet]) -> list[G
     stacked = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _STACKED}
     # The mean offset: with each set's own, a gain common to all images would seem to explain their noise.
     stacked["offset"] = np.broadcast_to(stacked["offset"].mean(axis=0), stacked["offset"].shape)
-    return [Group(tuple(range(count)), **stacked, seen=between, freedom=count - 1, quiet=between)]
+    shift = np.concatenate([part.shift for part in parts])
+    return [
+        Group(tuple(range(count)), **stacked, shift=shift, seen=between, freedom=count - 1, quiet=between)
+    ]
 
 
-_STACKED = ("images", "offset", "modulation", "turn")
+_STACKED = ("images", "offset", "modulation", "phasor")
 
 
 def _set_group(index: int, sample: Floats, fringe: FringeSet) -> Group:
@@ -233,7 +233,8 @@ def _set_group(index: int, sample: Floats, fringe: FringeSet) -> Group:
         sample,
         np.broadcast_to(offset, shape),
         np.broadcast_to(modulation, shape),
-        (c + 1j * s) / modulation * np.exp(-1j * shift)[:, None],
+        np.broadcast_to((c + 1j * s) / modulation, shape),
+        shift,
         _beyond(shift, 1),
         len(shift) - 3,
         # Optics lessen harmonics differently where the picture is less sharp.
@@ -266,40 +267,61 @@ def fit_group(group: Group) -> Found:
     Found
         What is common to them.
     """
-    pixels = slice(None, None, max(1, group.images.shape[1] // _FIT_PIXELS))
-    seen = np.einsum("mn,np->mp", group.seen, group.images[:, pixels])
-    columns, prior = _columns(group, pixels)
+    waves = [group.waves([0.0] * (k - 1) + [1.0]) for k in HARMONICS]
+    shown = [np.einsum("mn,np->mp", group.seen, one) for one in (*waves, group.images)]
+    bent, seen, fringe = np.array(shown[:-1]), shown[-1], group.fringe
     power = (seen**2).sum(axis=0)
     for _ in range(_PASSES):
-        kept = power <= _OUTLIER * max(float(np.median(power)), 1e-12)
+        kept = np.flatnonzero(power <= _OUTLIER * max(float(np.median(power)), 1e-12))
         variance = max(float(power[kept].mean()) / group.freedom, _LEAST_VARIANCE)
-        own = columns[:, :, kept].reshape(len(columns), -1)
-        normal = np.einsum("ki,li->kl", own, own) + np.diag(variance / prior**2)
-        right = np.einsum("ki,i->k", own, seen[:, kept].ravel())
-        best = np.linalg.solve(normal, right)
-        power = ((seen - np.einsum("k,knp->np", best, columns)) ** 2).sum(axis=0)
-    covariance = variance * np.linalg.inv(normal)
-    count, images = len(HARMONICS), len(group.images)
-    lamp = slice(count, count + images)
+        normal, right, prior = _equations(group, bent[:, :, kept], fringe[:, kept], seen[:, kept])
+        normal += np.diag(variance / prior**2)
+        found = _found(group, np.linalg.solve(normal, right), variance * np.linalg.inv(normal))
+        left = seen - np.einsum("k,knp->np", found.harmonics, bent)
+        common = found.gains[:, None] * fringe + (group.membership @ found.offsets)[:, None]
+        power = ((left - np.einsum("mn,np->mp", group.seen, common)) ** 2).sum(axis=0)
+    return found
+
+
+def _equations(group: Group, bent: Floats, fringe: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be.
+
+    A gain shows as its image in the projection, an offset as all images of its set: since projecting twice
+    changes nothing, their products need the projection itself and sums over pixels only.
+    """
+    shown, total = group.seen @ group.membership, fringe.sum(axis=1)
+    harmonic = np.einsum("knp,lnp->kl", bent, bent)
+    by_gain = np.einsum("knp,np->kn", bent, fringe)
+    by_offset = bent.sum(axis=2) @ group.membership
+    gain, gain_by_offset = group.seen * np.einsum("np,mp->nm", fringe, fringe), total[:, None] * shown
+    offset = fringe.shape[1] * (group.membership.T @ shown)
+    normal = np.block(
+        [
+            [harmonic, by_gain, by_offset],
+            [by_gain.T, gain, gain_by_offset],
+            [by_offset.T, gain_by_offset.T, offset],
+        ]
+    )
+    right = np.concatenate(
+        [
+            np.einsum("knp,np->k", bent, seen),
+            np.einsum("np,np->n", fringe, seen),
+            group.membership.T @ seen.sum(axis=1),
+        ]
+    )
+    sizes = len(bent), len(fringe), len(group.members)
+    return normal, right, np.repeat([_HARMONIC, _GAIN, _OFFSET], sizes)
+
+
+def _found(group: Group, best: Floats, covariance: Floats) -> Found:
+    lamp = slice(len(HARMONICS), len(HARMONICS) + len(group.images))
     return Found(
-        best[:count],
-        np.sqrt(np.diag(covariance)[:count]),
+        best[: lamp.start],
+        np.sqrt(np.diag(covariance)[: lamp.start]),
         best[lamp],
         covariance[lamp, lamp],
         best[lamp.stop :],
     )
-
-
-def _columns(group: Group, pixels: slice) -> tuple[Floats, Floats]:
-    """What each unknown of unit size shows, (K, N, P), and how great it may be: harmonics, gains, offsets."""
-    fringe = group.fringe(pixels)
-    bent = [np.einsum("mn,np->mp", group.seen, group.harmonic(k, pixels)) for k in HARMONICS]
-    gains = group.seen.T[:, :, None] * fringe[:, None, :]
-    columns, prior = [*bent, *gains], [_HARMONIC] * len(bent) + [_GAIN] * len(gains)
-    if len(group.members) > 1:
-        ones = np.ones(fringe.shape[1])
-        columns += [np.outer(shown, ones) for shown in (group.seen @ group.membership).T]
-    return np.array(columns), np.array(prior + [_OFFSET] * (len(columns) - len(prior)))
 
 
 def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
@@ -321,11 +343,8 @@ def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
     freedom : int
         Its degrees of freedom.
     """
-    rest = group.images - found.gains[:, None] * group.fringe()
-    for k, share in zip(HARMONICS, found.harmonics, strict=True):
-        rest -= share * group.harmonic(k)
-    if len(group.members) > 1:
-        rest -= (group.membership @ found.offsets)[:, None]
+    common = found.gains[:, None] * group.fringe + group.waves([0.0, *found.harmonics])
+    rest = group.images - common - (group.membership @ found.offsets)[:, None]
     return (np.einsum("mn,np->mp", group.quiet, rest) ** 2).sum(axis=0), round(np.trace(group.quiet))
 
 

@@ -2,7 +2,7 @@
 
 Two kinds are told apart. Noise is independent from pixel to pixel, and averaging lessens it. What the
 response, the lamp and rounding do is the same for all pixels of one phase (`fpplab.phase.common_errors`,
-`fpplab.phase.noise.rounding_variance`), and averaging does not lessen it.
+`fpplab.phase.noise.repeated_rounding`), and averaging does not lessen it.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from fpplab.phase.saturation import LEAST_SAMPLES
 
 _LEAST_PIXELS = 100
 _SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
+_VALUES = 64_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,9 @@ def fit_errors(
     """
     step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
     saturation = math.floor(full_scale(bits) - step) + 1
-    usable = _usable(samples, saturation)
+    usable = np.flatnonzero(_usable(samples, saturation))
+    freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
+    usable = usable[:: max(1, len(usable) * freedom // _VALUES)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
     groups = groups_of(levels, fringes)
     if groups:

@@ -17,7 +17,7 @@ from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from fpplab.phase.noise import rounding_variance
+from fpplab.phase.noise import repeated_rounding
 from fpplab.phase.saturation import fit_unsaturated
 
 CHUNK = 2048
@@ -192,7 +192,7 @@ class Maps(NamedTuple):
     doubt_v: NDArray[np.float32]
 
 
-rounding = njit(inline="always")(rounding_variance)
+rounding = njit(inline="always")(repeated_rounding)
 
 # NaN and infinity keep their meaning: only what cannot hide them is relaxed.
 _compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})

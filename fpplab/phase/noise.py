@@ -3,7 +3,7 @@
 The variance of a grey level is a linear function of the signal, `a + b I` (read-out noise and shot noise),
 and contains the rounding to whole steps. Where noise is smaller than about a quarter of a step, a pixel that
 is measured again is rounded the same way again: that part of the variance is common to all pixels of the same
-level and phase (`rounding_variance`), and no mean lessens it.
+level and phase (`repeated_rounding`), and no mean lessens it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from fpplab.core.conventions import Floats, Image
 
@@ -33,7 +33,7 @@ _HIGHER = _f(1 / 12 - 5 / (8 * np.pi**2))
 _RATE, _TWELFTH, _ONE = _f(4 * np.pi**2 / 64), _f(QUANTISATION), _f(1)
 
 
-def rounding_variance(variance: Floats) -> Floats:
+def repeated_rounding(variance: Floats) -> Floats:
     """Compute the part of a variance that repeats because values are rounded to whole steps.
 
     Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
@@ -113,7 +113,7 @@ class NoiseModel:
         ndarray of float64
             Variance in grey levels squared, of the same shape; `variance` contains it.
         """
-        return np.asarray(rounding_variance(self.variance(level) / self.step**2) * self.step**2)
+        return np.asarray(repeated_rounding(self.variance(level) / self.step**2) * self.step**2)
 
 
 def level_step(values: Image) -> float:
@@ -195,10 +195,10 @@ def robust_mean(variance: Floats, freedom: int, floor: float) -> float:
     float
         Their mean, corrected for the tail that is cut off.
     """
-    cut = chi2.isf(_REJECTED, freedom) / freedom
+    cut = float(chdtri(freedom, _REJECTED)) / freedom
     # Mean of χ²/ν below the cut: the distribution of two more degrees of freedom.
-    kept_mean = chi2.cdf(cut * freedom, freedom + 2) / (1.0 - _REJECTED)
-    mean = float(np.median(variance)) / float(chi2.median(freedom) / freedom)
+    kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - _REJECTED)
+    mean = float(np.median(variance)) / (float(chdtri(freedom, 0.5)) / freedom)
     for _ in range(_PASSES):
         inside = variance <= cut * max(mean, floor)
         mean = float(variance[inside].mean()) / kept_mean if inside.any() else floor

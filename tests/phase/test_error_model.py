@@ -9,7 +9,7 @@ from fpplab.core.conventions import phase_steps
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.phase_error import phase_error
 from fpplab.phase.error_model import fit_errors
-from fpplab.phase.noise import QUANTISATION, level_step, robust_mean, rounding_variance
+from fpplab.phase.noise import QUANTISATION, level_step, repeated_rounding, robust_mean
 
 PIXELS = 20_000
 
@@ -147,7 +147,7 @@ def test_what_rounding_repeats_is_the_variance_of_the_mean_error(sigma):
     seen = np.rint(level[:, None] + noise)
     total = np.mean((seen - level[:, None]) ** 2)
     repeated = np.var(seen.mean(axis=1) - level) - (seen.var(axis=1).mean() / 500)
-    assert rounding_variance(np.array(total)) == pytest.approx(repeated, abs=0.003)
+    assert repeated_rounding(np.array(total)) == pytest.approx(repeated, abs=0.003)
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 9])

@@ -37,7 +37,7 @@ class Maps:
 
 
 def test_the_phase_error_is_propagated_as_noise_is() -> None:
-    maps = maps_of(plane(), "x")
+    maps = maps_of(plane(), "x", noise_px=0.05)
     cloud = triangulate(maps, CALIBRATION)
     assert cloud.sigma_phase_error_mm is None
     error = np.linspace(0.01, 0.3, maps.u.size, dtype=np.float32).reshape(maps.u.shape)

@@ -31,8 +31,13 @@ def test_a_plan_with_every_key() -> None:
 def test_a_session_decodes_to_the_same_coordinates() -> None:
     session = Session.open(DATA / "session")
     decoded, then = decode_session(session), Decoded.load(DATA / "session" / "decoded.npz")
-    for name in ("u", "v", "modulation", "sigma", "disagreement"):
+    for name in ("u", "v", "modulation"):
         np.testing.assert_array_equal(getattr(decoded, name), getattr(then, name), err_msg=name)
+    assert then.sigma_phase_error is None
+    # Estimates, which later versions make in another way; these frames have no noise but rounding.
+    for name in ("sigma", "disagreement"):
+        np.testing.assert_array_equal(np.isfinite(getattr(decoded, name)), np.isfinite(getattr(then, name)))
+        assert 0.5 < np.nanmedian(getattr(decoded, name)) / np.nanmedian(getattr(then, name)) < 2.0
     assert decoded.v_per_u == then.v_per_u
 
 
