@@ -17,7 +17,7 @@ from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from fpplab.phase.noise import repeated_rounding
+from fpplab.phase.noise import LEAST_SPREAD, QUANTISATION, repeated_rounding
 from fpplab.phase.saturation import fit_unsaturated
 
 CHUNK = 2048
@@ -41,6 +41,7 @@ _f = np.float32
 _u = np.uintp
 _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
 _TINY, _FAR = _f(1e-30), _f(100)
+_TWELFTH, _LEAST_SPREAD = _f(QUANTISATION), _f(LEAST_SPREAD)
 _SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
 
 # Rows lie a little more than a chunk apart: at multiples of a memory page the processor
@@ -321,6 +322,15 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @_compiled
+def _saturated(sums: Any, n: int, full: Any) -> Any:
+    """How many pixels have saturated samples; a sum, which unlike the maximum becomes vector instructions."""
+    count = _ZERO
+    for j in range(n):
+        count += _ONE if sums[_u(j) + _PEAK] >= full else _ZERO
+    return count
+
+
+@_compiled
 def _refit_saturated(
     sums: Any, at: int, n: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
 ) -> None:
@@ -371,14 +381,14 @@ def _uncertainty(
         level, b = offset[i], max(modulation[i], _TINY)
         per_b = spread / b
         variance = constant + per_level * level
-        repeated = squared * rounding(variance * per_squared)
+        repeated = squared * rounding(max(variance * per_squared - _TWELFTH, _LEAST_SPREAD))
         lost = loss[i] * per_b * per_b
         own = lost * (variance - repeated)
         shared = lost * (repeated + rising * level * level) + spread * spread * bent[i]
         out[i] = np.sqrt(own)
         common[i] = np.sqrt(shared)
         # Where nothing tells the common errors, noise alone judges orders.
-        total[i] = np.sqrt(own + (shared if shared >= _ZERO else _ZERO))
+        total[i] = np.sqrt(own + max(_ZERO, shared))
 
 
 @_compiled
@@ -501,7 +511,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                     n,
                 )
             loss[s], bent[s] = _ONE, recipe.error_constant[s]
-            if sums[_PEAK : _PEAK + _u(n)].max() >= recipe.full_scale:
+            if _saturated(sums, n, recipe.full_scale) > _ZERO:
                 _refit_saturated(sums, at, n, s, like, recipe, loss[s], bent[s])
             _demodulate(sums, turns[s], modulation[s], offset[s], good, n, recipe.origin[s], recipe)
         for axis in range(1, -1, -1):

@@ -19,6 +19,11 @@ from fpplab.core.conventions import Floats, Image
 QUANTISATION = 1 / 12
 """Variance of rounding to integers, in units of the last place squared."""
 
+LEAST_SPREAD = 0.0025
+"""Variance of a level before rounding that can be told from none, in steps squared: less is taken as this, so
+that some part of the variance is always left to chance.
+"""
+
 _BINS = 24
 _LEAST_PER_BIN = 30
 _REJECTED = 0.001
@@ -27,24 +32,22 @@ _UNDERSAMPLED = 0.7
 _LEAST_LEVELS, _EVEN = 16, 0.9
 
 _f = np.float32
-_HIDDEN = _f(0.0025)
 _FIRST, _SECOND = _f(1 / (2 * np.pi**2)), _f(1 / (8 * np.pi**2))
 _HIGHER = _f(1 / 12 - 5 / (8 * np.pi**2))
-_RATE, _TWELFTH, _ONE = _f(4 * np.pi**2 / 64), _f(QUANTISATION), _f(1)
+_RATE, _ONE = _f(4 * np.pi**2 / 64), _f(1)
 
 
-def repeated_rounding(variance: Floats) -> Floats:
+def repeated_rounding(spread: Floats) -> Floats:
     """Compute the part of a variance that repeats because values are rounded to whole steps.
 
     Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
     variance `Σ exp(-4π²k²s²)/(2π²k²)` as a function of the value alone: 1/12 without noise, nothing from half
-    a step on. The three terms here follow that sum within 0.001. Noise below 0.05 steps cannot be told from
-    none and is taken as 0.05, so that some part is always left to chance.
+    a step on. The three terms here follow that sum within 0.001.
 
     Parameters
     ----------
-    variance : ndarray of float64
-        Variance of a level, with that of rounding, in steps squared; any shape.
+    spread : ndarray of float64
+        Variance s² of a level before rounding, in steps squared, at least `LEAST_SPREAD`; any shape.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def repeated_rounding(variance: Floats) -> Floats:
     Widrow and Kollár, Quantization Noise, Cambridge 2008
     """
     # The power of a rational function is exp, but compiled to vector instructions.
-    w = _ONE / (_ONE + _RATE * np.maximum(variance - _TWELFTH, _HIDDEN))
+    w = _ONE / (_ONE + _RATE * spread)
     w *= w
     w *= w
     w *= w
@@ -113,7 +116,8 @@ class NoiseModel:
         ndarray of float64
             Variance in grey levels squared, of the same shape; `variance` contains it.
         """
-        return np.asarray(repeated_rounding(self.variance(level) / self.step**2) * self.step**2)
+        spread = self.variance(level) / self.step**2 - QUANTISATION
+        return np.asarray(repeated_rounding(np.maximum(spread, LEAST_SPREAD)) * self.step**2)
 
 
 def level_step(values: Image) -> float:
