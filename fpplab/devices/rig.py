@@ -28,6 +28,7 @@ from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
 from fpplab.devices.shared import SharedBackend
+from fpplab.patterns.response import Curve, with_named_response
 
 Dev = TypeVar("Dev", bound=Device)
 
@@ -53,7 +54,7 @@ class CameraSection(DeviceSection):
     """The camera and its standing settings."""
 
     bits: Literal[8, 10, 12, 16] = 8
-    """Depth of the frames' grey levels."""
+    """Depth of the frames' grey levels, where the plan gives none."""
 
     gain_db: float = 0.0
     """Gain in dB."""
@@ -85,6 +86,11 @@ class RigFile(DepthSection):
 
     stage: DeviceSection | None = None
     """The linear stage, if there is one."""
+
+    response: Curve | None = None
+    """The measured response, the name of a file that `fpplab gamma` wrote or its `{a, b, g}`: it tells which
+    phase error the patterns' harmonics cause. Patterns are corrected by the plan's `response` alone.
+    """
 
     fixture: DeviceSection | None = None
     """What holds the object that is measured, if anything is known of it."""
@@ -129,7 +135,8 @@ class Rig:
             There is no such file, or it is wrong.
         """
         found = config.find_config(path)
-        return cls(config.load_document(found, RigFile), found.parent, found)
+        data = config.parse_yaml(config.read_text(found), found)
+        return cls(config.validate(with_named_response(data, found), RigFile, found), found.parent, found)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -153,20 +160,33 @@ class Rig:
         """What messages call the rig: its file."""
         return str(self._source)
 
-    def camera_settings(self, exposure_s: float) -> CameraSettings:
-        """Give the rig's standing settings with a plan's exposure.
+    def camera_settings(self, exposure_s: float, bits: int | None = None) -> CameraSettings:
+        """Give the rig's standing settings with a plan's exposure and depth.
 
         Parameters
         ----------
         exposure_s : float
             Exposure in s.
+        bits : int, optional
+            Depth of the grey levels; by default the rig file's.
 
         Returns
         -------
         CameraSettings
             For `Camera.configure`.
+
+        Raises
+        ------
+        ConfigError
+            The camera does not offer the plan's depth.
         """
-        return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
+        if bits is not None and bits not in (offered := self.camera.caps.bits):
+            listed = ", ".join(map(str, offered))
+            raise ConfigError(
+                f"plan: 'bits' is {bits}, but {self.camera.name} of {self.file.name} offers {listed}; choose "
+                "one of these, or leave 'bits' out for the rig's own"
+            )
+        return CameraSettings(exposure_s, self.file.camera.gain_db, bits or self.file.camera.bits)
 
     def make_dark(self) -> None:
         """Blank the projector and stop the camera, unless they are in fault and closing does it."""

@@ -235,7 +235,7 @@ class RigEvaluator:
         bounds = _possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
-        size, bits = rig.projector.caps.size, rig.file.camera.bits
+        size, bits = rig.projector.caps.size, self._study.start.bits or rig.file.camera.bits
         return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"), bounds=bounds)
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:

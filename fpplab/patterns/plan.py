@@ -16,7 +16,7 @@ from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.response import Curve, with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
 AnyFringeSet = Annotated[FringeSet, ByKind(default="sinusoid")]
@@ -100,6 +100,12 @@ class Plan(Document):
     """Name of the temporal unwrapping method (`fpplab.patterns.unwrapping`)."""
     exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
     """Exposure of every frame, in s."""
+    bits: Literal[8, 10, 12, 16] | None = None
+    """Depth of the camera's grey levels, which the camera must offer; by default that of the rig file.
+
+    12 bits lessen the error of rounding where little light comes back; their frames take twice the disk and
+    the time of the camera's link.
+    """
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Wait between showing a pattern and exposing its frame in a stepped plan, in s."""
     trigger: Literal["stepped", "triggered"] = "stepped"
@@ -168,9 +174,7 @@ class Plan(Document):
         """
         found = config.find_config(path)
         data = config.parse_yaml(config.read_text(found), found)
-        if isinstance(data, dict) and isinstance(data.get("response"), str):
-            data = {**data, "response": _named_response(data["response"], found)}
-        return config.validate(data, cls, found)
+        return config.validate(with_named_response(data, found), cls, found)
 
     @property
     def images(self) -> int:
@@ -275,15 +279,3 @@ class Plan(Document):
                 f"{source}: 'projector_size' is {list(self.projector_size or ())} but the projector "
                 f"has {list(size)} pixels"
             )
-
-
-def _named_response(name: str, plan: Path) -> dict[str, float]:
-    """The law in a response file that a plan names. Raises `ConfigError`."""
-    file = Path(config.resolve_beside(name, plan.parent))
-    try:
-        curve = Response.load(file).curve(file)
-    except ConfigError as error:
-        raise ConfigError(
-            f"{plan}: 'response' must name a file written by `fpplab gamma`: {error}"
-        ) from error
-    return curve.model_dump()

@@ -15,8 +15,8 @@ import numpy as np
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, interval_of
+from fpplab.phase.error_model import ErrorModel
 from fpplab.phase.fusion import AGREEING_SIGMAS
-from fpplab.phase.quality import NoiseModel
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
@@ -73,7 +73,7 @@ class OutsideShare:
 def outside_share(
     recording: Recording,
     sequences: Sequence[WavelengthSequence],
-    noise: NoiseModel,
+    errors: ErrorModel,
     bounds: Mapping[Axis, PossibleCoordinates] | None,
 ) -> OutsideShare | None:
     """Examine a sample of pixels, whether measured or not.
@@ -84,8 +84,8 @@ def outside_share(
         All frames.
     sequences : sequence of WavelengthSequence
         Of every coded axis; the first one with intervals and several sets is examined.
-    noise : NoiseModel
-        Of the recording's grey levels.
+    errors : ErrorModel
+        Of the recording.
     bounds : mapping of str to PossibleCoordinates, or None
         By axis, which coordinates each pixel may have.
 
@@ -100,7 +100,7 @@ def outside_share(
     total = recording.frames[0].size
     pixels = np.arange(0, total, max(total // SAMPLE, 1))
     few = replace(recording, frames=[frame.reshape(-1)[pixels] for frame in recording.frames])
-    seen = axis_phases(few, sequence, noise)
+    seen = axis_phases(few, sequence, errors)
     length = axis_length(recording.projector_size, sequence.axis)
     low, high = (np.asarray(end) for end in interval_of(bounds, sequence.axis, length, pixels))
     noise_turns = np.max(seen.position_sigma * seen.stripes[:, None], axis=0)

@@ -20,9 +20,10 @@ from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
+from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
 from fpplab.phase.kernels import APART, APART_LEAST
-from fpplab.phase.quality import NoiseModel, noise_of
+from fpplab.phase.saturation import LEAST_SAMPLES, MOST_LOSS
 from fpplab.phase.unwrapping import (
     EDGE_MARGIN_PX,
     EDGE_SIGMAS,
@@ -47,7 +48,9 @@ class Wrapped:
     misfit : ndarray of float32, (height, width)
         RMS of what the fringe leaves.
     peak : ndarray of float32, (height, width)
-        The greatest value in any frame.
+        The greatest value in any frame that was used.
+    loss : ndarray of float32, (height, width)
+        Variance of the phase relative to that from all samples; above 1 where saturated ones were left out.
     """
 
     phase: Map
@@ -55,9 +58,12 @@ class Wrapped:
     offset: Map
     misfit: Map
     peak: Map
+    loss: Map
 
 
-def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> Wrapped:
+def wrapped_phase(
+    frames: Sequence[NDArray[np.generic]], fringe: FringeSet, saturation: float = np.inf
+) -> Wrapped:
     """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin.
 
     Parameters
@@ -66,11 +72,13 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         The set's images in order, of any real type.
     fringe : FringeSet
         The set.
+    saturation : float
+        Value from which on a sample is saturated and left out, as long as those that remain give a phase.
 
     Returns
     -------
     Wrapped
-        Phase, modulation, offset, misfit and peak.
+        Phase, modulation, offset, misfit, peak and loss.
 
     Raises
     ------
@@ -92,12 +100,47 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         mean += weights.mean[n] * level
         square += weights.mean[n] * level**2
         np.maximum(peak, level, out=peak)
-    modulation = weights.scale * np.hypot(s, c)
+    loss = np.ones(shape)
+    s, c = weights.scale * s, weights.scale * c
+    if (peak >= saturation).any():
+        levels = np.array([np.asarray(frame, np.float64) for frame in frames])
+        _fit_unsaturated(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
+    modulation = np.hypot(s, c)
     misfit = np.sqrt(np.maximum(square - mean**2 - modulation**2 / 2.0, 0.0))
     phase = ((np.arctan2(s, c) - weights.origin_rad) % TWO_PI).astype(np.float32)
     # Rounding to float32 must not reach the end of the half-open interval.
     phase[phase >= np.float32(TWO_PI)] = 0.0
-    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak)))
+    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak, loss)))
+
+
+def _fit_unsaturated(
+    levels: Floats,
+    shift: Floats,
+    saturation: float,
+    c: Floats,
+    s: Floats,
+    mean: Floats,
+    square: Floats,
+    peak: Floats,
+    loss: Floats,
+) -> None:
+    """Replace the results of pixels with saturated samples by least squares of the others, in place."""
+    basis = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+    for at in np.argwhere(peak >= saturation):
+        pixel, values = tuple(at), levels[(slice(None), *at)]
+        used = values < saturation
+        own = basis[used]
+        if len(own) < LEAST_SAMPLES or np.linalg.matrix_rank(own) < 3:
+            continue
+        fitted = np.linalg.lstsq(own, values[used], rcond=None)[0]
+        along = np.array([0.0, -fitted[2], fitted[1]]) / max(np.hypot(fitted[1], fitted[2]), 1e-30)
+        variance = len(shift) / 2.0 * along @ np.linalg.inv(own.T @ own) @ along
+        if variance > MOST_LOSS:
+            continue
+        mean[pixel], c[pixel], s[pixel] = fitted
+        rest = np.mean((values[used] - own @ fitted) ** 2)
+        square[pixel] = rest + fitted[0] ** 2 + (fitted[1] ** 2 + fitted[2] ** 2) / 2.0
+        peak[pixel], loss[pixel] = values[used].max(), variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,18 +271,25 @@ class AxisPhases:
     ----------
     phases : ndarray of float64, (K, ...)
         Wrapped phases in rad.
-    position_sigma : ndarray of float64, (K, ...)
-        1-sigma of the position that each set gives, as a share of the projector's length.
+    noise, common : ndarray of float64, (K, ...)
+        Variance of the position that each set gives, as a squared share of the projector's length: by noise,
+        and by errors that all pixels of one phase share.
     stripes : ndarray of float64, (K,)
         Of each set.
     """
 
     phases: Floats
-    position_sigma: Floats
+    noise: Floats
+    common: Floats
     stripes: Floats
 
+    @property
+    def position_sigma(self) -> Floats:
+        """1-sigma of the position that each set gives, by both, (K, ...)."""
+        return np.asarray(np.sqrt(self.noise + self.common))
 
-def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: NoiseModel) -> AxisPhases:
+
+def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> AxisPhases:
     """Demodulate all sets of one axis.
 
     Parameters
@@ -248,8 +298,8 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: Noise
         Frames of any shape (...).
     sequence : WavelengthSequence
         Of the axis.
-    noise : NoiseModel
-        Of the recording's grey levels.
+    errors : ErrorModel
+        Of the recording.
 
     Returns
     -------
@@ -257,16 +307,25 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: Noise
         Of the frames' shape.
     """
     fringes = [recording.plan.fringes[k] for k in sequence.sets]
-    sets = [wrapped_phase(recording.of_set(k), f) for k, f in zip(sequence.sets, fringes, strict=True)]
-    sigmas = []
-    for one, fringe in zip(sets, fringes, strict=True):
-        level = np.sqrt(noise.variance(one.offset.astype(np.float64) * recording.grey))
+    sets = [
+        wrapped_phase(recording.of_set(k), f, errors.saturation)
+        for k, f in zip(sequence.sets, fringes, strict=True)
+    ]
+    noises, commons = [], []
+    for k, one, fringe in zip(sequence.sets, sets, fringes, strict=True):
+        level = one.offset.astype(np.float64) * recording.grey
         modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
-        turns = np.hypot(fringe.phase_noise / TWO_PI * level / modulation, ROUNDING_TURNS)
-        sigmas.append(turns / fringe.stripes)
+        per_level = fringe.phase_noise**2 * one.loss / modulation**2
+        repeated = errors.noise.repeated(level)
+        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ROUNDING_TURNS**2
+        common = per_level * repeated + errors.sets[k].variance(level / modulation)
+        noises.append(own / fringe.stripes**2)
+        # Where nothing tells the common errors, noise alone counts.
+        commons.append(np.nan_to_num(common) / (TWO_PI * fringe.stripes) ** 2)
     return AxisPhases(
         np.array([one.phase for one in sets], np.float64),
-        np.array(sigmas),
+        np.array(noises),
+        np.array(commons),
         np.array([f.stripes for f in fringes]),
     )
 
@@ -277,14 +336,17 @@ class Fused:
 
     Attributes
     ----------
-    position, sigma : ndarray of float64, (...)
-        Share of the projector's length, and its 1-sigma.
+    position : ndarray of float64, (...)
+        Share of the projector's length.
+    sigma, phase_error : ndarray of float64, (...)
+        Its 1-sigma by noise, and by errors that all pixels of one phase share.
     chi2 : ndarray of float64, (...)
         Weighted squares of all K sets about their mean: of K - 1 degrees of freedom.
     """
 
     position: Floats
     sigma: Floats
+    phase_error: Floats
     chi2: Floats
 
 
@@ -307,11 +369,13 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
     weight = 1.0 / variance
     agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
     agrees[-1] = True
-    total = np.sum(weight * agrees, axis=0)
+    used = weight * agrees
+    total = np.sum(used, axis=0)
     mean = np.sum(weight * off, axis=0) / np.sum(weight, axis=0)
     return Fused(
         position + np.sum(weight * agrees * off, axis=0) / total,
-        1.0 / np.sqrt(total),
+        np.sqrt(np.sum(used**2 * seen.noise, axis=0)) / total,
+        np.sqrt(np.sum(used**2 * seen.common, axis=0)) / total,
         np.sum(weight * (off - mean) ** 2, axis=0),
     )
 
@@ -456,7 +520,10 @@ def decode_axis(
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     width, margin = widest(bounds, axis, recording.projector_size), EDGE_MARGIN_PX / length
     sequence = wavelength_sequence(plan, axis, recording.name, width)
-    seen, interval = axis_phases(recording, sequence, noise_of(recording)), interval_of(bounds, axis, length)
+    seen, interval = (
+        axis_phases(recording, sequence, error_model_of(recording)),
+        interval_of(bounds, axis, length),
+    )
     found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
     risks = alternatives_of(plan, sequence)
     likeliest = likeliest_order(seen, found.position, risks, interval, margin)

@@ -42,10 +42,12 @@ def settle_orders(
     sums: Any,
     off: Any,
     weights: Any,
+    shares: Any,
     good: Any,
     n: int,
     coordinate: Any,
     sigma: Any,
+    common: Any,
     chi2: Any,
     cause: Any,
 ) -> None:
@@ -68,14 +70,14 @@ def settle_orders(
         Buffer of the finished fusion.
     off : ndarray of float32, (S, n)
         Distance of every other set from the finest, as a share of the projector's length; as the positions.
-    weights : ndarray of float32, (S, n)
-        Inverse variances of the sets' positions.
+    weights, shares : ndarray of float32, (S, n)
+        Inverse variances of the sets' positions, and what noise has of the variances.
     good : ndarray of float32, (n,)
         1 where a pixel is measured, `TO_EXPLAIN` where its steps disagree too much or lead out of the
         possible positions, 0 elsewhere; set to 0 or 1.
     n : int
         Number of pixels.
-    coordinate, sigma, chi2 : ndarray of float32, (n,)
+    coordinate, sigma, common, chi2 : ndarray of float32, (n,)
         As `fuse_axis` has left them; replaced where the order changes.
     cause : ndarray of uint8, (n,)
         Set to 1 + the index of the fringe set whose noise leaves the order uncertain, where masked.
@@ -103,7 +105,7 @@ def settle_orders(
             odds, likeliest, sign, which = _rivals(axis, recipe, rows, sums, off, weights, i, ends)
             moves += 1
         if moves > 0:
-            _fuse_again(axis, recipe, rows, sums, off, weights, i, coordinate, sigma, chi2)
+            _fuse_again(axis, recipe, rows, sums, off, weights, shares, i, coordinate, sigma, common, chi2)
         if moves > 0 or good[i] < 1.0:
             is_explained = sums[_u(i) + CHI2] <= AGREEING_SIGMAS**2 * freedom
             outside = max(ends[0] - rows[_u(i)], rows[_u(i)] - ends[1])
@@ -154,9 +156,11 @@ def _fuse_again(
     sums: Any,
     off: Any,
     weights: Any,
+    shares: Any,
     i: int,
     coordinate: Any,
     sigma: Any,
+    common: Any,
     chi2: Any,
 ) -> None:
     """Repeat the fusion of one pixel, from its present position."""
@@ -172,9 +176,11 @@ def _fuse_again(
         sums[i:],
         off[:, one],
         weights[:, one],
+        shares[:, one],
         1,
         coordinate[one],
         sigma[one],
+        common[one],
         chi2[one],
     )
 

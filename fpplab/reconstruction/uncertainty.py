@@ -9,11 +9,13 @@ A point X lies on the ray of its camera pixel m, where its image in the projecto
 and by the implicit function theorem `∂X/∂θ = -A⁻¹ B`, with A and B the derivatives of the three equations by
 X and by θ. The change of j itself is proportional to the distance from the epipolar curve, and is neglected.
 
-Noise is independent from point to point and lies along the ray. A calibration error is common to all points:
-it moves and rotates the cloud far more than it deforms it. What remains after the best rigid motion is given
-separately, because it is what a comparison with a true shape shows. A point's uncertainty is stated as the
-root mean square distance from where it should be, √trace of its covariance (Helmert's point error): so the
-contributions, which are independent, add in quadrature whatever their directions.
+Noise is independent from point to point and lies along the ray. So do the errors that all points of one phase
+have in common (response, lamp, rounding), which averaging over points does not lessen. A calibration error is
+common to all points: it moves and rotates the cloud far more than it deforms it. What remains after the best
+rigid motion is given separately, because it is what a comparison with a true shape shows. A point's
+uncertainty is stated as the root mean square distance from where it should be, √trace of its covariance
+(Helmert's point error): so the contributions, which are independent, add in quadrature whatever their
+directions.
 
 Variances change slowly from point to point. Those of large clouds are interpolated between the nodes of a
 grid (`fpplab.reconstruction.ray_grid`), by which a standard uncertainty changes by less than 0.5 %.
@@ -124,14 +126,15 @@ def _by_grid(
 
 
 def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNoise) -> Floats:
-    """Compute the covariance of each point's coordinates from noise and calibration.
+    """Compute the covariance of each point's coordinates from noise, phase error and calibration.
 
     How points vary together follows from `calibration_jacobian`.
 
     Parameters
     ----------
     cloud : Cloud
-        As triangulated with this calibration; without `sigma_noise_mm` only the calibration contributes.
+        As triangulated with this calibration; without `sigma_noise_mm` only the calibration contributes. A
+        phase error, where it is known, counts with the noise.
     calibration : Calibration
         Its covariance is propagated.
     noise : CoordinateNoise
@@ -151,9 +154,9 @@ def point_covariance(cloud: Cloud, calibration: Calibration, noise: CoordinateNo
     for part in _blocks(len(cloud)):
         moved = modes.moved(cloud.points[part])
         covariance[part] = moved @ moved.transpose(0, 2, 1)
-    if cloud.sigma_noise_mm is not None:
+    if (sigma := cloud.sigma_along_ray_mm) is not None:
         points = cloud.points.astype(np.float64)
-        along = points * (cloud.sigma_noise_mm / np.linalg.norm(points, axis=1))[:, None]
+        along = points * (sigma / np.linalg.norm(points, axis=1))[:, None]
         covariance += along[:, :, None] * along[:, None, :]
     return covariance
 

@@ -38,6 +38,21 @@ def test_a_rig_opens_what_its_file_names_and_closes_it(tmp_path: Path) -> None:
     assert [d.state for d in devices if d] == [State.CLOSED] * 3
 
 
+def test_a_plan_s_depth_goes_before_the_rig_s_and_must_be_offered(tmp_path: Path) -> None:
+    with rig_of(GOOD, tmp_path) as rig:
+        offered = rig.camera.caps.bits
+        assert [rig.camera_settings(0.05, bits).bits for bits in offered] == list(offered)
+        with pytest.raises(ConfigError, match="'bits' is 16, but camera of test offers 8, 12"):
+            rig.camera_settings(0.05, 16)
+
+
+def test_a_rig_file_may_name_its_response(tmp_path: Path) -> None:
+    with rig_of(GOOD + "response: {a: 0.65, b: 0.05, g: 1.1}\n", tmp_path) as rig:
+        assert rig.described()["response"] == {"a": 0.65, "b": 0.05, "g": 1.1}
+    with pytest.raises(ConfigError, match="'response' must name a file written by"):
+        rig_of(GOOD + "response: nothing.yaml\n", tmp_path)
+
+
 def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     with rig_of(GOOD, tmp_path) as rig:
         described = rig.described()
