@@ -111,7 +111,7 @@ def test_saturated_samples_are_left_out_as_by_the_reference(
         level += random.normal(0.0, 0.005, level.shape)
         shown.append(np.rint(np.clip(level, 0.0, 1.0) * full).astype(np.uint8 if bits == 8 else np.uint16))
     recording = Recording(shown, plan, SIZE, bits)
-    decoded, reference = decode(recording), decode_axis(recording, "x")
+    decoded, reference = decode(recording), decode_axis(recording, "x").coordinate
     wrapped = [wrapped_phase(recording.of_set(k), fringes[k], full) for k in range(2)]
     measured = (wrapped[0].peak < full) & (wrapped[1].peak < full) & np.isfinite(reference)
     assert (decoded.valid != measured).mean() < 0.01
