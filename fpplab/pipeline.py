@@ -27,7 +27,7 @@ from fpplab.characterisation import (
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core import config
 from fpplab.core.conventions import Floats
-from fpplab.core.depth import Millimetres
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
@@ -220,7 +220,7 @@ def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
     return config.validate({**config.plain(plan), "depth_mm": list(depth_mm)}, Plan, "--depth")
 
 
-def depth_range_of(session: Session, given_mm: Millimetres | None = None) -> DepthRange | None:
+def depth_range_of(session: Session, given_mm: DepthInterval | None = None) -> DepthRange | None:
     """Give the range of depths that a session is reconstructed with.
 
     Parameters
@@ -254,7 +254,7 @@ def check_plan(
     source: str,
     calibration: Calibration,
     rig: Rig | None = None,
-    given_mm: Millimetres | None = None,
+    given_mm: DepthInterval | None = None,
 ) -> None:
     """Refuse a plan that cannot be unwrapped with a calibration, before anything is projected.
 

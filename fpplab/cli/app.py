@@ -72,7 +72,7 @@ Force = Annotated[bool, typer.Option("--force", help="Replace the output if it e
 RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
 PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
-DepthRange = Annotated[
+DepthOption = Annotated[
     tuple[float, float] | None,
     typer.Option(
         "--depth",

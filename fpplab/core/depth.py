@@ -6,13 +6,13 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-Millimetres = tuple[float, float]
+DepthInterval = tuple[float, float]
 """Least and greatest distance from the camera along its axis, in mm."""
 
 _Distance = Annotated[float, Field(gt=0, le=1e6)]
 
 
-def _rising(depth_mm: Millimetres) -> Millimetres:
+def _rising(depth_mm: DepthInterval) -> DepthInterval:
     if not depth_mm[0] < depth_mm[1]:
         raise ValueError("the first must be less than the second, both in mm")
     return depth_mm

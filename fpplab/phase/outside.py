@@ -20,7 +20,7 @@ from fpplab.phase.fusion import AGREEING_SIGMAS
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
-SAMPLE = 2000
+SAMPLE = 1000
 """About how many pixels are looked at, evenly spaced."""
 LEAST_PIXELS = 50
 """Fewer pixels with fringes than this say nothing."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis, Floats
-from fpplab.core.depth import Millimetres
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.bounds import PossibleCoordinates
@@ -39,11 +39,11 @@ class DepthRange:
         For messages and reports: option, or file and field.
     """
 
-    mm: Millimetres
+    mm: DepthInterval
     source: str
 
 
-def first_stated(*stated: tuple[Millimetres | None, str]) -> DepthRange | None:
+def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
     """Give the range that counts.
 
     Parameters

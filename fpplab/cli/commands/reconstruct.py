@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, app
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
@@ -21,7 +21,7 @@ def reconstruct_command(
         bool | None,
         typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
     ] = None,
-    depth: DepthRange = None,
+    depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:

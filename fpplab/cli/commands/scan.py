@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, PlanName, RigName, app
 
 
 @app.command("scan", rich_help_panel=MEASURE)
@@ -23,7 +23,7 @@ def scan_command(
     ] = None,
     pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
     view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
-    depth: DepthRange = None,
+    depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
