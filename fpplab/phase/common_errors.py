@@ -17,22 +17,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats, Mask
+from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.phase_error import harmonics, phase_error
 
 HARMONICS = (2, 3, 4, 5)
 """Harmonics of the response that are looked for."""
 
+LEAST_PIXELS = 100
+"""Fewest pixels that errors are estimated from."""
+
 _GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
 _LEAST_VARIANCE = 1e-3
 _LEAST_THIRD = -0.0168
 _OUTLIER = 9.0
 _PASSES = 2
+_PIXELS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,82 +88,86 @@ class CommonErrors:
 class Group:
     """Images of the same P pixels that are fitted together: one set, or all sets where each has three.
 
+    An image is a linear combination of R features of its pixel: the offset A and, for each of S sets, the
+    real and imaginary parts of `B exp(ikφ)` for the harmonics k. All that is asked of many pixels therefore
+    follows from sums of products of features and images.
+
     Attributes
     ----------
     members : tuple of int
         Indices of the sets.
     images : ndarray of float64, (N, P)
         Their images, one set after the other, in grey levels.
-    offset, modulation : ndarray of float64, (N, P)
-        A and B of the pixel in the set of each image.
-    phasor : ndarray of complex128, (N, P)
-        exp(iφ) of the pixel in the set of each image.
+    features : ndarray of float64, (R, P)
+        The offset first, the mean of all sets; then set after set, by harmonic.
     shift : ndarray of float64, (N,)
         Phase shift δ_n of each image.
-    seen : ndarray of float64, (N, N)
-        Projection on what no fringe fills; common errors and noise are seen in it.
-    freedom : int
-        Its rank.
-    quiet : ndarray of float64, (N, N)
-        Projection on what noise alone fills, once the common errors are taken away.
+    seen : ndarray of float64, (F, N)
+        Orthonormal rows that no fringe fills; common errors and noise are seen in them.
+    quiet : ndarray of float64, (Q, N)
+        Orthonormal rows that noise alone fills, once the common errors are taken away.
     """
 
     members: tuple[int, ...]
     images: Floats
-    offset: Floats
-    modulation: Floats
-    phasor: NDArray[np.complex128]
+    features: Floats
     shift: Floats
     seen: Floats
-    freedom: int
     quiet: Floats
 
     @property
+    def freedom(self) -> int:
+        """How much of a pixel's images shows common errors."""
+        return len(self.seen)
+
+    @property
+    def offset(self) -> Floats:
+        """Mean level of each pixel, (P,)."""
+        return np.asarray(self.features[0])
+
+    @cached_property
     def membership(self) -> Floats:
         """1 where an image is of a set, (N, S)."""
         count = len(self.members)
         return np.kron(np.eye(count), np.ones((len(self.images) // count, 1)))
 
-    def only(self, kept: Mask) -> Group:
-        """Select pixels.
-
-        Parameters
-        ----------
-        kept : ndarray of bool, (P,)
-            Which.
-
-        Returns
-        -------
-        Group
-            The same sets.
-        """
-        return replace(self, **{name: getattr(self, name)[:, kept] for name in _STACKED})
-
-    def waves(self, shares: Sequence[float]) -> Floats:
-        """Compute a sum of harmonics.
-
-        Parameters
-        ----------
-        shares : sequence of float
-            Factors f_k of the harmonics 1, 2, … of amplitude B.
-
-        Returns
-        -------
-        ndarray of float64, (N, P)
-            `B Σ f_k cos kθ_n`.
-        """
-        total, power = np.zeros(self.images.shape), np.ones(self.phasor.shape, np.complex128)
-        for k, share in enumerate(shares, start=1):
-            power = power * self.phasor
-            if share:
-                turn = share * np.exp(-1j * k * self.shift)[:, None]
-                total += power.real * turn.real - power.imag * turn.imag
-        return np.asarray(self.modulation * total)
-
-    @property
+    @cached_property
     def fringe(self) -> Floats:
-        """The fitted sinusoid `A + B cos θ_n`, (N, P)."""
-        return np.asarray(self.offset + self.waves([1.0]))
+        """What makes the fitted sinusoids `A + B cos θ_n` of the features, (N, R)."""
+        fringe = self._wave(1)
+        fringe[:, 0] = 1.0
+        return fringe
+
+    @cached_property
+    def waves(self) -> Floats:
+        """What makes `B cos kθ_n` of the features, for each of `HARMONICS`: (4, N, R)."""
+        return np.array([self._wave(k) for k in HARMONICS])
+
+    def _wave(self, k: int) -> Floats:
+        wave, images = np.zeros((len(self.shift), len(self.features))), np.arange(len(self.shift))
+        column = 2 * k - 1 + 2 * HARMONICS[-1] * self.membership.argmax(axis=1)
+        wave[images, column] = np.cos(k * self.shift)
+        wave[images, column + 1] = np.sin(k * self.shift)
+        return wave
+
+    def rest(self, rows: Floats, found: Found) -> Floats:
+        """Take the common errors from the images.
+
+        Parameters
+        ----------
+        rows : ndarray of float64, (F, N)
+            `seen` or `quiet`.
+        found : Found
+            The common errors.
+
+        Returns
+        -------
+        ndarray of float64, (F, P)
+            What is left of the images in these rows.
+        """
+        common = found.gains[:, None] * self.fringe + np.tensordot(found.harmonics, self.waves, 1)
+        offset = rows @ self.membership @ found.offsets
+        return _product(rows, self.images) - _product(rows @ common, self.features) - offset[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +195,9 @@ class Found:
     offsets: Floats
 
 
-def groups_of(samples: Sequence[Floats], fringes: Sequence[FringeSet]) -> list[Group]:
+def groups_of(
+    samples: Sequence[Floats], fringes: Sequence[FringeSet], modulation_min: float = 0.0
+) -> list[Group]:
     """Group fringe sets by what shows their errors.
 
     Parameters
@@ -196,50 +206,53 @@ def groups_of(samples: Sequence[Floats], fringes: Sequence[FringeSet]) -> list[G
         Grey levels of each set, of the same P pixels in all.
     fringes : sequence of FringeSet
         The sets.
+    modulation_min : float
+        Least modulation of pixels that are used.
 
     Returns
     -------
     list of Group
         One for each set of more than three images; if there is none, one for all sets; none for a single set
-        of three.
+        of three, or where fewer than `LEAST_PIXELS` pixels are modulated enough.
     """
-    parts = [_set_group(k, *one) for k, one in enumerate(zip(samples, fringes, strict=True))]
-    long = [part for part in parts if part.freedom > 0]
-    if long or len(parts) < 2:
-        return long
+    fitted = [_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
+    long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
+    used = long or range(len(fringes))
+    least = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
+    strong = np.flatnonzero(least >= modulation_min)
+    if len(strong) < LEAST_PIXELS or (not long and len(fringes) < 2):
+        return []
+    parts = [_set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
+    if long:
+        return parts
     count = len(parts)
     own = np.kron(np.eye(count), np.full((3, 3), 1.0 / 3.0))
-    between = own - np.full((3 * count, 3 * count), 1.0 / (3 * count))
-    stacked = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _STACKED}
+    between = _rows(own - np.full((3 * count, 3 * count), 1.0 / (3 * count)))
     # The mean offset: with each set's own, a gain common to all images would seem to explain their noise.
-    stacked["offset"] = np.broadcast_to(stacked["offset"].mean(axis=0), stacked["offset"].shape)
+    offset = np.mean([part.offset for part in parts], axis=0)
+    features = np.concatenate([offset[None], *(part.features[1:] for part in parts)])
+    images = np.concatenate([part.images for part in parts])
     shift = np.concatenate([part.shift for part in parts])
-    return [
-        Group(tuple(range(count)), **stacked, shift=shift, seen=between, freedom=count - 1, quiet=between)
-    ]
+    return [Group(tuple(used), images, features, shift, seen=between, quiet=between)]
 
 
-_STACKED = ("images", "offset", "modulation", "phasor")
+def _sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
+    """Offset, cosine and sine of the fringe at each pixel, (3, P)."""
+    return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
 
 
-def _set_group(index: int, sample: Floats, fringe: FringeSet) -> Group:
-    shift, shape = fringe.phase_shifts(), sample.shape
-    inverse = np.linalg.pinv(_waves(shift, 1))
-    # Not by BLAS: its threads go on spinning for 25 ms, on the processors that decoding needs next.
-    offset, c, s = np.einsum("kn,np->kp", inverse, sample)
-    modulation = np.maximum(np.hypot(c, s), 1e-12)
-    return Group(
-        (index,),
-        sample,
-        np.broadcast_to(offset, shape),
-        np.broadcast_to(modulation, shape),
-        np.broadcast_to((c + 1j * s) / modulation, shape),
-        shift,
-        _beyond(shift, 1),
-        len(shift) - 3,
-        # Optics lessen harmonics differently where the picture is less sharp.
-        _beyond(shift, min(max((len(shift) - 3) // 2, 1), 3)),
-    )
+def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> Group:
+    shift, (offset, c, s) = fringe.phase_shifts(), fitted
+    wave = c + 1j * s
+    phasor = wave / np.maximum(np.abs(wave), 1e-12)
+    features = np.empty((1 + 2 * HARMONICS[-1], sample.shape[1]))
+    features[0] = offset
+    for k in range(HARMONICS[-1]):
+        features[1 + 2 * k], features[2 + 2 * k] = wave.real, wave.imag
+        wave *= phasor
+    # Optics lessen harmonics differently where the picture is less sharp.
+    highest = min(max((len(shift) - 3) // 2, 1), 3)
+    return Group((index,), sample, features, shift, _beyond(shift, 1), _beyond(shift, highest))
 
 
 def _waves(shift: Floats, highest: int) -> Floats:
@@ -249,9 +262,20 @@ def _waves(shift: Floats, highest: int) -> Floats:
 
 
 def _beyond(shift: Floats, highest: int) -> Floats:
-    """Projection on what offset and harmonics do not fill, (N, N)."""
+    """Orthonormal rows that offset and harmonics do not fill, (F, N)."""
     waves = _waves(shift, highest)
-    return np.asarray(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
+    return _rows(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
+
+
+def _rows(projection: Floats) -> Floats:
+    """Orthonormal rows that span what a symmetric projection keeps."""
+    kept, vectors = np.linalg.eigh(projection)
+    return np.asarray(vectors[:, kept > 0.5].T)
+
+
+def _product(few: Floats, many: Floats) -> Floats:
+    """`few @ many`, not by BLAS: its threads spin for 25 ms afterwards, on processors that decoding needs."""
+    return np.asarray(np.einsum("mn,np->mp", few, many))
 
 
 def fit_group(group: Group) -> Found:
@@ -267,34 +291,38 @@ def fit_group(group: Group) -> Found:
     Found
         What is common to them.
     """
-    waves = [group.waves([0.0] * (k - 1) + [1.0]) for k in HARMONICS]
-    shown = [np.einsum("mn,np->mp", group.seen, one) for one in (*waves, group.images)]
-    bent, seen, fringe = np.array(shown[:-1]), shown[-1], group.fringe
-    power = (seen**2).sum(axis=0)
+    every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members))))
+    group = replace(group, images=group.images[:, every], features=group.features[:, every])
+    terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
+    power = np.square(_product(group.seen, group.images)).sum(axis=0)
     for _ in range(_PASSES):
-        kept = np.flatnonzero(power <= _OUTLIER * max(float(np.median(power)), 1e-12))
+        kept = power <= _OUTLIER * max(float(np.median(power)), 1e-12)
         variance = max(float(power[kept].mean()) / group.freedom, _LEAST_VARIANCE)
-        normal, right, prior = _equations(group, bent[:, :, kept], fringe[:, kept], seen[:, kept])
-        normal += np.diag(variance / prior**2)
-        found = _found(group, np.linalg.solve(normal, right), variance * np.linalg.inv(normal))
-        left = seen - np.einsum("k,knp->np", found.harmonics, bent)
-        common = found.gains[:, None] * fringe + (group.membership @ found.offsets)[:, None]
-        power = ((left - np.einsum("mn,np->mp", group.seen, common)) ** 2).sum(axis=0)
+        chosen = terms[:, kept]
+        normal, right, prior = _equations(group, np.einsum("ap,bp->ab", chosen, chosen))
+        # Not by `inv`, whose threads spin as well.
+        strength, vectors = np.linalg.eigh(normal + np.diag(variance / prior**2))
+        inverse = (vectors / strength) @ vectors.T
+        found = _found(group, inverse @ right, variance * inverse)
+        power = np.square(group.rest(group.seen, found)).sum(axis=0)
     return found
 
 
-def _equations(group: Group, bent: Floats, fringe: Floats, seen: Floats) -> tuple[Floats, Floats, Floats]:
+def _equations(group: Group, sums: Floats) -> tuple[Floats, Floats, Floats]:
     """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be.
 
-    A gain shows as its image in the projection, an offset as all images of its set: since projecting twice
-    changes nothing, their products need the projection itself and sums over pixels only.
+    `sums` are those over pixels of the products of features, images and 1, (R + N + 1, R + N + 1).
     """
-    shown, total = group.seen @ group.membership, fringe.sum(axis=1)
-    harmonic = np.einsum("knp,lnp->kl", bent, bent)
-    by_gain = np.einsum("knp,np->kn", bent, fringe)
-    by_offset = bent.sum(axis=2) @ group.membership
-    gain, gain_by_offset = group.seen * np.einsum("np,mp->nm", fringe, fringe), total[:, None] * shown
-    offset = fringe.shape[1] * (group.membership.T @ shown)
+    count = len(group.features)
+    features, of_images, totals = sums[:count, :count], sums[count:-1, :count], sums[-1]
+    members, fringe, seen = group.membership, group.fringe, group.seen.T @ group.seen
+    shown, bent, total = seen @ members, seen @ group.waves, fringe @ totals[:count]
+    summed = bent @ features
+    harmonic = np.tensordot(summed, bent, ((1, 2), (1, 2)))
+    by_gain = (summed * fringe).sum(axis=2)
+    by_offset = bent @ totals[:count] @ members
+    gain, gain_by_offset = seen * (fringe @ features @ fringe.T), total[:, None] * shown
+    offset = totals[-1] * (members.T @ shown)
     normal = np.block(
         [
             [harmonic, by_gain, by_offset],
@@ -302,11 +330,12 @@ def _equations(group: Group, bent: Floats, fringe: Floats, seen: Floats) -> tupl
             [by_offset.T, gain_by_offset.T, offset],
         ]
     )
+    seen_images = seen @ of_images
     right = np.concatenate(
         [
-            np.einsum("knp,np->k", bent, seen),
-            np.einsum("np,np->n", fringe, seen),
-            group.membership.T @ seen.sum(axis=1),
+            np.tensordot(bent, seen_images, 2),
+            (seen_images * fringe).sum(axis=1),
+            shown.T @ totals[count:-1],
         ]
     )
     sizes = len(bent), len(fringe), len(group.members)
@@ -343,9 +372,7 @@ def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
     freedom : int
         Its degrees of freedom.
     """
-    common = found.gains[:, None] * group.fringe + group.waves([0.0, *found.harmonics])
-    rest = group.images - common - (group.membership @ found.offsets)[:, None]
-    return (np.einsum("mn,np->mp", group.quiet, rest) ** 2).sum(axis=0), round(np.trace(group.quiet))
+    return np.square(group.rest(group.quiet, found)).sum(axis=0), len(group.quiet)
 
 
 def errors_of_sets(

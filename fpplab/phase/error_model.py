@@ -18,6 +18,7 @@ from fpplab.core.conventions import Image, Mask, full_scale, raw_per_grey
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.common_errors import (
+    LEAST_PIXELS,
     CommonErrors,
     Found,
     Group,
@@ -29,9 +30,8 @@ from fpplab.phase.common_errors import (
 from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
 from fpplab.phase.saturation import LEAST_SAMPLES
 
-_LEAST_PIXELS = 100
 _SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
-_VALUES = 64_000
+_VALUES = 32_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +124,7 @@ def fit_errors(
     freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
     usable = usable[:: max(1, len(usable) * freedom // _VALUES)]
     levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
-    groups = groups_of(levels, fringes)
-    if groups:
-        strong = np.min([group.modulation.min(axis=0) for group in groups], axis=0) >= modulation_min
-        groups = [group.only(strong) for group in groups] if strong.sum() >= _LEAST_PIXELS else []
+    groups = groups_of(levels, fringes, modulation_min)
     found = [fit_group(group) for group in groups]
     noise = _noise(groups, found, step * grey)
     if not groups:
@@ -140,7 +137,7 @@ def _usable(samples: Sequence[Image], saturation: int) -> Mask:
     lowest = np.min([s.min(axis=0) for s in samples], axis=0)
     bright: Mask = np.max([s.max(axis=0) for s in samples], axis=0) < saturation
     both: Mask = bright & (lowest > 0)
-    return both if both.sum() >= _LEAST_PIXELS else bright
+    return both if both.sum() >= LEAST_PIXELS else bright
 
 
 def _noise(groups: Sequence[Group], found: Sequence[Found], step: float) -> NoiseModel:
@@ -150,7 +147,7 @@ def _noise(groups: Sequence[Group], found: Sequence[Found], step: float) -> Nois
         return NoiseModel(QUANTISATION * step**2, 0.0, step)
     freedom = sum(own for _, own in parts)
     variance = np.sum([power for power, _ in parts], axis=0) / freedom
-    return fit_line(np.mean([g.offset.mean(axis=0) for g in groups], axis=0), variance, freedom, step)
+    return fit_line(np.mean([g.offset for g in groups], axis=0), variance, freedom, step)
 
 
 def _noise_beside_saturation(
@@ -175,7 +172,7 @@ def _noise_beside_saturation(
         freedom += np.where(enough, used.sum(axis=0) - LEAST_SAMPLES, 0)
         level += (weight * values).sum(axis=0) / np.maximum(used.sum(axis=0), 1) / len(fringes)
     told = freedom > 0
-    if told.sum() < _LEAST_PIXELS:
+    if told.sum() < LEAST_PIXELS:
         return None
     typical = round(float(np.median(freedom[told])))
     return fit_line(level[told], power[told] / freedom[told], max(typical, 1), step * grey)

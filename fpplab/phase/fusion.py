@@ -41,8 +41,40 @@ FUSION_ROWS = 10
 
 
 @compiled
+def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
+    """Give the part of the variance that repeats, because levels are rounded.
+
+    Parameters
+    ----------
+    offset : ndarray of float32, (n,)
+        Mean level of the pixels, in 8-bit grey levels.
+    repeated : ndarray of float32, (n,)
+        Written: in 8-bit grey levels squared.
+    recipe : Recipe
+        With the noise of the grey levels.
+    n : int
+        Number of pixels.
+    """
+    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+    step_squared = recipe.step * recipe.step
+    per_step_squared = _ONE / step_squared
+    for j in range(n):
+        i = _u(j)
+        spread = (constant + per_level * offset[i]) * per_step_squared - _TWELFTH
+        repeated[i] = step_squared * _rounding(max(spread, _LEAST_SPREAD))
+
+
+@compiled
 def weigh(
-    modulation: Any, offset: Any, share: Any, loss: Any, bent: Any, s: int, recipe: Any, n: int
+    modulation: Any,
+    offset: Any,
+    share: Any,
+    loss: Any,
+    bent: Any,
+    repeated: Any,
+    s: int,
+    recipe: Any,
+    n: int,
 ) -> None:
     """Turn the offsets of one set into its weights, the inverse variances of its positions.
 
@@ -61,6 +93,8 @@ def weigh(
         Variance of the phase relative to that from all samples.
     bent : ndarray of float32, (n,)
         Mean square phase error that does not depend on the modulation, as `Recipe.error_constant`.
+    repeated : ndarray of float32, (n,)
+        From `find_repeated`; zeros where noise is great enough.
     s : int
         The set.
     recipe : Recipe
@@ -71,18 +105,14 @@ def weigh(
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
     noise, rising = recipe.phase_noise[s], recipe.error_rising[s]
     square = recipe.set_stripes[s] * recipe.set_stripes[s]
-    step_squared = recipe.step * recipe.step
-    per_step_squared = _ONE / step_squared
     for j in range(n):
         i = _u(j)
         power, level = modulation[i] * modulation[i], offset[i]
-        variance = constant + per_level * level
-        repeated = step_squared * _rounding(max(variance * per_step_squared - _TWELFTH, _LEAST_SPREAD))
-        own = noise * loss[i] * (variance - repeated) + _ROUNDING * power + _TINY
-        common = noise * (loss[i] * (repeated + rising * level * level) + bent[i] * power)
-        total = own + max(_ZERO, common)
-        share[i] = own / total
-        offset[i] = square * power / total
+        own = noise * loss[i] * (constant + per_level * level - repeated[i]) + _ROUNDING * power + _TINY
+        common = noise * (loss[i] * (repeated[i] + rising * level * level) + bent[i] * power)
+        per_total = _ONE / (own + max(_ZERO, common))
+        share[i] = own * per_total
+        offset[i] = square * power * per_total
 
 
 @compiled

@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
-from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
+from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
 from fpplab.phase.saturation import fit_unsaturated
 from fpplab.phase.unwrapping import EDGE_SIGMAS
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
@@ -133,6 +133,8 @@ class Recipe(NamedTuple):
         Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels squared.
     step : float32
         Smallest difference of two levels, in 8-bit grey levels.
+    rounding_repeats : bool
+        Whether noise is so small at some level that rounding repeats.
     images : ndarray of float32, (S,)
         Number of images of each set.
     error_constant, error_harmonic, error_rising : ndarray of float32, (S,)
@@ -181,6 +183,7 @@ class Recipe(NamedTuple):
     noise_constant: np.float32
     noise_per_level: np.float32
     step: np.float32
+    rounding_repeats: bool
     images: NDArray[np.float32]
     error_constant: NDArray[np.float32]
     error_harmonic: NDArray[np.float32]
@@ -480,11 +483,12 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         np.empty((sets, ROW), np.float32),
         np.empty((sets, ROW), np.float32),
     )
-    shares, loss, bent, common = (
+    shares, loss, bent, common, repeated = (
         np.empty((sets, ROW), np.float32),
         np.empty(CHUNK, np.float32),
         np.empty(CHUNK, np.float32),
         np.empty(CHUNK, np.float32),
+        np.zeros(CHUNK, np.float32),
     )
     for at in range(start, stop, CHUNK):
         n = min(CHUNK, stop - at)
@@ -508,7 +512,9 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
             if _saturated(sums, n, recipe.full_scale) > _ZERO:
                 _refit_saturated(sums, at, n, s, like, recipe, loss, bent)
             _demodulate(sums, turns[s], modulation[s], weights[s], good, n, recipe.origin[s], recipe)
-            weigh(modulation[s], weights[s], shares[s], loss, bent, s, recipe, n)
+            if recipe.rounding_repeats:
+                find_repeated(weights[s], repeated, recipe, n)
+            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, n)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:

@@ -29,6 +29,7 @@ _LEAST_PER_BIN = 30
 _REJECTED = 0.001
 _PASSES = 6
 _UNDERSAMPLED = 0.7
+_NEGLIGIBLE = 1e-4
 _LEAST_LEVELS, _EVEN = 16, 0.9
 
 _f = np.float32
@@ -103,6 +104,11 @@ class NoiseModel:
         """
         return np.asarray(self.constant + self.per_level * np.asarray(level))
 
+    @property
+    def rounding_repeats(self) -> bool:
+        """Whether noise is so small at some level that rounding repeats."""
+        return bool(self.repeated(0.0) > _NEGLIGIBLE * self.variance(0.0))
+
     def repeated(self, level: Floats | float) -> Floats:
         """Compute the part of the variance that is rounding and repeats in all pixels of the same light.
 
@@ -169,9 +175,8 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     """
     floor = QUANTISATION * step**2
     bins = max(1, min(_BINS, len(level) // _LEAST_PER_BIN))
-    order = np.array_split(np.argsort(level), bins)
-    centre = np.array([level[i].mean() for i in order])
-    mean = np.array([robust_mean(variance[i], freedom, floor) for i in order])
+    order = np.argsort(level)[len(level) % bins :].reshape(bins, -1)
+    centre, mean = level[order].mean(axis=1), robust_mean(variance[order], freedom, floor)
     sampled = mean >= _UNDERSAMPLED * floor
     if not sampled.any():
         return NoiseModel(floor, 0.0, step)
@@ -182,13 +187,13 @@ def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> Nois
     return NoiseModel(floor + float(constant), float(per_level), step)
 
 
-def robust_mean(variance: Floats, freedom: int, floor: float) -> float:
+def robust_mean(variance: Floats, freedom: int, floor: float) -> Floats:
     """Average variances, leaving out those that chance does not explain.
 
     Parameters
     ----------
-    variance : ndarray of float64, (P,)
-        Measured variances of alike pixels.
+    variance : ndarray of float64, (..., P)
+        Measured variances of P alike pixels.
     freedom : int
         Degrees of freedom of each.
     floor : float
@@ -196,14 +201,16 @@ def robust_mean(variance: Floats, freedom: int, floor: float) -> float:
 
     Returns
     -------
-    float
-        Their mean, corrected for the tail that is cut off.
+    ndarray of float64, (...)
+        Their means, corrected for the tail that is cut off; `floor` where none is left.
     """
     cut = float(chdtri(freedom, _REJECTED)) / freedom
     # Mean of χ²/ν below the cut: the distribution of two more degrees of freedom.
     kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - _REJECTED)
-    mean = float(np.median(variance)) / (float(chdtri(freedom, 0.5)) / freedom)
+    mean = np.median(variance, axis=-1) / (float(chdtri(freedom, 0.5)) / freedom)
     for _ in range(_PASSES):
-        inside = variance <= cut * max(mean, floor)
-        mean = float(variance[inside].mean()) / kept_mean if inside.any() else floor
-    return mean
+        inside = variance <= cut * np.maximum(mean, floor)[..., None]
+        count = inside.sum(axis=-1)
+        total = np.where(inside, variance, 0.0).sum(axis=-1) / kept_mean
+        mean = np.where(count > 0, total / np.maximum(count, 1), floor)
+    return np.asarray(mean)

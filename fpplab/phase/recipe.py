@@ -91,6 +91,7 @@ def recipe_of(
         noise_constant=f32(errors.noise.constant),
         noise_per_level=f32(errors.noise.per_level),
         step=f32(errors.noise.step),
+        rounding_repeats=errors.noise.rounding_repeats,
         images=images.astype(f32),
         error_constant=(0.5 * images * [one.terms[0] for one in errors.sets]).astype(f32),
         error_harmonic=(0.5 * images * [one.harmonic_rad**2 for one in errors.sets]).astype(f32),

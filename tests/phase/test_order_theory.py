@@ -7,7 +7,7 @@ import pytest
 from scipy.special import erfc
 
 from fpplab.phase import decode, wrapped_phase
-from fpplab.phase.quality import noise_of
+from fpplab.phase.error_model import error_model_of
 from tests.phase.test_fusion import WIDTH
 from tests.phase.test_wrong_order import limited, noisy
 
@@ -35,7 +35,9 @@ def posterior(recording, bounds) -> tuple[np.ndarray, np.ndarray]:
     sets = [recording.plan.fringes[k] for k in recording.plan.sets_along("x")]
     seen = [wrapped_phase(recording.of_set(k), f) for k, f in enumerate(sets)]
     turns = np.array([s.phase for s in seen], float) / (2 * np.pi)
-    noise = np.sqrt(noise_of(recording).variance(np.array([s.offset for s in seen]) * recording.grey))
+    noise = np.sqrt(
+        error_model_of(recording).noise.variance(np.array([s.offset for s in seen]) * recording.grey)
+    )
     modulation = np.array([s.modulation for s in seen], float) * recording.grey
     stripes = np.array([f.stripes for f in sets]).reshape(-1, 1, 1)
     gain = np.array([f.phase_noise for f in sets]).reshape(-1, 1, 1) / (2 * np.pi)
