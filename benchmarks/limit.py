@@ -8,6 +8,7 @@ from __future__ import annotations
 from benchmarks import Result
 from benchmarks.limit_decoding import decoding_figures
 from benchmarks.limit_lattice import lattice_figures
+from benchmarks.limit_noise import noise_figures
 
 
 def run() -> list[Result]:
@@ -18,4 +19,4 @@ def run() -> list[Result]:
     list of Result
         A figure each.
     """
-    return [*lattice_figures(), *decoding_figures()]
+    return [*lattice_figures(), *decoding_figures(), *noise_figures()]

@@ -32,6 +32,7 @@ class _Maps:
     v: Map
     sigma: Map
     v_per_u: float = 1.0
+    sigma_phase_error: Map | None = None
 
 
 def run() -> list[Result]:

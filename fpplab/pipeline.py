@@ -27,20 +27,21 @@ from fpplab.characterisation import (
 from fpplab.clouds import Cloud, save_cloud
 from fpplab.core import config
 from fpplab.core.conventions import Floats
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
-from fpplab.devices.rig import Mounted, Rig
+from fpplab.devices.rig import DepthSection, Mounted, Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import widest
-from fpplab.reconstruction.depth_range import depth_bounds
+from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
-from fpplab.sessions.session import Session
+from fpplab.sessions.session import PLAN, RIG, Session
 from fpplab.targets import Target
 
 DECODED, CLOUD, CALIBRATION, REPORT = "decoded.npz", "cloud.ply", "calibration.yaml", "report.html"
@@ -160,7 +161,8 @@ def reconstruct(
         Whether points that lie on no surface are removed; by default as the session's plan says. A plan
         without rules means the usual ones.
     depth_mm : tuple of float, optional
-        Least and greatest distance from the camera in mm, in which the object lies; by default the plan's.
+        Least and greatest distance from the camera in mm, in which the object lies; by default that of the
+        session, see `depth_range_of`.
 
     Returns
     -------
@@ -182,7 +184,8 @@ def reconstruct(
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=lambda share: progress(0.3 * share))
     require_in_step(recording, "take it again, with --force")
-    bounds = depth_bounds(plan_with_depth(recording.plan, depth_mm), calibration)
+    depth = depth_range_of(session, depth_mm)
+    bounds = depth_bounds(recording.plan, calibration, depth)
     decoded = decode(recording, lambda share: progress(0.3 + 0.3 * share), bounds)
     plan = recording.plan
     if filtering is not None:
@@ -217,7 +220,42 @@ def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
     return config.validate({**config.plain(plan), "depth_mm": list(depth_mm)}, Plan, "--depth")
 
 
-def check_plan(plan: Plan, source: str, calibration: Calibration) -> None:
+def depth_range_of(session: Session, given_mm: DepthInterval | None = None) -> DepthRange | None:
+    """Give the range of depths that a session is reconstructed with.
+
+    Parameters
+    ----------
+    session : Session
+        Its plan, and then its rig as recorded, may state one.
+    given_mm : tuple of float, optional
+        One that has precedence over both, in mm.
+
+    Returns
+    -------
+    DepthRange or None
+        With its source; None where there is none.
+
+    Raises
+    ------
+    ConfigError
+        It is none of two rising positive numbers.
+    """
+    plan, rig = session.plan, session.path / RIG
+    recorded = {key: value for key, value in (session.rig() or {}).items() if key == "depth_mm"}
+    return first_stated(
+        (plan_with_depth(plan, given_mm).depth_mm if given_mm else None, "--depth"),
+        (plan.depth_mm, f"{session.path / PLAN}: 'depth_mm'"),
+        (config.validate(recorded, DepthSection, rig).depth_mm, f"{rig}: 'depth_mm'"),
+    )
+
+
+def check_plan(
+    plan: Plan,
+    source: str,
+    calibration: Calibration,
+    rig: Rig | None = None,
+    given_mm: DepthInterval | None = None,
+) -> None:
     """Refuse a plan that cannot be unwrapped with a calibration, before anything is projected.
 
     Parameters
@@ -228,13 +266,22 @@ def check_plan(plan: Plan, source: str, calibration: Calibration) -> None:
         What it is called in the message.
     calibration : Calibration
         That it will be reconstructed with.
+    rig : Rig, optional
+        That it will be measured on; its file may state the range of depths.
+    given_mm : tuple of float, optional
+        A range of depths in mm that has precedence over the plan's, and that over the rig's.
 
     Raises
     ------
     ConfigError
         It cannot be unwrapped, needs a range of depths and has none, or part of it lies behind the projector.
     """
-    bounds, size = depth_bounds(plan, calibration), calibration.projector.size
+    depth = first_stated(
+        (given_mm, "--depth"),
+        (plan.depth_mm, f"{source}: 'depth_mm'"),
+        (rig.file.depth_mm, f"{rig.source}: 'depth_mm'") if rig else (None, ""),
+    )
+    bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
     check_unwrapping(plan, source, {axis: widest(bounds, axis, size) for axis in plan.axes})
 
 
@@ -314,7 +361,7 @@ def scan(
     """
     calibration.check_camera(rig.camera.caps.size, "calibration")
     calibration.check_projector(rig.projector.caps.size, rig.projector.caps.lattice, "calibration")
-    check_plan(plan, "plan", calibration)
+    check_plan(plan, "plan", calibration, rig)
     session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
     return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]
 

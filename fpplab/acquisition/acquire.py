@@ -59,7 +59,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     SyncError
         The frames do not show their patterns; all of them are in the session by then.
     """
-    settings = rig.camera_settings(plan.exposure_s)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     wanted = session.missing()
@@ -105,7 +105,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
     caps = rig.projector.caps
     ends = uniform_patterns([0, 255], caps.size) if _needs_ends(plan) else []
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
-    settings = rig.camera_settings(plan.exposure_s)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
     with closing(expose(rig, patterns, settings, plan)) as shots:
         frames = [shot.image for shot in shots]
     if ends and not _ended([float(frame.mean()) for frame in frames]):

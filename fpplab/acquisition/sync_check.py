@@ -246,7 +246,7 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
     """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
     samples: list[NDArray[Any]] = []
-    with closing(expose(rig, patterns, rig.camera_settings(plan.exposure_s), plan)) as shots:
+    with closing(expose(rig, patterns, rig.camera_settings(plan.exposure_s, plan.bits), plan)) as shots:
         try:
             for shot in shots:
                 every = max(1, math.isqrt(shot.image.size // PIXELS))

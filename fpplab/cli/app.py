@@ -72,12 +72,13 @@ Force = Annotated[bool, typer.Option("--force", help="Replace the output if it e
 RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
 PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
-DepthRange = Annotated[
+DepthOption = Annotated[
     tuple[float, float] | None,
     typer.Option(
         "--depth",
         metavar="NEAR FAR",
-        help="Distances from the camera in mm between which the object lies; as the plan says.",
+        help="Distances from the camera in mm between which the object lies; by default "
+        "`depth_mm` of the plan, or else of the rig file.",
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]

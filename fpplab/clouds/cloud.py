@@ -28,7 +28,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj")
 CloudPoints = NDArray[np.float32]
 """Values of every point of a cloud, (N,) or (N, 3)."""
 
-_SIGMAS = ("sigma_noise_mm", "sigma_calibration_mm", "sigma_form_mm")
+_SIGMAS = ("sigma_noise_mm", "sigma_phase_error_mm", "sigma_calibration_mm", "sigma_form_mm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,9 @@ class Cloud:
         What the best rigid motion of the whole cloud leaves of `sigma_calibration_mm`, (N,) in mm.
     epipolar_px : ndarray of float32, optional
         Distance (N,) from the epipolar curve in projector px.
+    sigma_phase_error_mm : ndarray of float32, optional
+        Standard uncertainty (N,) in mm from errors of the phase that are common to all points of one phase
+        (response, lamp, rounding of grey levels), along the ray.
 
     Raises
     ------
@@ -76,6 +79,7 @@ class Cloud:
     sigma_calibration_mm: CloudPoints | None = None
     sigma_form_mm: CloudPoints | None = None
     epipolar_px: CloudPoints | None = None
+    sigma_phase_error_mm: CloudPoints | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -100,13 +104,20 @@ class Cloud:
 
     @property
     def sigma_mm(self) -> CloudPoints | None:
-        """Noise and calibration combined, float32 (N,) in mm: root mean square distance from the true point.
+        """Noise, phase error and calibration combined, float32 (N,) in mm: root mean square distance.
 
-        None where one of them is not known.
+        None where noise or calibration is not known; a phase error that is not known is not in it.
         """
-        if self.sigma_noise_mm is None or self.sigma_calibration_mm is None:
+        if self.sigma_along_ray_mm is None or self.sigma_calibration_mm is None:
             return None
-        return np.hypot(self.sigma_noise_mm, self.sigma_calibration_mm)
+        return np.hypot(self.sigma_along_ray_mm, self.sigma_calibration_mm)
+
+    @property
+    def sigma_along_ray_mm(self) -> CloudPoints | None:
+        """Noise and phase error combined, float32 (N,) in mm along the camera's ray; None without noise."""
+        if self.sigma_noise_mm is None or self.sigma_phase_error_mm is None:
+            return self.sigma_noise_mm
+        return np.hypot(self.sigma_noise_mm, self.sigma_phase_error_mm)
 
     def only(self, kept: Mask) -> Cloud:
         """Select points, with all their attributes.
@@ -143,7 +154,7 @@ class Cloud:
         """
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
-        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_noise_mm)
+        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_along_ray_mm)
 
     def grid_mesh(self) -> tuple[CloudPoints, NDArray[np.int32]]:
         """Mesh the surface over the pixel grid, cut at jumps in depth.
@@ -333,8 +344,9 @@ _XYZ, _NORMAL, _RGB, _PIXEL = (
 _SIZE = "camera_size"
 _SIGMAS_EXPLAINED = (
     "sigma_noise_mm is independent from point to point, sigma_calibration_mm common to all",
+    "sigma_phase_error_mm is common to all points of one phase, so that averaging does not lessen it",
     "sigma_form_mm is what the best rigid motion of all points leaves of sigma_calibration_mm",
-    "sigma_mm is noise and calibration together: root mean square distance from the true point",
+    "sigma_mm is noise, phase error and calibration together: root mean square distance from the true point",
 )
 
 

@@ -90,7 +90,8 @@ class DatasetMaker:
         _check_ranges(rig, request.scenes)
         self._rig, self._request = rig, request
         self._studio = _arrangeable(rig).studio()
-        self._fields = dataset_fields(rig.file.camera.bits)
+        self._bits = rig.camera_settings(request.plan.exposure_s, request.plan.bits).bits
+        self._fields = dataset_fields(self._bits)
         self._dimensions = dimension_sizes(request.plan, rig.camera.caps.size)
         if rig.stage is not None:
             rig.stage.home()
@@ -181,8 +182,8 @@ class DatasetMaker:
         studio.arrange(scene)
         frames = self._frames(scene)
         truth = studio.truth()
-        bits = self._rig.file.camera.bits
-        arrays = sample_arrays(frames, request.plan, scene.exposure_s, bits, truth, trace_labels(truth))
+        labels = trace_labels(truth)
+        arrays = sample_arrays(frames, request.plan, scene.exposure_s, self._bits, truth, labels)
         record = {
             "index": index,
             "split": split_of(index),
@@ -203,7 +204,9 @@ class DatasetMaker:
         # Noise numbers count from the camera's opening: reopened, a sample is independent of those before.
         rig.camera.close()
         rig.camera.open()
-        with closing(expose(rig, self._patterns, rig.camera_settings(scene.exposure_s), plan)) as shots:
+        with closing(
+            expose(rig, self._patterns, rig.camera_settings(scene.exposure_s, self._bits), plan)
+        ) as shots:
             return [shot.image for shot in shots]
 
 

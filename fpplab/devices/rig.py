@@ -8,7 +8,8 @@
 `backend` names the class that drives the device: `module:Class`. `bench` is what the devices
 share, where they share anything; `stage` and `fixture` are optional. `bits` and `gain_db` are
 the camera's standing settings; every other key goes to the backend, which refuses what it does
-not know. A relative file name is looked for beside the rig file first.
+not know. `depth_mm` may state between which distances from the camera everything lies that is seen, for plans
+that state none. A relative file name is looked for beside the rig file first.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ from pydantic import ConfigDict, Field
 
 from fpplab.core import config
 from fpplab.core.config import Document
+from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
 from fpplab.devices.shared import SharedBackend
+from fpplab.patterns.response import Curve, with_named_response
 
 Dev = TypeVar("Dev", bound=Device)
 
@@ -51,13 +54,22 @@ class CameraSection(DeviceSection):
     """The camera and its standing settings."""
 
     bits: Literal[8, 10, 12, 16] = 8
-    """Depth of the frames' grey levels."""
+    """Depth of the frames' grey levels, where the plan gives none."""
 
     gain_db: float = 0.0
     """Gain in dB."""
 
 
-class RigFile(Document):
+class DepthSection(Document):
+    """The part of a rig file that says where everything lies."""
+
+    depth_mm: DepthField | None = None
+    """Least and greatest distance from the camera along its axis, in mm, between which everything lies that
+    is seen: for plans without a `depth_mm` of their own. By default unknown.
+    """
+
+
+class RigFile(DepthSection):
     """Schema of a rig file."""
 
     name: str
@@ -74,6 +86,11 @@ class RigFile(Document):
 
     stage: DeviceSection | None = None
     """The linear stage, if there is one."""
+
+    response: Curve | None = None
+    """The measured response, the name of a file that `fpplab gamma` wrote or its `{a, b, g}`: it tells which
+    phase error the patterns' harmonics cause. Patterns are corrected by the plan's `response` alone.
+    """
 
     fixture: DeviceSection | None = None
     """What holds the object that is measured, if anything is known of it."""
@@ -118,7 +135,8 @@ class Rig:
             There is no such file, or it is wrong.
         """
         found = config.find_config(path)
-        return cls(config.load_document(found, RigFile), found.parent, found)
+        data = config.parse_yaml(config.read_text(found), found)
+        return cls(config.validate(with_named_response(data, found), RigFile, found), found.parent, found)
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -137,20 +155,38 @@ class Rig:
     ) -> None:
         self._stack.close()
 
-    def camera_settings(self, exposure_s: float) -> CameraSettings:
-        """Give the rig's standing settings with a plan's exposure.
+    @property
+    def source(self) -> str:
+        """What messages call the rig: its file."""
+        return str(self._source)
+
+    def camera_settings(self, exposure_s: float, bits: int | None = None) -> CameraSettings:
+        """Give the rig's standing settings with a plan's exposure and depth.
 
         Parameters
         ----------
         exposure_s : float
             Exposure in s.
+        bits : int, optional
+            Depth of the grey levels; by default the rig file's.
 
         Returns
         -------
         CameraSettings
             For `Camera.configure`.
+
+        Raises
+        ------
+        ConfigError
+            The camera does not offer the plan's depth.
         """
-        return CameraSettings(exposure_s, self.file.camera.gain_db, self.file.camera.bits)
+        if bits is not None and bits not in (offered := self.camera.caps.bits):
+            listed = ", ".join(map(str, offered))
+            raise ConfigError(
+                f"plan: 'bits' is {bits}, but {self.camera.name} of {self.file.name} offers {listed}; choose "
+                "one of these, or leave 'bits' out for the rig's own"
+            )
+        return CameraSettings(exposure_s, self.file.camera.gain_db, bits or self.file.camera.bits)
 
     def make_dark(self) -> None:
         """Blank the projector and stop the camera, unless they are in fault and closing does it."""

@@ -20,7 +20,7 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
-from fpplab.pipeline import reconstruct
+from fpplab.pipeline import depth_range_of, reconstruct
 from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.session import Session
@@ -154,5 +154,5 @@ def _scanned(
     settings = session.records[0].settings
     frames = twin.scan(item, T_camera_item, make_patterns(plan, size, lattice), settings)
     recording = Recording(frames, plan, size, settings.bits, f"the twin's {item}")
-    decoded = decode(recording, bounds=depth_bounds(plan, calibration))
+    decoded = decode(recording, bounds=depth_bounds(plan, calibration, depth_range_of(session)))
     return points_of(decoded, calibration, plan, recording.mean_image())[1]

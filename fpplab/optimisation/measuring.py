@@ -16,7 +16,8 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
-from fpplab.core.errors import CalibrationError
+from fpplab.core.conventions import Axis
+from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.arrangement import RigArranger, StageCalibrations
@@ -27,7 +28,9 @@ from fpplab.optimisation.scoring import SAMPLES, ArtefactFigures, TrueShape
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.phase import Decoded, decode
+from fpplab.phase import Decoded, check_unwrapping, decode
+from fpplab.phase.bounds import PossibleCoordinates, widest
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 
 KEPT_SHAPES = 6
@@ -130,7 +133,7 @@ class RigEvaluator:
         known = calibrations or self.calibrations
         calibration = known.at(candidate.stage_mm, candidate.convergence_deg)
         shape = self._true_shape(name, candidate)  # may raise, so before anything is acquired
-        plan, decoded = candidate.plan(self._study.start), self._decoded(name, candidate, seed)
+        plan, decoded = candidate.plan(self._study.start), self._decoded(name, candidate, seed, calibration)
         return shape.score(decoded, plan, calibration)
 
     def compare(self, name: str, candidate: Candidate, seed: int) -> tuple[Cloud, Comparison]:
@@ -157,7 +160,7 @@ class RigEvaluator:
         """
         calibration = self.calibrations.at(candidate.stage_mm, candidate.convergence_deg)
         plan = candidate.plan(self._study.start)
-        _, cloud = points_of(self._decoded(name, candidate, seed), calibration, plan)
+        _, cloud = points_of(self._decoded(name, candidate, seed, calibration), calibration, plan)
         return cloud, compare(cloud, self._mesh(name), calibration, align=True)
 
     def triangulation_angle_deg(self, candidate: Candidate) -> float:
@@ -227,12 +230,13 @@ class RigEvaluator:
         seconds = candidate.images * (candidate.exposure_s + self._image_s)
         return Score(artefact=name, seed=seed, images=candidate.images, seconds=seconds, **found)
 
-    def _decoded(self, name: str, candidate: Candidate, seed: int) -> Decoded:
+    def _decoded(self, name: str, candidate: Candidate, seed: int, calibration: Calibration) -> Decoded:
+        plan, rig = candidate.plan(self._study.start), self._rig
+        bounds = _possible_coordinates(plan, calibration, rig)  # may raise, so before anything is acquired
         setup = MeasuringSetup(name, candidate.exposure_s, candidate.stage_mm, candidate.convergence_deg)
         frames = self._frames.frames(setup, candidate.fringes, seed)
-        plan, rig = candidate.plan(self._study.start), self._rig
-        size, bits = rig.projector.caps.size, rig.file.camera.bits
-        return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"))
+        size, bits = rig.projector.caps.size, self._study.start.bits or rig.file.camera.bits
+        return decode(Recording(frames, plan, size, bits, f"measurement of the {name}"), bounds=bounds)
 
     def _true_shape(self, name: str, candidate: Candidate) -> TrueShape:
         space = self._study.space
@@ -258,6 +262,22 @@ class RigEvaluator:
 
     def _located(self, name: str, mesh: trimesh.Trimesh) -> RigidTransform:
         """Find a pose that the fixture does not know, by a measurement with the plan of the start."""
-        decoded = self._decoded(name, self._first, self._study.seeds[0])
-        _, cloud = points_of(decoded, self.calibrations.at(self._first.stage_mm), self._study.start)
+        calibration = self.calibrations.at(self._first.stage_mm)
+        decoded = self._decoded(name, self._first, self._study.seeds[0], calibration)
+        _, cloud = points_of(decoded, calibration, self._study.start)
         return align_mesh(cloud.points.astype(np.float64), mesh).transform
+
+
+def _possible_coordinates(
+    plan: Plan, calibration: Calibration, rig: Rig
+) -> dict[Axis, PossibleCoordinates] | None:
+    """By the range of depths. Raises `DataError` where the plan cannot be unwrapped within it."""
+    depth = first_stated(
+        (plan.depth_mm, "plan: 'depth_mm'"), (rig.file.depth_mm, f"{rig.source}: 'depth_mm'")
+    )
+    bounds, size = depth_bounds(plan, calibration, depth), calibration.projector.size
+    try:
+        check_unwrapping(plan, "plan", {axis: widest(bounds, axis, size) for axis in plan.axes})
+    except ConfigError as reason:
+        raise DataError(str(reason)) from None
+    return bounds

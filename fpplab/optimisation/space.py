@@ -16,6 +16,7 @@ from fpplab.optimisation.limits import RigLimits
 from fpplab.optimisation.scope import ParameterGroup
 from fpplab.optimisation.study import Study
 from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import check_unwrapping
 
 Point = tuple[float, ...]
@@ -263,7 +264,8 @@ class SearchSpace:
 def _template_candidate(study: Study, source: str) -> Candidate:
     """Make the start with the greatest number of sets. Raises `ConfigError` when it cannot start a search."""
     plan, space = study.start, study.space
-    check_unwrapping(plan, source)
+    if not unwrapping_methods()[plan.unwrapping].guided:
+        check_unwrapping(plan, source)  # a guided one is checked where the calibration is known
     if any(f != Sinusoid(axis=f.axis, stripes=f.stripes, steps=f.images) for f in plan.fringes):
         raise ConfigError(f"{source}: 'start' has fringes of imported images, which no rig projects")
     if (space.sets or space.axis) and len(plan.axes) > 1:
@@ -353,11 +355,15 @@ def _check_bounds(space: SearchSpace, source: str) -> None:
 def _check_stripes(space: SearchSpace, source: str) -> None:
     """Refuse a base set that is searched, and bounds within which stripes cannot increase from set to set."""
     bounds = space.study.space.stripes
+    guided = unwrapping_methods()[space.study.start.unwrapping].guided
     reached: dict[str, float] = {}
     for i, fringe in enumerate(space.template.fringes):
         given = bounds[i] if bounds else None
-        if given and fringe.axis not in reached:
-            raise ConfigError(f"{source}: 'space.stripes[{i}]' is the base, which is held: write null")
+        if given and fringe.axis not in reached and not guided:
+            raise ConfigError(
+                f"{source}: 'space.stripes[{i}]' is the base, which is held where 'unwrapping' is not "
+                "'guided': write null"
+            )
         least, most = given or (fringe.stripes, fringe.stripes)
         if most <= reached.get(fringe.axis, 0.0):
             raise ConfigError(

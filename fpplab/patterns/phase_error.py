@@ -11,6 +11,8 @@ is sensitive to the harmonics `mN + 1`, m any integer (negative ones are k = |mN
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fpplab.core.config import Document
@@ -30,8 +32,10 @@ uncertainties."""
 TABLE = (3, 4, 5, 6, 8, 12)
 """Numbers of steps whose phase errors are always reported."""
 
-_SAMPLES = 1 << 14
 _PHASES = 512
+_REACH = 8
+_TURNS = np.exp(1j * TWO_PI * np.outer(np.arange(-_REACH, _REACH + 1), np.arange(_PHASES) / _PHASES))
+"""exp(imNφ) for m from -`_REACH` on, over the error's own period of Nφ."""
 
 
 def harmonics(g: float, highest: int) -> Floats:
@@ -51,8 +55,10 @@ def harmonics(g: float, highest: int) -> Floats:
     ndarray of float64, (highest + 1,)
         `c_0 … c_highest`.
     """
-    light = (0.5 + 0.5 * np.cos(TWO_PI * np.arange(_SAMPLES) / _SAMPLES)) ** g
-    return np.asarray(np.fft.rfft(light).real[: highest + 1] / _SAMPLES)
+    # cos^2g(φ/2), whose coefficients are Γ(2g + 1)/(4^g Γ(g + k + 1) Γ(g - k + 1)).
+    mean = math.exp(math.lgamma(2.0 * g + 1.0) - 2.0 * math.lgamma(g + 1.0) - g * math.log(4.0))
+    k = np.arange(1, highest + 1)
+    return mean * np.concatenate([[1.0], np.cumprod((g - k + 1.0) / (g + k))])
 
 
 def phase_error(g: float, steps: int) -> float:
@@ -74,12 +80,9 @@ def phase_error(g: float, steps: int) -> float:
     ----------
     Guo, He and Zhang, Opt. Lett. 29, 2004
     """
-    reach = max(1, min(8, 512 // steps))
-    amplitudes = harmonics(g, reach * steps + 1)
-    turned = np.ones(_PHASES, np.complex128)
-    phase = TWO_PI * np.arange(_PHASES) / _PHASES  # N φ: the error's own period
-    for m in (*range(-reach, 0), *range(1, reach + 1)):
-        turned += amplitudes[abs(m * steps + 1)] / amplitudes[1] * np.exp(1j * m * phase)
+    order = np.abs(steps * np.arange(-_REACH, _REACH + 1) + 1)
+    amplitudes = harmonics(g, int(order.max()))
+    turned = np.einsum("m,mp->p", amplitudes[order] / amplitudes[1], _TURNS)
     return _rms(np.angle(turned))
 
 

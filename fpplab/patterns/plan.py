@@ -12,10 +12,11 @@ from pydantic import AfterValidator, Field, model_validator
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Axis, axis_length
+from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.response import Curve, with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
 AnyFringeSet = Annotated[FringeSet, ByKind(default="sinusoid")]
@@ -27,9 +28,6 @@ def _known_method(name: str) -> str:
     if f"'{name}'" not in known:
         raise ValueError(f"should be {' or '.join(known)}")
     return name
-
-
-_Depth = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class MaskRules(Document):
@@ -46,7 +44,8 @@ class MaskRules(Document):
     """Greatest RMS misfit of the sinusoid as a share of B."""
     disagreement_max: Annotated[float, Field(gt=0, le=0.5)] = 0.4
     """Greatest difference between the position that coarser fringes predict and the one that finer fringes
-    show, as a share of the finer period.
+    show, as a share of the finer period; a greater one is accepted where the noise of all sets explains it
+    and leaves no doubt of the order.
     """
     wrong_order_max: Annotated[float, Field(gt=0, le=1)] = 1e-4
     """Greatest probability of a wrong fringe order, computed from the noise of all fringe sets; 1 masks none.
@@ -101,6 +100,12 @@ class Plan(Document):
     """Name of the temporal unwrapping method (`fpplab.patterns.unwrapping`)."""
     exposure_s: Annotated[float, Field(gt=0, le=60)] = 0.02
     """Exposure of every frame, in s."""
+    bits: Literal[8, 10, 12, 16] | None = None
+    """Depth of the camera's grey levels, which the camera must offer; by default that of the rig file.
+
+    12 bits lessen the error of rounding where little light comes back; their frames take twice the disk and
+    the time of the camera's link.
+    """
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Wait between showing a pattern and exposing its frame in a stepped plan, in s."""
     trigger: Literal["stepped", "triggered"] = "stepped"
@@ -126,19 +131,11 @@ class Plan(Document):
     stage_mm: float | None = None
     """Position of the rig's stage during the measurement, in mm; by default the stage is not moved."""
 
-    depth_mm: tuple[_Depth, _Depth] | None = None
+    depth_mm: DepthField | None = None
     """Least and greatest distance from the camera along its axis, in mm, between which everything lies that
     is seen: with a calibration, only projector coordinates that this allows count. Guided unwrapping needs
-    it.
+    it. By default that of the rig file, if it has one.
     """
-
-    @model_validator(mode="after")
-    def _depths_in_order(self) -> Plan:
-        if self.depth_mm is not None and not self.depth_mm[0] < self.depth_mm[1]:
-            raise ValueError(
-                f"'depth_mm' is {list(self.depth_mm)}: the first must be less than the second, both in mm"
-            )
-        return self
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Plan:
@@ -177,9 +174,7 @@ class Plan(Document):
         """
         found = config.find_config(path)
         data = config.parse_yaml(config.read_text(found), found)
-        if isinstance(data, dict) and isinstance(data.get("response"), str):
-            data = {**data, "response": _named_response(data["response"], found)}
-        return config.validate(data, cls, found)
+        return config.validate(with_named_response(data, found), cls, found)
 
     @property
     def images(self) -> int:
@@ -284,15 +279,3 @@ class Plan(Document):
                 f"{source}: 'projector_size' is {list(self.projector_size or ())} but the projector "
                 f"has {list(size)} pixels"
             )
-
-
-def _named_response(name: str, plan: Path) -> dict[str, float]:
-    """The law in a response file that a plan names. Raises `ConfigError`."""
-    file = Path(config.resolve_beside(name, plan.parent))
-    try:
-        curve = Response.load(file).curve(file)
-    except ConfigError as error:
-        raise ConfigError(
-            f"{plan}: 'response' must name a file written by `fpplab gamma`: {error}"
-        ) from error
-    return curve.model_dump()

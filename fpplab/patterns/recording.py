@@ -13,6 +13,7 @@ from fpplab.core.conventions import Axis, Image, full_scale, raw_per_grey
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
+from fpplab.patterns.response import Curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class Recording:
         Depth of the frames' grey levels; full scale is 2^bits - 1.
     name : str
         What the frames are called in messages.
+    response : Curve or None
+        The measured response of the projector and camera, where it is known.
     """
 
     frames: Sequence[Image]
@@ -38,11 +41,22 @@ class Recording:
     projector_size: tuple[int, int]
     bits: int = 8
     name: str = "frames"
+    response: Curve | None = None
 
     @property
     def grey(self) -> float:
         """8-bit grey levels to one unit of the raw frames."""
         return 1.0 / raw_per_grey(self.bits)
+
+    @property
+    def exponent(self) -> float | None:
+        """Exponent from the light that the plan wants to the light seen; None where no response is known.
+
+        Patterns that the plan corrects are shown through the inverse of its response.
+        """
+        if self.response is None:
+            return None
+        return self.response.g / (self.plan.response.g if self.plan.response else 1.0)
 
     @property
     def full_scale(self) -> int:

@@ -267,6 +267,38 @@ class Response(Curve):
         return Curve(a=self.a, b=self.b, g=self.g)
 
 
+def with_named_response(data: Any, source: Path) -> Any:
+    """Put the values of a response file in place of its name.
+
+    Parameters
+    ----------
+    data : any
+        Contents of a plan or rig file; its key `response` may name a file, beside it or by path.
+    source : Path
+        That file.
+
+    Returns
+    -------
+    any
+        The same, with `{a, b, g}` for a name.
+
+    Raises
+    ------
+    ConfigError
+        The response file is missing or wrong, or too uncertain to be used.
+    """
+    if not (isinstance(data, dict) and isinstance(data.get("response"), str)):
+        return data
+    file = Path(config.resolve_beside(data["response"], source.parent))
+    try:
+        curve = Response.load(file).curve(file)
+    except ConfigError as error:
+        raise ConfigError(
+            f"{source}: 'response' must name a file written by `fpplab gamma`: {error}"
+        ) from error
+    return {**data, "response": curve.model_dump()}
+
+
 def fit_response(
     levels_in: ArrayLike,
     levels_out: ArrayLike,

@@ -35,18 +35,16 @@ class Alternatives:
         χ² between the two where noise and modulation of a grey level are equal in all images.
     causes : ndarray of int64, (J,)
         Index into `Plan.fringes` of the set that tells most of the difference.
+    least_separation : float
+        Least separation of a shift by at most half of the widest interval of possible positions, which even
+        pixels in its middle risk.
     """
 
     shifts: Floats
     turns: Floats
     separations: Floats
     causes: NDArray[np.int64]
-
-    @property
-    def least_separation(self) -> float:
-        """Least separation of a shift by at most half of the length, which pixels in the middle risk."""
-        near = self.separations[self.shifts <= 0.5]
-        return float(near.min()) if len(near) else np.inf
+    least_separation: float
 
     @property
     def edge(self) -> float:
@@ -80,19 +78,13 @@ def alternatives_of(plan: Plan, sequence: WavelengthSequence) -> Alternatives:
     along = np.sqrt(weights / weights.sum())
     whitened -= (whitened @ along)[:, None] * along
     separations = np.sum(whitened**2, axis=1)
-    kept = _likeliest(turns, whitened) & (
-        separations <= FARTHEST * _least(separations, multiples, stripes[-1])
-    )
+    near = separations[multiples <= 0.5 * sequence.width * stripes[-1]]
+    least = float(near.min(initial=np.inf))
+    kept = _likeliest(turns, whitened) & (separations <= FARTHEST * least)
     causes = (
         np.array(sequence.sets)[np.argmax(whitened**2, axis=1)] if len(multiples) else np.empty(0, np.int64)
     )
-    return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept])
-
-
-def _least(separations: Floats, multiples: NDArray[np.int64], finest: float) -> float:
-    """Return the least separation of a shift by at most half of the length."""
-    near = separations[multiples <= 0.5 * finest]
-    return float(near.min()) if len(near) else np.inf
+    return Alternatives(multiples[kept] / stripes[-1], turns[kept], separations[kept], causes[kept], least)
 
 
 def _likeliest(turns: Floats, whitened: Floats) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_atomic
+from fpplab.phase.outside import OutsideShare
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class Decoded:
     modulation : ndarray of float32, (height, width)
         B of the finest set of the first coded axis (x before y), in 8-bit grey levels.
     sigma : ndarray of float32, (height, width)
-        1-sigma of that axis' coordinate in projector px, from the noise of all its sets that take part.
+        1-sigma of that axis' coordinate in projector px by the noise of all its sets that take part,
+        independent from pixel to pixel.
     v_per_u : float
         How many times greater v's sigma is than u's where both are coded, from the plan: their modulations
         are alike.
@@ -40,6 +42,13 @@ class Decoded:
     removed : ndarray of uint8, (height, width), or None
         By which rule of the filter (`fpplab.reconstruction.filtering.Rule`) the pixel gives no point, 0 by
         none; None without a filter. The other maps keep what was decoded there.
+    outside : OutsideShare or None
+        How many pixels may see something outside of the possible positions; None where it is not known. It
+        is not saved.
+    sigma_phase_error : ndarray of float32, (height, width), or None
+        1-sigma of the coordinate in projector px by errors of the phase that are common to all pixels of one
+        phase, so that averaging does not lessen them: harmonics of the response, flicker of the lamp, and
+        rounding of the grey levels. None where neither the frames nor a measured response tell them.
     """
 
     u: Map
@@ -50,6 +59,18 @@ class Decoded:
     disagreement: Map | None = None
     removed: NDArray[np.uint8] | None = None
     uncertain_order: NDArray[np.uint8] | None = None
+    outside: OutsideShare | None = None
+    sigma_phase_error: Map | None = None
+
+    @property
+    def sigma_total(self) -> Map:
+        """1-sigma of the coordinate in projector px by noise and, where they are known, common errors."""
+        return self.sigma if self.sigma_phase_error is None else np.hypot(self.sigma, self.sigma_phase_error)
+
+    @property
+    def maps(self) -> tuple[Map | None, ...]:
+        """All maps of what was decoded."""
+        return self.u, self.v, self.modulation, self.sigma, self.sigma_phase_error, self.disagreement
 
     @property
     def valid(self) -> Mask:
@@ -112,4 +133,5 @@ class Decoded:
         return cls(**maps, v_per_u=v_per_u, **optional)
 
 
-_KEYS, _OPTIONAL = ("u", "v", "modulation", "sigma"), ("disagreement", "uncertain_order", "removed")
+_KEYS = "u", "v", "modulation", "sigma"
+_OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error"

@@ -20,10 +20,11 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest
 from fpplab.phase.decoded import Decoded
+from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.kernels import Maps, Recipe, decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
+from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
-from fpplab.phase.quality import NoiseModel, noise_of
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
@@ -67,8 +68,8 @@ def decode(
     check_bounds(bounds, recording)
     size = recording.projector_size
     sequences = [wavelength_sequence(plan, axis, source, widest(bounds, axis, size)) for axis in plan.axes]
-    noise = noise_of(recording)
-    recipe = recipe_of(recording, sequences, noise, bounds)
+    errors = error_model_of(recording)
+    recipe = recipe_of(recording, sequences, errors, bounds)
     first = recording.frames[0]
     maps = _allocate(first.size, plan)
     highest = _run(recipe, first.dtype, first.size, maps, progress)
@@ -77,11 +78,12 @@ def decode(
             f"{source}: holds values up to {highest:g}, above the full scale {full_scale(bits)} of "
             f"{bits} bits; say how many bits the camera gives"
         )
-    decoded = _decoded(recording, maps, first.shape)
+    outside = outside_share(recording, sequences, errors, bounds)
+    decoded = replace(_decoded(recording, maps, first.shape, errors.phase_error_is_known), outside=outside)
     if plan.order_vote is not None:
         for sequence in sequences:
             doubt = maps.doubt_u if sequence.axis == "x" else maps.doubt_v
-            _repair(decoded, recording, sequence, noise, doubt, bounds)
+            _repair(decoded, recording, sequence, errors, doubt, bounds)
     return decoded
 
 
@@ -89,13 +91,15 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     """Maps for what the plan measures; empty ones for what it does not."""
     along = {axis: pixels if axis in plan.axes else 0 for axis in AXES}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
-    sizes = (along["x"], along["y"], pixels, pixels, pixels, doubt["x"], doubt["y"])
-    u, v, modulation, sigma, disagreement, doubt_u, doubt_v = (np.empty(n, np.float32) for n in sizes)
+    sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels, doubt["x"], doubt["y"])
+    u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v = (
+        np.empty(n, np.float32) for n in sizes
+    )
     cause = np.zeros(pixels, np.uint8)
-    return Maps(u, v, modulation, sigma, disagreement, doubt_u, doubt_v, cause)
+    return Maps(u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v, cause)
 
 
-def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...]) -> Decoded:
+def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...], phase_error_is_known: bool) -> Decoded:
     plan, size = recording.plan, recording.projector_size
     spreads = [coordinate_spread(plan, axis, size) for axis in plan.axes]
     v_per_u = spreads[1] / spreads[0] if len(spreads) == 2 else 1.0
@@ -103,7 +107,9 @@ def _decoded(recording: Recording, maps: Maps, shape: tuple[int, ...]) -> Decode
         _shaped(m, shape) for m in (maps.u, maps.v, maps.modulation, maps.sigma, maps.disagreement)
     )
     uncertain = maps.cause.reshape(shape)
-    return Decoded(u, v, modulation, sigma, v_per_u, disagreement, uncertain_order=uncertain)
+    phase_error = _shaped(maps.phase_error, shape) if phase_error_is_known else None
+    found = Decoded(u, v, modulation, sigma, v_per_u, disagreement, uncertain_order=uncertain)
+    return replace(found, sigma_phase_error=phase_error)
 
 
 def _shaped(flat: Map, shape: tuple[int, ...]) -> Map:
@@ -137,7 +143,7 @@ def _repair(
     decoded: Decoded,
     recording: Recording,
     sequence: WavelengthSequence,
-    noise: NoiseModel,
+    errors: ErrorModel,
     doubt: Map,
     bounds: Mapping[Axis, PossibleCoordinates] | None,
 ) -> None:
@@ -147,7 +153,7 @@ def _repair(
     coordinate = decoded.u if sequence.axis == "x" else decoded.v
     length = axis_length(recording.projector_size, sequence.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
-    seen = _phases_at(recording, sequence, noise, pixels)
+    seen = _phases_at(recording, sequence, errors, pixels)
     sigma, edge_margin = seen.position_sigma[-1], EDGE_MARGIN_PX / length
     interval = interval_of(bounds, sequence.axis, length, pixels)
     found = unwrap(seen.phases, sequence, sigma, edge_margin, interval=interval)
@@ -157,14 +163,14 @@ def _repair(
     period = length / plan.fringes[sequence.finest].stripes
     backed = vote_orders(coordinate, pixels, alternative, vote.window, period)
     dropped = pixels[~backed & (doubt[pixels] > plan.masks.disagreement_max)]
-    for values in (decoded.u, decoded.v, decoded.modulation, decoded.sigma, decoded.disagreement):
+    for values in decoded.maps:
         if values is not None and values.flags.writeable:
             values.reshape(-1)[dropped] = np.nan
 
 
 def _phases_at(
-    recording: Recording, sequence: WavelengthSequence, noise: NoiseModel, pixels: NDArray[np.int64]
+    recording: Recording, sequence: WavelengthSequence, errors: ErrorModel, pixels: NDArray[np.int64]
 ) -> AxisPhases:
     """What a few pixels see of the sets of one axis, as maps (P,)."""
     few = [frame.reshape(-1)[pixels] for frame in recording.frames]
-    return axis_phases(replace(recording, frames=few), sequence, noise)
+    return axis_phases(replace(recording, frames=few), sequence, errors)

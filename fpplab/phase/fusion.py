@@ -12,8 +12,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from fpplab.phase.chunks import ROW, compiled
+from fpplab.phase.noise import LEAST_SPREAD, QUANTISATION, repeated_rounding
 
 AGREEING_SIGMAS = 4.0
 """How many standard deviations of their difference a set may lie from the finest one to take part."""
@@ -25,19 +27,59 @@ _f, _u = np.float32, np.uintp
 _ZERO, _HALF, _ONE, _TINY = _f(0), _f(0.5), _f(1), _f(1e-30)
 _AGREEING = _f(AGREEING_SIGMAS**2)
 _ROUNDING = _f(ROUNDING_TURNS**2)
+_TWELFTH, _LEAST_SPREAD = _f(QUANTISATION), _f(LEAST_SPREAD)
+_rounding: Any = njit(inline="always")(repeated_rounding)
 # Rows of the buffer of sums: of the sets that take part, then of all.
 _FUSED_MOMENT, _ALL, _ALL_MOMENT, _ALL_SQUARE = _u(ROW), _u(2 * ROW), _u(3 * ROW), _u(4 * ROW)
 LEAST, CHI2 = _u(5 * ROW), _ALL_SQUARE
 """Rows that stay: the least (B/u_I)² of all sets, and χ² once the fusion is finished."""
 POSITION, FINEST, DOUBT = _u(6 * ROW), _u(7 * ROW), _u(8 * ROW)
 """Rows with the position of the finest set and its weight; the last is for `fpplab.phase.wrong_order`."""
-FUSION_ROWS = 9
+_OWN = _u(9 * ROW)
+FUSION_ROWS = 10
 """Rows of the working buffer."""
 
 
 @compiled
-def weigh(modulation: Any, offset: Any, noise: Any, stripes: Any, recipe: Any, n: int) -> None:
+def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
+    """Give the part of the variance that repeats, because levels are rounded.
+
+    Parameters
+    ----------
+    offset : ndarray of float32, (n,)
+        Mean level of the pixels, in 8-bit grey levels.
+    repeated : ndarray of float32, (n,)
+        Written: in 8-bit grey levels squared.
+    recipe : Recipe
+        With the noise of the grey levels.
+    n : int
+        Number of pixels.
+    """
+    constant, per_level = recipe.noise_constant, recipe.noise_per_level
+    step_squared = recipe.step * recipe.step
+    per_step_squared = _ONE / step_squared
+    for j in range(n):
+        i = _u(j)
+        spread = (constant + per_level * offset[i]) * per_step_squared - _TWELFTH
+        repeated[i] = step_squared * _rounding(max(spread, _LEAST_SPREAD))
+
+
+@compiled
+def weigh(
+    modulation: Any,
+    offset: Any,
+    share: Any,
+    loss: Any,
+    bent: Any,
+    repeated: Any,
+    s: int,
+    recipe: Any,
+    n: int,
+) -> None:
     """Turn the offsets of one set into its weights, the inverse variances of its positions.
+
+    The variance is that of noise and that of the errors that all pixels of one phase share. Where nothing
+    tells the second, noise alone counts.
 
     Parameters
     ----------
@@ -45,38 +87,49 @@ def weigh(modulation: Any, offset: Any, noise: Any, stripes: Any, recipe: Any, n
         B of the set, in 8-bit grey levels.
     offset : ndarray of float32, (n,)
         Its mean level; replaced by the weight, per squared share of the projector's length.
-    noise : float32
-        Variance of its phase in turns squared where that of a grey level is B².
-    stripes : float32
-        Of the set.
+    share : ndarray of float32, (n,)
+        Written: what noise has of the variance.
+    loss : ndarray of float32, (n,)
+        Variance of the phase relative to that from all samples.
+    bent : ndarray of float32, (n,)
+        Mean square phase error that does not depend on the modulation, as `Recipe.error_constant`.
+    repeated : ndarray of float32, (n,)
+        From `find_repeated`; zeros where noise is great enough.
+    s : int
+        The set.
     recipe : Recipe
         With the noise of the grey levels.
     n : int
         Number of pixels.
     """
     constant, per_level = recipe.noise_constant, recipe.noise_per_level
-    square = stripes * stripes
+    noise, rising = recipe.phase_noise[s], recipe.error_rising[s]
+    square = recipe.set_stripes[s] * recipe.set_stripes[s]
     for j in range(n):
         i = _u(j)
-        power = modulation[i] * modulation[i]
-        level = constant + per_level * offset[i]
-        offset[i] = square * power / (noise * level + _ROUNDING * power + _TINY)
+        power, level = modulation[i] * modulation[i], offset[i]
+        own = noise * loss[i] * (constant + per_level * level - repeated[i]) + _ROUNDING * power + _TINY
+        common = noise * (loss[i] * (repeated[i] + rising * level * level) + bent[i] * power)
+        per_total = _ONE / (own + max(_ZERO, common))
+        share[i] = own * per_total
+        offset[i] = square * power * per_total
 
 
 @compiled
-def _start_fusion(sums: Any, positions: Any, finest: Any, unit: Any, n: int) -> None:
+def _start_fusion(sums: Any, positions: Any, finest: Any, share: Any, unit: Any, n: int) -> None:
     """Begin with the finest set, from whose position all others are counted."""
     per_unit = _ONE / unit
     for j in range(n):
         i = _u(j)
         sums[i] = sums[i + _ALL] = sums[i + FINEST] = finest[i]
         sums[i + POSITION] = positions[i]
+        sums[i + _OWN] = finest[i] * share[i]
         sums[i + LEAST] = finest[i] * per_unit
         sums[i + _FUSED_MOMENT] = sums[i + _ALL_MOMENT] = sums[i + _ALL_SQUARE] = _ZERO
 
 
 @compiled
-def _add_set(sums: Any, turns: Any, weights: Any, stripes: Any, unit: Any, n: int) -> None:
+def _add_set(sums: Any, turns: Any, weights: Any, share: Any, stripes: Any, unit: Any, n: int) -> None:
     """Add another set, in the order that brings it nearest to the finest one."""
     period, per_unit = _ONE / stripes, _ONE / unit
     for j in range(n):
@@ -89,6 +142,7 @@ def _add_set(sums: Any, turns: Any, weights: Any, stripes: Any, unit: Any, n: in
         # The difference of two positions has the variance 1/w + 1/w_finest.
         agrees = square * of_finest <= _AGREEING * (w + of_finest)
         sums[i] += w if agrees else _ZERO
+        sums[i + _OWN] += w * share[i] if agrees else _ZERO
         sums[i + _FUSED_MOMENT] += moment if agrees else _ZERO
         sums[i + _ALL] += w
         sums[i + _ALL_MOMENT] += moment
@@ -98,18 +152,22 @@ def _add_set(sums: Any, turns: Any, weights: Any, stripes: Any, unit: Any, n: in
 
 
 @compiled
-def _finish_fusion(sums: Any, length: Any, n: int, coordinate: Any, sigma: Any, chi2: Any) -> None:
-    """Write the coordinate and its uncertainty, and add the axis' χ²."""
+def _finish_fusion(
+    sums: Any, length: Any, n: int, coordinate: Any, sigma: Any, common: Any, chi2: Any
+) -> None:
+    """Write the coordinate and its uncertainties, and add the axis' χ²."""
     for j in range(n):
         i = _u(j)
         weight = max(sums[i], _TINY)
         variance = _ONE / weight
         coordinate[i] = (sums[i + POSITION] + sums[i + _FUSED_MOMENT] * variance) * length - _HALF
-        sigma[i] = length * np.sqrt(variance)
+        own = sums[i + _OWN] * variance
+        sigma[i] = length * np.sqrt(own * variance)
+        common[i] = length * np.sqrt((_ONE - min(own, _ONE)) * variance)
         moment = sums[i + _ALL_MOMENT]
-        own = max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)
-        sums[i + CHI2] = own
-        chi2[i] += own
+        of_axis = max(sums[i + _ALL_SQUARE] - moment * moment / max(sums[i + _ALL], _TINY), _ZERO)
+        sums[i + CHI2] = of_axis
+        chi2[i] += of_axis
 
 
 @compiled
@@ -126,9 +184,11 @@ def fuse_axis(
     sums: Any,
     turns: Any,
     weights: Any,
+    shares: Any,
     n: int,
     coordinate: Any,
     sigma: Any,
+    common: Any,
     chi2: Any,
 ) -> int:
     """Give the coordinate from all sets of one axis.
@@ -145,12 +205,13 @@ def fuse_axis(
         Working buffer.
     turns : ndarray of float32, (S, n)
         Wrapped phases; replaced by the distance of every other set from the finest, as a share of the length.
-    weights : ndarray of float32, (S, n)
+    weights, shares : ndarray of float32, (S, n)
         From `weigh`.
     n : int
         Number of pixels.
-    coordinate, sigma : ndarray of float32, (n,)
-        Written, in px.
+    coordinate, sigma, common : ndarray of float32, (n,)
+        Written, in px: with the 1-sigma by noise, and that by errors that all pixels of one phase share.
+        Those of two sets are taken as independent, since they repeat with fringes of different lengths.
     chi2 : ndarray of float32, (n,)
         Added to: the weighted squares of all sets about their mean.
 
@@ -160,11 +221,11 @@ def fuse_axis(
         How many sets the axis has.
     """
     finest, count = recipe.finest[axis], 0
-    _start_fusion(sums, rows, weights[finest], _unit(recipe, finest), n)
+    _start_fusion(sums, rows, weights[finest], shares[finest], _unit(recipe, finest), n)
     for s in range(len(recipe.axis)):
         count += recipe.axis[s] == axis
         if recipe.axis[s] == axis and s != finest:
             stripes, unit = recipe.set_stripes[s], _unit(recipe, s)
-            _add_set(sums, turns[s], weights[s], stripes, unit, n)
-    _finish_fusion(sums, recipe.length[axis], n, coordinate, sigma, chi2)
+            _add_set(sums, turns[s], weights[s], shares[s], stripes, unit, n)
+    _finish_fusion(sums, recipe.length[axis], n, coordinate, sigma, common, chi2)
     return count

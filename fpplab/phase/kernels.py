@@ -18,14 +18,13 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
-from fpplab.phase.fusion import FUSION_ROWS, fuse_axis, weigh
-from fpplab.phase.wrong_order import mask_wrong_orders
+from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
+from fpplab.phase.saturation import fit_unsaturated
+from fpplab.phase.unwrapping import EDGE_SIGMAS
+from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
 GROUP = 4
 """Frames summed per visit of a chunk; every set's list of frames is padded to a multiple."""
-
-EDGE_SIGMAS = 1.5
-"""How many standard deviations of its noise a coordinate may lie beyond the projector's edge."""
 
 APART = 9.0
 """Least difference of χ² by which two hypotheses are distinguished."""
@@ -38,7 +37,7 @@ does not reach.
 _f = np.float32
 _u = np.uintp
 _ZERO, _QUARTER, _HALF, _ONE = _f(0), _f(0.25), _f(0.5), _f(1)
-_TINY, _FAR = _f(1e-30), _f(100)
+_TINY, _FAR, _TO_EXPLAIN = _f(1e-30), _f(100), _f(TO_EXPLAIN)
 _SIGMAS, _APART, _APART_LEAST = _f(EDGE_SIGMAS), _f(APART), _f(APART_LEAST)
 
 # Rows of the buffer of sums, at constant distances.
@@ -119,19 +118,33 @@ class Recipe(NamedTuple):
     order_margin : ndarray of float64, (2,)
         `edge_margin` as a share of each axis' length.
     wrong_order_max : float
-        Greatest probability of a wrong order.
+        Greatest probability of a wrong order; infinite where orders stay as unwrapped.
     reference : int
         The set whose modulation is reported.
     grey : float32
         8-bit grey levels per raw unit.
     full_scale : float32
-        Raw value of a saturated pixel.
+        Raw value from which on a sample is saturated.
     modulation_min, contrast_min, residual_max, disagreement_max : float32
         As in `MaskRules`, in 8-bit grey levels.
     edge_margin : float32
         How far beyond the projector's edge a coordinate may lie besides its noise, in px.
     noise_constant, noise_per_level : float32
-        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels.
+        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels squared.
+    step : float32
+        Smallest difference of two levels, in 8-bit grey levels.
+    rounding_repeats : bool
+        Whether noise is so small at some level that rounding repeats.
+    images : ndarray of float32, (S,)
+        Number of images of each set.
+    error_constant, error_harmonic, error_rising : ndarray of float32, (S,)
+        Mean square phase error that is common to the pixels of a phase, `constant + rising (A/B)²` of offset
+        and modulation, where the variance of the phase for u_I = B is one; `error_harmonic` is the part of
+        the constant that is the response's. NaN where nothing tells it.
+    harmonics : ndarray of float32, (S, K)
+        Harmonics of the response from the second on, as shares of the fringe.
+    shift : ndarray of float32, (F, 2)
+        Cosine and sine of every frame's phase shift; both 0 for padding.
     """
 
     addresses: NDArray[np.uintp]
@@ -169,6 +182,14 @@ class Recipe(NamedTuple):
     edge_margin: np.float32
     noise_constant: np.float32
     noise_per_level: np.float32
+    step: np.float32
+    rounding_repeats: bool
+    images: NDArray[np.float32]
+    error_constant: NDArray[np.float32]
+    error_harmonic: NDArray[np.float32]
+    error_rising: NDArray[np.float32]
+    harmonics: NDArray[np.float32]
+    shift: NDArray[np.float32]
 
 
 class Maps(NamedTuple):
@@ -183,7 +204,9 @@ class Maps(NamedTuple):
     modulation : ndarray of float32, (P,)
         Fringe amplitude B of the reference set, in 8-bit grey levels.
     sigma : ndarray of float32, (P,)
-        Standard uncertainty of the coordinate of the first coded axis, in px.
+        Standard uncertainty of the coordinate of the first coded axis by noise, in px.
+    phase_error : ndarray of float32, (P,)
+        The same by errors that are common to the pixels of a phase.
     disagreement : ndarray of float32, (P,)
         Disagreement of the fringe sets: the root of χ² per degree of freedom.
     doubt_u, doubt_v : ndarray of float32, (P,)
@@ -196,6 +219,7 @@ class Maps(NamedTuple):
     v: NDArray[np.float32]
     modulation: NDArray[np.float32]
     sigma: NDArray[np.float32]
+    phase_error: NDArray[np.float32]
     disagreement: NDArray[np.float32]
     doubt_u: NDArray[np.float32]
     doubt_v: NDArray[np.float32]
@@ -326,6 +350,43 @@ def _refine(rows: Any, n: int, stripes: Any, trust: Any) -> None:
 
 
 @compiled
+def _saturated(sums: Any, n: int, full: Any) -> Any:
+    """How many pixels have saturated samples; a sum, which unlike the maximum becomes vector instructions."""
+    count = _ZERO
+    for j in range(n):
+        count += _ONE if sums[_u(j) + _PEAK] >= full else _ZERO
+    return count
+
+
+@compiled
+def _refit_saturated(
+    sums: Any, at: int, n: int, s: int, like: Any, recipe: Any, loss: Any, bent: Any
+) -> None:
+    """Put least squares of the unsaturated samples in place of the sums of pixels with saturated ones."""
+    first, last, full, grey = recipe.first[s], recipe.first[s + 1], recipe.full_scale, recipe.grey
+    count = last - first
+    levels, fitted = np.empty(count, np.float32), np.empty(6, np.float64)
+    cosine, sine = recipe.shift[first:last, 0], recipe.shift[first:last, 1]
+    for j in range(n):
+        i = _u(j)
+        if sums[i + _PEAK] < full:
+            continue
+        sums[i + _HIGHEST] = max(sums[i + _HIGHEST], sums[i + _PEAK])
+        for k in range(count):
+            levels[k] = _f(_pixels(recipe.addresses[first + k], at + j, 1, like)[0])
+        if fit_unsaturated(levels, cosine, sine, full, recipe.harmonics[s], fitted):
+            offset, c, q = grey * fitted[0], grey * fitted[1], grey * fitted[2]
+            rest = grey * grey * fitted[3]
+            sums[i], sums[i + _COS], sums[i + _MEAN] = _f(q), _f(c), _f(offset)
+            sums[i + _SQUARE] = _f((rest + offset * offset + 0.5 * (c * c + q * q)) / grey)
+            sums[i + _PEAK] = _ZERO
+            loss[i] = _f(fitted[4])
+            # The gains of the lamp count as noise does; the harmonics are those of these samples.
+            lamp = recipe.error_constant[s] - recipe.error_harmonic[s]
+            bent[i] = _f(lamp * fitted[4] + 0.5 * recipe.images[s] * fitted[5] * fitted[5])
+
+
+@compiled
 def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: Any, recipe: Any) -> None:
     """Choose the hypothesis that lies in the interval of possible positions and agrees better."""
     edge_margin, share = recipe.edge_margin / length, recipe.disagreement_max
@@ -344,8 +405,7 @@ def _choose(rows: Any, weights: Any, good: Any, n: int, length: Any, stripes: An
         worst_a, worst_b, kept = rows[i + _WORST], rows[i + _OTHER_WORST], good[i]
         worst = worst_b if cost_b < cost_a else worst_a
         far = far_b if cost_b < cost_a else far_a
-        kept = kept if worst <= share else _ZERO
-        kept = kept if far == _ZERO else _ZERO
+        kept = kept if worst <= share and far == _ZERO else kept * _TO_EXPLAIN
         # Where one of them is far their costs differ by far more than this.
         least = max(_APART_LEAST, apart * variance)
         good[i] = kept if abs(cost_a - cost_b) > least else _ZERO
@@ -423,6 +483,13 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         np.empty((sets, ROW), np.float32),
         np.empty((sets, ROW), np.float32),
     )
+    shares, loss, bent, common, repeated = (
+        np.empty((sets, ROW), np.float32),
+        np.empty(CHUNK, np.float32),
+        np.empty(CHUNK, np.float32),
+        np.empty(CHUNK, np.float32),
+        np.zeros(CHUNK, np.float32),
+    )
     for at in range(start, stop, CHUNK):
         n = min(CHUNK, stop - at)
         good[:] = _ONE
@@ -441,8 +508,13 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                     sums,
                     n,
                 )
+            loss[:], bent[:] = _ONE, recipe.error_constant[s]
+            if _saturated(sums, n, recipe.full_scale) > _ZERO:
+                _refit_saturated(sums, at, n, s, like, recipe, loss, bent)
             _demodulate(sums, turns[s], modulation[s], weights[s], good, n, recipe.origin[s], recipe)
-            weigh(modulation[s], weights[s], recipe.phase_noise[s], recipe.set_stripes[s], recipe, n)
+            if recipe.rounding_repeats:
+                find_repeated(weights[s], repeated, recipe, n)
+            weigh(modulation[s], weights[s], shares[s], loss, bent, repeated, s, recipe, n)
         for axis in range(1, -1, -1):
             finest = recipe.finest[axis]
             if finest >= 0:
@@ -451,15 +523,17 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
                 _interval(recipe.low_u if axis == 0 else recipe.low_v, at, n, _ZERO, rows[LOW:])
                 _interval(recipe.high_u if axis == 0 else recipe.high_v, at, n, _ONE, rows[HIGH:])
                 _unwrap(axis, recipe, rows, turns, weights[finest], good, n)
-                count = fuse_axis(axis, recipe, rows, fusion, turns, weights, n, out, sigma, disagreement)
+                fused = (out, sigma, common, disagreement)
+                count = fuse_axis(axis, recipe, rows, fusion, turns, weights, shares, n, *fused)
                 freedom += count - 1
                 cause = maps.cause[at : at + n]
-                mask_wrong_orders(axis, recipe, rows, turns, weights, fusion, good, n, cause)
+                settle_orders(axis, recipe, rows, fusion, turns, weights, shares, good, n, *fused, cause)
                 doubt = maps.doubt_u if axis == 0 else maps.doubt_v
                 if len(doubt) > 0:
                     doubt[at : at + n] = rows[_WORST : _WORST + _u(n)]
         maps.modulation[at : at + n] = modulation[recipe.reference, :n]
         maps.sigma[at : at + n] = sigma[:n]
+        maps.phase_error[at : at + n] = common[:n]
         if len(maps.u) > 0:
             _erase(maps.u[at : at + n], good, n)
         if len(maps.v) > 0:
@@ -468,6 +542,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         _erase(disagreement, good, n)
         _erase(maps.modulation[at : at + n], good, n)
         _erase(maps.sigma[at : at + n], good, n)
+        _erase(maps.phase_error[at : at + n], good, n)
     return sums[_SUM_ROWS * ROW :].max()
 
 

@@ -7,19 +7,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length, full_scale
+from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats, axis_length
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.phase.error_model import ErrorModel
 from fpplab.phase.kernels import GROUP, Recipe
-from fpplab.phase.quality import NoiseModel
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
 
 def recipe_of(
     recording: Recording,
     sequences: Sequence[WavelengthSequence],
-    noise: NoiseModel,
+    errors: ErrorModel,
     bounds: Mapping[Axis, PossibleCoordinates] | None = None,
 ) -> Recipe:
     """Give frames, plan, rules and noise as tables.
@@ -30,8 +30,8 @@ def recipe_of(
         Checked: its frames are contiguous, and outlive the recipe, which holds their addresses.
     sequences : sequence of WavelengthSequence
         Of every coded axis, x before y.
-    noise : NoiseModel
-        Of the recording's grey levels.
+    errors : ErrorModel
+        Of the recording.
     bounds : mapping of str to PossibleCoordinates, optional
         By axis, which coordinates each pixel may have; by default all of the projector's.
 
@@ -40,13 +40,13 @@ def recipe_of(
     Recipe
         For `fpplab.phase.kernels.decode_pixels`.
     """
-    addresses, weights, first = _frame_tables(recording)
+    addresses, weights, shift, first = _frame_tables(recording)
     plan, size = recording.plan, recording.projector_size
     wavelengths = [one for sequence in sequences for one in sequence.wavelengths]
     of_axis: dict[Axis, WavelengthSequence] = {sequence.axis: sequence for sequence in sequences}
     counts = [len(of_axis[axis].wavelengths) if axis in of_axis else 0 for axis in AXES]
     finest = [of_axis[axis].finest if axis in of_axis else -1 for axis in AXES]
-    f32, rules = np.float32, plan.masks
+    f32, rules, images = np.float32, plan.masks, np.array([f.images for f in plan.fringes], np.float64)
     risks = [alternatives_of(plan, one) for one in sequences]
     of_risk = {one.axis: risk for one, risk in zip(sequences, risks, strict=True)}
     known = [of_risk.get(axis) for axis in AXES]
@@ -78,18 +78,26 @@ def recipe_of(
         least_separation=np.array([risk.least_separation if risk else np.inf for risk in known]),
         edge_shift=np.array([risk.edge if risk else np.inf for risk in known]),
         order_margin=EDGE_MARGIN_PX / np.array(size, np.float64),
-        # With a vote, no order is rejected before its neighbours have voted.
-        wrong_order_max=1.0 if plan.order_vote else rules.wrong_order_max,
+        # With a vote, no order is changed or rejected before its neighbours have voted.
+        wrong_order_max=np.inf if plan.order_vote else rules.wrong_order_max,
         reference=sequences[0].finest,
         grey=f32(recording.grey),
-        full_scale=f32(full_scale(recording.bits)),
+        full_scale=f32(errors.saturation),
         modulation_min=f32(rules.modulation_min),
         contrast_min=f32(rules.contrast_min),
         residual_max=f32(rules.residual_max),
         disagreement_max=f32(1.0 if plan.order_vote else rules.disagreement_max),
         edge_margin=f32(EDGE_MARGIN_PX),
-        noise_constant=f32(noise.constant),
-        noise_per_level=f32(noise.per_level),
+        noise_constant=f32(errors.noise.constant),
+        noise_per_level=f32(errors.noise.per_level),
+        step=f32(errors.noise.step),
+        rounding_repeats=errors.noise.rounding_repeats,
+        images=images.astype(f32),
+        error_constant=(0.5 * images * [one.terms[0] for one in errors.sets]).astype(f32),
+        error_harmonic=(0.5 * images * [one.harmonic_rad**2 for one in errors.sets]).astype(f32),
+        error_rising=(0.5 * images * [one.terms[1] for one in errors.sets]).astype(f32),
+        harmonics=np.array([one.harmonics for one in errors.sets], f32),
+        shift=shift,
     )
 
 
@@ -128,9 +136,9 @@ def _coefficients(sequences: Sequence[WavelengthSequence], sets: int) -> NDArray
 
 def _frame_tables(
     recording: Recording,
-) -> tuple[NDArray[np.uintp], NDArray[np.float32], NDArray[np.int64]]:
-    """Addresses and weights of the frames, each set's padded with frames of weight zero."""
-    addresses, weights, first = [], [], [0]
+) -> tuple[NDArray[np.uintp], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+    """Addresses, weights and phase shifts of the frames, each set's padded with frames of weight zero."""
+    addresses, weights, shifts, first = [], [], [], [0]
     for index, fringe in enumerate(recording.plan.fringes):
         own = [image.ctypes.data for image in recording.of_set(index)]
         demodulation = fringe.demodulation()
@@ -142,5 +150,8 @@ def _frame_tables(
         padding = -fringe.images % GROUP
         addresses += own + own[:1] * padding
         weights.append(np.pad(table, ((0, padding), (0, 0))))
+        shift = fringe.phase_shifts()
+        shifts.append(np.pad(np.stack([np.cos(shift), np.sin(shift)], axis=1), ((0, padding), (0, 0))))
         first.append(len(addresses))
-    return np.array(addresses, np.uintp), np.concatenate(weights).astype(np.float32), np.array(first)
+    weight, shift = (np.concatenate(part).astype(np.float32) for part in (weights, shifts))
+    return np.array(addresses, np.uintp), weight, shift, np.array(first)

@@ -20,11 +20,17 @@ from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import Alternatives, alternatives_of
 from fpplab.phase.bounds import PositionInterval, PossibleCoordinates, interval_of, widest
+from fpplab.phase.error_model import ErrorModel, error_model_of
 from fpplab.phase.fusion import AGREEING_SIGMAS, ROUNDING_TURNS
-from fpplab.phase.kernels import APART, APART_LEAST, EDGE_SIGMAS
-from fpplab.phase.quality import NoiseModel, noise_of
-from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
-from fpplab.phase.wrong_order import LIKELIEST
+from fpplab.phase.kernels import APART, APART_LEAST
+from fpplab.phase.saturation import LEAST_SAMPLES, MOST_LOSS
+from fpplab.phase.unwrapping import (
+    EDGE_MARGIN_PX,
+    EDGE_SIGMAS,
+    WavelengthSequence,
+    wavelength_sequence,
+)
+from fpplab.phase.wrong_order import LEAST_INSIDE, LIKELIEST, MOVES
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +48,9 @@ class Wrapped:
     misfit : ndarray of float32, (height, width)
         RMS of what the fringe leaves.
     peak : ndarray of float32, (height, width)
-        The greatest value in any frame.
+        The greatest value in any frame that was used.
+    loss : ndarray of float32, (height, width)
+        Variance of the phase relative to that from all samples; above 1 where saturated ones were left out.
     """
 
     phase: Map
@@ -50,9 +58,12 @@ class Wrapped:
     offset: Map
     misfit: Map
     peak: Map
+    loss: Map
 
 
-def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> Wrapped:
+def wrapped_phase(
+    frames: Sequence[NDArray[np.generic]], fringe: FringeSet, saturation: float = np.inf
+) -> Wrapped:
     """Demodulate one fringe set: `φ = atan2(Σ I_n sin δ_n, Σ I_n cos δ_n)` less the phase origin.
 
     Parameters
@@ -61,11 +72,13 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         The set's images in order, of any real type.
     fringe : FringeSet
         The set.
+    saturation : float
+        Value from which on a sample is saturated and left out, as long as those that remain give a phase.
 
     Returns
     -------
     Wrapped
-        Phase, modulation, offset, misfit and peak.
+        Phase, modulation, offset, misfit, peak and loss.
 
     Raises
     ------
@@ -87,12 +100,47 @@ def wrapped_phase(frames: Sequence[NDArray[np.generic]], fringe: FringeSet) -> W
         mean += weights.mean[n] * level
         square += weights.mean[n] * level**2
         np.maximum(peak, level, out=peak)
-    modulation = weights.scale * np.hypot(s, c)
+    loss = np.ones(shape)
+    s, c = weights.scale * s, weights.scale * c
+    if (peak >= saturation).any():
+        levels = np.array([np.asarray(frame, np.float64) for frame in frames])
+        _fit_unsaturated(levels, fringe.phase_shifts(), saturation, c, s, mean, square, peak, loss)
+    modulation = np.hypot(s, c)
     misfit = np.sqrt(np.maximum(square - mean**2 - modulation**2 / 2.0, 0.0))
     phase = ((np.arctan2(s, c) - weights.origin_rad) % TWO_PI).astype(np.float32)
     # Rounding to float32 must not reach the end of the half-open interval.
     phase[phase >= np.float32(TWO_PI)] = 0.0
-    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak)))
+    return Wrapped(phase, *(m.astype(np.float32) for m in (modulation, mean, misfit, peak, loss)))
+
+
+def _fit_unsaturated(
+    levels: Floats,
+    shift: Floats,
+    saturation: float,
+    c: Floats,
+    s: Floats,
+    mean: Floats,
+    square: Floats,
+    peak: Floats,
+    loss: Floats,
+) -> None:
+    """Replace the results of pixels with saturated samples by least squares of the others, in place."""
+    basis = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+    for at in np.argwhere(peak >= saturation):
+        pixel, values = tuple(at), levels[(slice(None), *at)]
+        used = values < saturation
+        own = basis[used]
+        if len(own) < LEAST_SAMPLES or np.linalg.matrix_rank(own) < 3:
+            continue
+        fitted = np.linalg.lstsq(own, values[used], rcond=None)[0]
+        along = np.array([0.0, -fitted[2], fitted[1]]) / max(np.hypot(fitted[1], fitted[2]), 1e-30)
+        variance = len(shift) / 2.0 * along @ np.linalg.inv(own.T @ own) @ along
+        if variance > MOST_LOSS:
+            continue
+        mean[pixel], c[pixel], s[pixel] = fitted
+        rest = np.mean((values[used] - own @ fitted) ** 2)
+        square[pixel] = rest + fitted[0] ** 2 + (fitted[1] ** 2 + fitted[2] ** 2) / 2.0
+        peak[pixel], loss[pixel] = values[used].max(), variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +155,22 @@ class Unwrapped:
         Greatest |coarse prediction − fine phase| of any wavelength, in its periods.
     second_best_order : ndarray of int64
         Index of the wavelength that disagreed most, signed towards its second-best order; 0 if none did.
-    is_unambiguous : ndarray of bool
-        The position lies in the projector and is told apart from its rival.
+    is_possible : ndarray of bool
+        The position lies in the interval of possible ones, but for noise.
+    is_told_apart : ndarray of bool
+        Its rival, the other hypothesis of the base, is told apart from it.
     """
 
     position: Floats
     disagreement: Floats
     second_best_order: NDArray[np.int64]
-    is_unambiguous: NDArray[np.bool_]
+    is_possible: NDArray[np.bool_]
+    is_told_apart: NDArray[np.bool_]
+
+    @property
+    def is_unambiguous(self) -> NDArray[np.bool_]:
+        """Whether the position is possible and told apart from its rival."""
+        return self.is_possible & self.is_told_apart
 
 
 def unwrap(
@@ -167,7 +223,8 @@ def unwrap(
         np.where(swap, rival.position, chosen.position),
         np.where(swap, rival.disagreement, chosen.disagreement),
         np.where(swap, rival.second_best_order, chosen.second_best_order),
-        inside & ~alike,
+        inside,
+        ~alike,
     )
 
 
@@ -200,7 +257,7 @@ def _refine(
     return _Hypothesis(position, worst, second_best), cost
 
 
-def _beyond(position: Floats, low: Floats, high: Floats, tolerance: Floats) -> Floats:
+def _beyond(position: Floats, low: float | Floats, high: float | Floats, tolerance: Floats) -> Floats:
     """A penalty above every cost for positions outside of the possible ones; 0 inside."""
     outside = np.maximum(np.maximum(low - position, position - high), 0.0)
     return np.where(outside > tolerance, 100.0 + outside, 0.0)
@@ -214,18 +271,25 @@ class AxisPhases:
     ----------
     phases : ndarray of float64, (K, ...)
         Wrapped phases in rad.
-    position_sigma : ndarray of float64, (K, ...)
-        1-sigma of the position that each set gives, as a share of the projector's length.
+    noise, common : ndarray of float64, (K, ...)
+        Variance of the position that each set gives, as a squared share of the projector's length: by noise,
+        and by errors that all pixels of one phase share.
     stripes : ndarray of float64, (K,)
         Of each set.
     """
 
     phases: Floats
-    position_sigma: Floats
+    noise: Floats
+    common: Floats
     stripes: Floats
 
+    @property
+    def position_sigma(self) -> Floats:
+        """1-sigma of the position that each set gives, by both, (K, ...)."""
+        return np.asarray(np.sqrt(self.noise + self.common))
 
-def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: NoiseModel) -> AxisPhases:
+
+def axis_phases(recording: Recording, sequence: WavelengthSequence, errors: ErrorModel) -> AxisPhases:
     """Demodulate all sets of one axis.
 
     Parameters
@@ -234,8 +298,8 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: Noise
         Frames of any shape (...).
     sequence : WavelengthSequence
         Of the axis.
-    noise : NoiseModel
-        Of the recording's grey levels.
+    errors : ErrorModel
+        Of the recording.
 
     Returns
     -------
@@ -243,16 +307,25 @@ def axis_phases(recording: Recording, sequence: WavelengthSequence, noise: Noise
         Of the frames' shape.
     """
     fringes = [recording.plan.fringes[k] for k in sequence.sets]
-    sets = [wrapped_phase(recording.of_set(k), f) for k, f in zip(sequence.sets, fringes, strict=True)]
-    sigmas = []
-    for one, fringe in zip(sets, fringes, strict=True):
-        level = np.sqrt(noise.variance(one.offset.astype(np.float64) * recording.grey))
+    sets = [
+        wrapped_phase(recording.of_set(k), f, errors.saturation)
+        for k, f in zip(sequence.sets, fringes, strict=True)
+    ]
+    noises, commons = [], []
+    for k, one, fringe in zip(sequence.sets, sets, fringes, strict=True):
+        level = one.offset.astype(np.float64) * recording.grey
         modulation = np.maximum(one.modulation.astype(np.float64) * recording.grey, 1e-30)
-        turns = np.hypot(fringe.phase_noise / TWO_PI * level / modulation, ROUNDING_TURNS)
-        sigmas.append(turns / fringe.stripes)
+        per_level = fringe.phase_noise**2 * one.loss / modulation**2
+        repeated = errors.noise.repeated(level)
+        own = per_level * (errors.noise.variance(level) - repeated) / TWO_PI**2 + ROUNDING_TURNS**2
+        common = per_level * repeated + errors.sets[k].variance(level / modulation)
+        noises.append(own / fringe.stripes**2)
+        # Where nothing tells the common errors, noise alone counts.
+        commons.append(np.nan_to_num(common) / (TWO_PI * fringe.stripes) ** 2)
     return AxisPhases(
         np.array([one.phase for one in sets], np.float64),
-        np.array(sigmas),
+        np.array(noises),
+        np.array(commons),
         np.array([f.stripes for f in fringes]),
     )
 
@@ -263,14 +336,17 @@ class Fused:
 
     Attributes
     ----------
-    position, sigma : ndarray of float64, (...)
-        Share of the projector's length, and its 1-sigma.
+    position : ndarray of float64, (...)
+        Share of the projector's length.
+    sigma, phase_error : ndarray of float64, (...)
+        Its 1-sigma by noise, and by errors that all pixels of one phase share.
     chi2 : ndarray of float64, (...)
         Weighted squares of all K sets about their mean: of K - 1 degrees of freedom.
     """
 
     position: Floats
     sigma: Floats
+    phase_error: Floats
     chi2: Floats
 
 
@@ -293,11 +369,13 @@ def fuse(seen: AxisPhases, position: Floats) -> Fused:
     weight = 1.0 / variance
     agrees = off**2 <= AGREEING_SIGMAS**2 * (variance + variance[-1])
     agrees[-1] = True
-    total = np.sum(weight * agrees, axis=0)
+    used = weight * agrees
+    total = np.sum(used, axis=0)
     mean = np.sum(weight * off, axis=0) / np.sum(weight, axis=0)
     return Fused(
         position + np.sum(weight * agrees * off, axis=0) / total,
-        1.0 / np.sqrt(total),
+        np.sqrt(np.sum(used**2 * seen.noise, axis=0)) / total,
+        np.sqrt(np.sum(used**2 * seen.common, axis=0)) / total,
         np.sum(weight * (off - mean) ** 2, axis=0),
     )
 
@@ -321,14 +399,33 @@ def _evidence(seen: AxisPhases, position: Floats, ends: tuple[Floats, Floats]) -
     return np.sum(weight * off**2, axis=0) - moment**2 / total, share
 
 
-def wrong_order_probability(
+@dataclass(frozen=True, eq=False)
+class LikeliestOrder:
+    """The likeliest position of each pixel, see `fpplab.phase.wrong_order`.
+
+    Attributes
+    ----------
+    position : ndarray of float64, (...)
+        Of the finest set, as a share of the projector's length.
+    is_changed : ndarray of bool, (...)
+        It is another than the one that was found step by step.
+    wrong : ndarray of float64, (...)
+        Probability that its order is wrong, 0 … 1.
+    """
+
+    position: Floats
+    is_changed: NDArray[np.bool_]
+    wrong: Floats
+
+
+def likeliest_order(
     seen: AxisPhases,
     found: Floats,
     alternatives: Alternatives,
     interval: PositionInterval,
     edge_margin: float,
-) -> Floats:
-    """Compute the probability that the fringe order of each pixel is wrong, see `fpplab.phase.wrong_order`.
+) -> LikeliestOrder:
+    """Move every pixel to its likeliest position, and compute the probability that this is wrong.
 
     Parameters
     ----------
@@ -345,16 +442,33 @@ def wrong_order_probability(
 
     Returns
     -------
-    ndarray of float64, (...)
-        0 … 1.
+    LikeliestOrder
+        Of the shape of `found`.
     """
     ends = np.asarray(interval[0]) - edge_margin, np.asarray(interval[1]) + edge_margin
-    best, inside = _evidence(seen, found, ends)
-    odds = np.zeros_like(found)
+    position = found
+    for _ in range(MOVES):
+        step, _ = _likeliest_shift(seen, position, alternatives, ends)
+        if not step.any():
+            break
+        position = position + step
+    _, odds = _likeliest_shift(seen, position, alternatives, ends)
+    return LikeliestOrder(position, position != found, odds / (1.0 + odds))
+
+
+def _likeliest_shift(
+    seen: AxisPhases, position: Floats, alternatives: Alternatives, ends: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Shift to the likeliest alternative, 0 where none is likelier; and the odds of all together."""
+    best, inside = _evidence(seen, position, ends)
+    odds, likeliest, step = np.zeros_like(position), np.ones_like(position), np.zeros_like(position)
     for shift in (*alternatives.shifts, *-alternatives.shifts):
-        chi2, share = _evidence(seen, found + shift, ends)
-        odds += np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, 1e-9)
-    return np.asarray(odds / (1.0 + odds))
+        chi2, share = _evidence(seen, position + shift, ends)
+        own = np.exp(np.minimum(0.5 * (best - chi2), LIKELIEST)) * share / np.maximum(inside, LEAST_INSIDE)
+        step = np.where(own > likeliest, shift, step)
+        likeliest = np.maximum(own, likeliest)
+        odds += own
+    return step, odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,16 +520,23 @@ def decode_axis(
     plan, length = recording.plan, axis_length(recording.projector_size, axis)
     width, margin = widest(bounds, axis, recording.projector_size), EDGE_MARGIN_PX / length
     sequence = wavelength_sequence(plan, axis, recording.name, width)
-    seen, interval = axis_phases(recording, sequence, noise_of(recording)), interval_of(bounds, axis, length)
+    seen, interval = (
+        axis_phases(recording, sequence, error_model_of(recording)),
+        interval_of(bounds, axis, length),
+    )
     found = unwrap(seen.phases, sequence, seen.position_sigma[-1], margin, interval=interval)
     risks = alternatives_of(plan, sequence)
-    wrong = wrong_order_probability(seen, found.position, risks, interval, margin)
-    fused = fuse(seen, found.position)
-    known = np.where(found.is_unambiguous, 1.0, np.nan)
-    freedom = max(len(sequence.sets) - 1, 1)
+    likeliest = likeliest_order(seen, found.position, risks, interval, margin)
+    settled = found.position if plan.order_vote else likeliest.position
+    fused, freedom = fuse(seen, settled), max(len(sequence.sets) - 1, 1)
+    is_explained = fused.chi2 <= AGREEING_SIGMAS**2 * freedom
+    tolerance = margin + EDGE_SIGMAS * seen.position_sigma[-1]
+    is_possible = _beyond(settled, *interval, tolerance) == 0
+    is_known = found.is_told_apart & is_possible & (is_explained | (settled == found.position))
+    known = np.where(is_known, 1.0, np.nan)
     return DecodedAxis(
         coordinate=((fused.position * length - 0.5) * known).astype(np.float32),
         sigma=(fused.sigma * length * known).astype(np.float32),
         disagreement=(np.sqrt(fused.chi2 / freedom) * known).astype(np.float32),
-        wrong_order=wrong.astype(np.float32),
+        wrong_order=likeliest.wrong.astype(np.float32),
     )

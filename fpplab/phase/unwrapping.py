@@ -23,6 +23,9 @@ EDGE_MARGIN_PX = 0.05
 """How near the projector's edge, in px and besides its noise, a coordinate may come before
 stripes that repeat there leave it open which of the two edges is meant."""
 
+EDGE_SIGMAS = 1.5
+"""How many standard deviations of its noise a coordinate may lie beyond the possible ones."""
+
 
 @dataclass(frozen=True)
 class WavelengthSequence:
@@ -90,8 +93,9 @@ def wavelength_sequence(
     ]
     if width is None and method.guided:
         raise ConfigError(
-            f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range; "
-            "without them use a plan with 'hierarchical' or 'heterodyne' unwrapping"
+            f"{source}: 'unwrapping' is '{plan.unwrapping}', which needs a calibration and a depth range "
+            "(--depth, or 'depth_mm' in plan or rig file); without them, and always to characterise, use a "
+            "plan that can be unwrapped by itself: 'hierarchical' or 'heterodyne'"
         )
     found = method.wavelengths(units)
     most = (1.0 / width if width and method.guided else 1.0) + NEGLIGIBLE

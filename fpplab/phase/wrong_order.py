@@ -1,10 +1,10 @@
-"""The probability of a wrong fringe order at each pixel: compiled functions on a chunk of pixels.
+"""The likeliest fringe order of each pixel, and the probability that it is wrong: compiled functions.
 
 A pixel's phases could also have come from a shifted position (`fpplab.phase.alternatives`). With Gaussian
 noise the odds of the two are `exp(-(χ²_shifted - χ²)/2)`, and the probability that the chosen order is wrong
 follows from the sum of the odds over all shifts, each weighted by the share of its distribution that lies
-within the possible positions. Nearly all pixels are far from any doubt, which a bound shows without looking
-at a single shift.
+within the possible positions. Where a shifted position is likelier, it is taken. Nearly all pixels are far
+from any doubt, which a bound shows without looking at a single shift.
 """
 
 from __future__ import annotations
@@ -15,22 +15,47 @@ from typing import Any
 import numpy as np
 
 from fpplab.phase.chunks import HIGH, LOW, compiled
-from fpplab.phase.fusion import CHI2, DOUBT, FINEST, LEAST, POSITION
+from fpplab.phase.fusion import AGREEING_SIGMAS, CHI2, DOUBT, FINEST, LEAST, POSITION, fuse_axis
+from fpplab.phase.unwrapping import EDGE_SIGMAS
 
 FARTHEST_SIGMAS = 5.0
 """How many standard deviations beyond the possible positions a shifted one is still considered."""
 LIKELIEST = 50.0
 """Logarithm of the odds beyond which they are not told apart: the order is certainly wrong."""
 
+LEAST_INSIDE = 1e-9
+"""Least share of a position's own distribution that is taken to lie within the possible positions."""
+MOVES = 8
+"""How many shifts in turn may lead from the order of unwrapping to the likeliest; two are rare."""
+TO_EXPLAIN = 0.5
+"""Mark of a pixel whose step by step order is refused: measured only if the likeliest order suits."""
+
 _f, _u = np.float32, np.uintp
-_HALF = _f(0.5)
+_HALF, _ONE = _f(0.5), _f(1)
 
 
 @compiled
-def mask_wrong_orders(
-    axis: int, recipe: Any, rows: Any, off: Any, weights: Any, sums: Any, good: Any, n: int, cause: Any
+def settle_orders(
+    axis: int,
+    recipe: Any,
+    rows: Any,
+    sums: Any,
+    off: Any,
+    weights: Any,
+    shares: Any,
+    good: Any,
+    n: int,
+    coordinate: Any,
+    sigma: Any,
+    common: Any,
+    chi2: Any,
+    cause: Any,
 ) -> None:
-    """Mask the pixels whose order along one axis is wrong with more than the allowed probability.
+    """Choose the likeliest order along one axis, and mask the pixels where it is too uncertain.
+
+    Unwrapping goes step by step, and so its order is not always the likeliest of all sets together. A pixel
+    whose steps disagree by more than the allowed share or lead out of the possible positions, or whose order
+    is changed here, is measured only if the likeliest position is a possible one and noise explains χ².
 
     Parameters
     ----------
@@ -39,28 +64,32 @@ def mask_wrong_orders(
     recipe : Recipe
         With the shifts.
     rows : ndarray of float32
-        Buffer of unwrapping, with the interval of possible positions.
-    off : ndarray of float32, (S, n)
-        Distance of every other set from the finest, as a share of the projector's length.
-    weights : ndarray of float32, (S, n)
-        Inverse variances of the sets' positions.
+        Buffer of unwrapping: positions of the finest set, replaced where the order changes, and the interval
+        of possible positions.
     sums : ndarray of float32
         Buffer of the finished fusion.
+    off : ndarray of float32, (S, n)
+        Distance of every other set from the finest, as a share of the projector's length; as the positions.
+    weights, shares : ndarray of float32, (S, n)
+        Inverse variances of the sets' positions, and what noise has of the variances.
     good : ndarray of float32, (n,)
-        Whether each pixel is measured, 0 or 1; set to 0 where it is masked.
+        1 where a pixel is measured, `TO_EXPLAIN` where its steps disagree too much or lead out of the
+        possible positions, 0 elsewhere; set to 0 or 1.
     n : int
         Number of pixels.
+    coordinate, sigma, common, chi2 : ndarray of float32, (n,)
+        As `fuse_axis` has left them; replaced where the order changes.
     cause : ndarray of uint8, (n,)
         Set to 1 + the index of the fringe set whose noise leaves the order uncertain, where masked.
     """
     first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
-    if first == last or recipe.wrong_order_max >= 1.0:
+    if first == last or recipe.wrong_order_max > 1.0:
         return
     least, edge = recipe.least_separation[axis], recipe.edge_shift[axis]
     margin = recipe.order_margin[axis]
     enough = math.log(2.0 * (last - first) / recipe.wrong_order_max)
     # A pixel that the bound clears has at least the separation of twice `enough`, and so at most this noise.
-    finest = recipe.finest[axis]
+    finest, freedom = recipe.finest[axis], np.sum(recipe.axis == axis) - 1
     unit = recipe.set_stripes[finest] * recipe.set_stripes[finest] / recipe.phase_noise[finest]
     reach = margin + FARTHEST_SIGMAS * math.sqrt(least / (2.0 * enough * unit))
     if _mark_doubtful(rows, sums, good, n, _f(least), _f(edge), _f(reach), _f(enough)) == 0:
@@ -68,23 +97,92 @@ def mask_wrong_orders(
     for i in range(n):
         if sums[_u(i) + DOUBT] == 0.0:
             continue
-        position, low, high = sums[_u(i) + POSITION], rows[_u(i) + LOW], rows[_u(i) + HIGH]
-        tolerance = margin + FARTHEST_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
-        ends = (low - margin - position, high + margin - position)
-        best, inside = _evidence(axis, recipe, off, weights, i, 0.0, first, ends)
-        odds, likeliest, which = 0.0, -1.0, 0
-        for r in range(first, last):
-            for sign in (-1.0, 1.0):
-                moved = position + sign * recipe.shifts[r]
-                if low - tolerance <= moved <= high + tolerance:
-                    other, share = _evidence(axis, recipe, off, weights, i, sign, r, ends)
-                    own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / max(inside, 1e-9)
-                    odds += own
-                    if own > likeliest:
-                        likeliest, which = own, r
-        if odds / (1.0 + odds) > recipe.wrong_order_max:
+        ends = (rows[_u(i) + LOW] - margin, rows[_u(i) + HIGH] + margin)
+        odds, likeliest, sign, which = _rivals(axis, recipe, rows, sums, off, weights, i, ends)
+        moves = 0
+        while likeliest > 1.0 and moves < MOVES:
+            _shift(axis, recipe, rows, off, i, sign, which)
+            odds, likeliest, sign, which = _rivals(axis, recipe, rows, sums, off, weights, i, ends)
+            moves += 1
+        if moves > 0:
+            _fuse_again(axis, recipe, rows, sums, off, weights, shares, i, coordinate, sigma, common, chi2)
+        if moves > 0 or good[i] < 1.0:
+            is_explained = sums[_u(i) + CHI2] <= AGREEING_SIGMAS**2 * freedom
+            outside = max(ends[0] - rows[_u(i)], rows[_u(i)] - ends[1])
+            is_possible = outside <= EDGE_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+            good[i] = 1.0 if is_explained and is_possible else 0.0
+        if good[i] > 0.0 and odds / (1.0 + odds) > recipe.wrong_order_max:
             good[i] = 0.0
             cause[i] = 1 + recipe.causes[which]
+
+
+@compiled
+def _rivals(
+    axis: int, recipe: Any, rows: Any, sums: Any, off: Any, weights: Any, i: int, ends: Any
+) -> tuple[float, float, float, int]:
+    """Odds of all shifted positions of one pixel together; of the likeliest its own, its sign and index."""
+    first, last = recipe.alternatives[axis], recipe.alternatives[axis + 1]
+    position = rows[_u(i)]
+    beyond = FARTHEST_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
+    low, high = ends[0] - position, ends[1] - position
+    best, inside = _evidence(axis, recipe, off, weights, i, 0.0, first, (low, high))
+    odds, likeliest, direction, which = 0.0, -1.0, 0.0, first
+    for r in range(first, last):
+        for sign in (-1.0, 1.0):
+            if low - beyond <= sign * recipe.shifts[r] <= high + beyond:
+                other, share = _evidence(axis, recipe, off, weights, i, sign, r, (low, high))
+                own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / max(inside, LEAST_INSIDE)
+                odds += own
+                if own > likeliest:
+                    likeliest, direction, which = own, sign, r
+    return odds, likeliest, direction, which
+
+
+@compiled
+def _shift(axis: int, recipe: Any, rows: Any, off: Any, i: int, sign: float, r: int) -> None:
+    """Change the order of one pixel by a shift."""
+    rows[_u(i)] += sign * recipe.shifts[r]
+    for s in range(len(recipe.axis)):
+        if recipe.axis[s] == axis and s != recipe.finest[axis]:
+            turn = off[s, i] * recipe.set_stripes[s] - sign * recipe.shift_turns[r, s]
+            off[s, i] = (turn - math.floor(turn + 0.5)) / recipe.set_stripes[s]
+
+
+@compiled
+def _fuse_again(
+    axis: int,
+    recipe: Any,
+    rows: Any,
+    sums: Any,
+    off: Any,
+    weights: Any,
+    shares: Any,
+    i: int,
+    coordinate: Any,
+    sigma: Any,
+    common: Any,
+    chi2: Any,
+) -> None:
+    """Repeat the fusion of one pixel, from its present position."""
+    for s in range(len(recipe.axis)):
+        if recipe.axis[s] == axis and s != recipe.finest[axis]:
+            off[s, i] = (off[s, i] + rows[_u(i)]) * recipe.set_stripes[s]
+    chi2[i] -= sums[_u(i) + CHI2]
+    one = slice(i, i + 1)
+    fuse_axis(
+        axis,
+        recipe,
+        rows[i:],
+        sums[i:],
+        off[:, one],
+        weights[:, one],
+        shares[:, one],
+        1,
+        coordinate[one],
+        sigma[one],
+        common[one],
+        chi2[one],
+    )
 
 
 @compiled
@@ -93,7 +191,8 @@ def _mark_doubtful(
 ) -> Any:
     """Mark the pixels that the bound does not clear, and count them; without a branch, as in the decoder.
 
-    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`.
+    With the separation d² of the nearest shift, its odds are at most `exp(-d (d/2 - χ))`. Pixels whose step
+    by step order is refused are all marked.
     """
     count = _f(0)
     for j in range(n):
@@ -103,6 +202,7 @@ def _mark_doubtful(
         span = max(sums[i + POSITION] - rows[i + LOW], rows[i + HIGH] - sums[i + POSITION])
         doubt = _f(0) if surplus * abs(surplus) >= square * sums[i + CHI2] else good[i]
         doubt = doubt if span + tolerance < edge else good[i]
+        doubt = doubt if good[i] == _ONE else good[i]
         sums[i + DOUBT] = doubt
         count += doubt
     return count

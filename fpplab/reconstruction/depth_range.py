@@ -6,11 +6,14 @@ curve: decoding then chooses fringe orders among the coordinates on that piece a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import AXES, Axis, Floats
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import ConfigError
 from fpplab.patterns.plan import Plan
 from fpplab.phase.bounds import PossibleCoordinates
@@ -24,34 +27,70 @@ GRID_PX = 16
 """Camera pixels between those whose segments are projected; the others are interpolated."""
 
 
-def depth_bounds(plan: Plan, calibration: Calibration) -> dict[Axis, PossibleCoordinates] | None:
-    """Compute the possible projector coordinates of every camera pixel within a plan's range of depths.
+@dataclass(frozen=True)
+class DepthRange:
+    """A range of distances from the camera, and who has stated it.
+
+    Attributes
+    ----------
+    mm : tuple of float
+        Least and greatest distance along the camera's axis, in mm.
+    source : str
+        For messages and reports: option, or file and field.
+    """
+
+    mm: DepthInterval
+    source: str
+
+
+def first_stated(*stated: tuple[DepthInterval | None, str]) -> DepthRange | None:
+    """Give the range that counts.
+
+    Parameters
+    ----------
+    *stated : tuple of (tuple of float or None, str)
+        Ranges in mm with their sources, the one with precedence first; None where none is stated.
+
+    Returns
+    -------
+    DepthRange or None
+        The first that is stated.
+    """
+    return next((DepthRange(mm, source) for mm, source in stated if mm is not None), None)
+
+
+def depth_bounds(
+    plan: Plan, calibration: Calibration, depth: DepthRange | None
+) -> dict[Axis, PossibleCoordinates] | None:
+    """Compute the possible projector coordinates of every camera pixel within a range of depths.
 
     Parameters
     ----------
     plan : Plan
-        Its `depth_mm` is the range.
+        Says which axes are coded.
     calibration : Calibration
         Of the rig.
+    depth : DepthRange, or None
+        The range, if one is known.
 
     Returns
     -------
     dict of str to PossibleCoordinates, or None
-        By coded axis; None where the plan has no range.
+        By coded axis; None without a range.
 
     Raises
     ------
     ConfigError
         Part of the range lies behind the projector.
     """
-    if plan.depth_mm is None:
+    if depth is None:
         return None
     width, height = calibration.camera.size
     slopes = camera_slopes(calibration.camera)
     columns, rows = _nodes(width), _nodes(height)
     if not np.isfinite(slopes[:, rows[:, None], columns]).all():
         columns, rows = np.arange(width), np.arange(height)
-    pixels = _segments(slopes[:, rows[:, None], columns], calibration, plan.depth_mm)
+    pixels = _segments(slopes[:, rows[:, None], columns], calibration, depth)
     across, down = _interpolation(columns, width), _interpolation(rows, height)
     bounds: dict[Axis, PossibleCoordinates] = {}
     for axis in plan.axes:
@@ -76,14 +115,14 @@ def _interpolation(nodes: NDArray[np.intp], pixels: int) -> Floats:
     return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))], axis=1)
 
 
-def _segments(slopes: Floats, calibration: Calibration, depth_mm: tuple[float, float]) -> Floats:
+def _segments(slopes: Floats, calibration: Calibration, depth: DepthRange) -> Floats:
     """Images in the projector of each ray between two depths, (DEPTHS, rows, columns, 2) in px."""
     rays = np.stack([*slopes, np.ones_like(slopes[0])], axis=-1)
-    depths = 1.0 / np.linspace(1.0 / depth_mm[0], 1.0 / depth_mm[1], DEPTHS)
+    depths = 1.0 / np.linspace(1.0 / depth.mm[0], 1.0 / depth.mm[1], DEPTHS)
     points = calibration.T_projector_camera.apply(rays * depths[:, None, None, None])
     if not (points[..., 2] > 0).all():
         raise ConfigError(
-            f"depth range: {depth_mm[0]:g} to {depth_mm[1]:g} mm has points behind the projector; "
+            f"{depth.source}: {depth.mm[0]:g} to {depth.mm[1]:g} mm has points behind the projector; "
             "give the range of distances from the camera in which the object lies"
         )
     # Beyond its reach the lens model folds back; such points lie outside of the projector's image anyway.

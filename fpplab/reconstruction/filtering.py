@@ -100,7 +100,7 @@ def filtered(
     _half_lit(
         *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
         # Times sigma this is the noise of the finest phase, and that of its modulation as a share of it.
-        *(decoded.modulation, decoded.sigma, _phase_noise_per_px(plan, projector_size)),
+        *(decoded.modulation, decoded.sigma_total, plan.finest.phase_per_px(projector_size)),
         *(rules.light_min, removed),
     )
     _erase(grid.index, grid.w, removed)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.clouds.pixelgrid import PixelGrid
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
@@ -59,6 +59,10 @@ class DecodedMaps(Protocol):
     def v_per_u(self) -> float:
         """Ratio of the standard deviation of v to that of u."""
 
+    @property
+    def sigma_phase_error(self) -> Map | None:
+        """As `sigma`, by errors that are common to all pixels of one phase; None where not known."""
+
 
 def triangulate(
     decoded: DecodedMaps,
@@ -87,7 +91,8 @@ def triangulate(
     -------
     Cloud
         Points (N, 3) in mm in the camera's frame, in the order of the camera's pixels. `sigma_noise_mm` is
-        the decoded sigma propagated along the ray; `epipolar_px` is given where two axes are coded.
+        the decoded sigma propagated along the ray, `sigma_phase_error_mm` that of common errors;
+        `epipolar_px` is given where two axes are coded.
 
     Raises
     ------
@@ -137,16 +142,24 @@ def triangulate(
         )
     if not solved.all():
         points, pixels, sigma_mm, epipolar = (values[solved] for values in outputs)
-    grid = PixelGrid.of(points, pixels, (width, height), sigma_mm) if normals else None
-    return Cloud(
+    cloud = Cloud(
         points=points,
         pixels=pixels,
         size=(width, height),
-        normals=grid.normals() if grid else None,
         colour=None if texture is None else np.asarray(texture, np.uint8)[pixels[:, 1], pixels[:, 0]],
         sigma_noise_mm=sigma_mm,
         epipolar_px=epipolar if use_u and use_v else None,
+        sigma_phase_error_mm=_phase_error_mm(decoded, pixels, sigma_mm),
     )
+    return replace(cloud, normals=cloud.grid().normals()) if normals else cloud
+
+
+def _phase_error_mm(decoded: DecodedMaps, pixels: NDArray[np.int32], sigma_mm: Map) -> Map | None:
+    """Propagate the common phase errors of the points along their rays, as their noise."""
+    if decoded.sigma_phase_error is None:
+        return None
+    at = pixels[:, 1], pixels[:, 0]
+    return np.asarray(sigma_mm * (decoded.sigma_phase_error[at] / decoded.sigma[at]), np.float32)
 
 
 def camera_slopes(camera: Pinhole) -> Floats:

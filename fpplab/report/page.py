@@ -25,6 +25,7 @@ from fpplab.core.files import write_text
 from fpplab.core.version import __version__
 from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
+from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
 from fpplab.report import characterisation as devices
 from fpplab.report import figures, response_figures, uncertainty
@@ -54,6 +55,8 @@ class ScanSection:
         Bit depth of the frame.
     uncertain_orders : dict of str to int or None
         Pixels left out for an uncertain fringe order, by the fringe set that is the cause.
+    depth : DepthRange or None
+        The range of depths that the scan was reconstructed with.
     """
 
     name: str
@@ -65,6 +68,7 @@ class ScanSection:
     comparison: Comparison | None = None
     bits: int = 8
     uncertain_orders: dict[str, int] | None = None
+    depth: DepthRange | None = None
 
 
 @dataclass(frozen=True)
@@ -457,6 +461,12 @@ def _scan_section(scan: ScanSection) -> ReportSection:
     )
     if scan.uncertain_orders is not None:
         text += _uncertain_text(scan.uncertain_orders, decoded.u.size)
+    if scan.depth is not None:
+        near, far = scan.depth.mm
+        text += f" Only distances from {near:g} to {far:g} mm count, by {scan.depth.source}."
+        text += "".join(
+            f" Warning: {one}." for one in (decoded.outside.warnings() if decoded.outside else ())
+        )
     if (removed := removal(decoded)) is not None:
         share = removed.pop("share")
         rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())

@@ -8,11 +8,14 @@ from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.phase import Decoded, wrapped_phase
 from fpplab.phase.precision import uncertain_orders
+from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.report.page import ScanSection, write_report
 from fpplab.sessions.session import Session
 
 
-def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Cloud) -> None:
+def write_scan_report(
+    path: Path, session: Session, decoded: Decoded, cloud: Cloud, depth: DepthRange | None = None
+) -> None:
     """Write the figures of one scan as an HTML page.
 
     Parameters
@@ -25,6 +28,8 @@ def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Clo
         Its projector coordinates.
     cloud : Cloud
         Its points.
+    depth : DepthRange, optional
+        The range of depths that it was reconstructed with.
 
     Raises
     ------
@@ -32,11 +37,16 @@ def write_scan_report(path: Path, session: Session, decoded: Decoded, cloud: Clo
         The file cannot be written, or there is nothing to draw.
     """
     name = session.path.name
-    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud)])
+    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud, depth=depth)])
 
 
 def scan_section(
-    name: str, session: Session, decoded: Decoded, cloud: Cloud, comparison: Comparison | None = None
+    name: str,
+    session: Session,
+    decoded: Decoded,
+    cloud: Cloud,
+    comparison: Comparison | None = None,
+    depth: DepthRange | None = None,
 ) -> ScanSection:
     """Make the section of one scan: the finest fringes along the first axis, and the results.
 
@@ -52,6 +62,8 @@ def scan_section(
         Its points.
     comparison : Comparison, optional
         With the true shape, where it is known.
+    depth : DepthRange, optional
+        The range of depths that it was reconstructed with.
 
     Returns
     -------
@@ -71,4 +83,5 @@ def scan_section(
         comparison,
         bits=recording.bits,
         uncertain_orders=uncertain_orders(decoded, session.plan),
+        depth=depth,
     )

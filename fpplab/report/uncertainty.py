@@ -1,4 +1,4 @@
-"""Maps of the points' standard uncertainty: from noise, from the calibration, and of the form."""
+"""Maps of the points' standard uncertainty: from noise, phase error and calibration, and of the form."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from fpplab.report.raster import raster_of, rasterise
 
 PARTS = {
     "sigma_noise_mm": "noise",
+    "sigma_phase_error_mm": "phase error",
     "sigma_calibration_mm": "calibration",
     "sigma_form_mm": "calibration, without rigid motion",
 }
@@ -80,11 +81,21 @@ def sigma_caption(cloud: Cloud) -> str:
         Sentences for the figure's caption.
     """
     noise = "Noise: predicted from the fringes, along the camera's ray, independent from point to point."
+    if cloud.sigma_phase_error_mm is None:
+        noise += (
+            " Errors of the phase that all points of one phase share cannot be told from these frames: "
+            "measure the response, or take four steps or more."
+        )
+    else:
+        noise += (
+            " Phase error: harmonics of the response, flicker of the lamp and rounding of grey levels; "
+            "common to all points of one phase, so that averaging does not lessen it."
+        )
     if cloud.sigma_mm is None:
         return f"{noise} The calibration says nothing of its own uncertainty."
     return (
         f"{noise} Calibration: from the covariance of its parameters, common to all points, so that it moves "
         "and rotates the cloud far more than it deforms it. The last map is without the best-fitting rigid "
-        "motion: the calibration's part in errors of form. Noise and calibration together: median "
+        "motion: the calibration's part in errors of form. All together: median "
         f"{1e3 * float(np.median(cloud.sigma_mm)):.3g} µm."
     )

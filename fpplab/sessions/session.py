@@ -44,6 +44,7 @@ from fpplab.core.progress import Progress, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
+from fpplab.patterns.response import Curve
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
 
@@ -396,7 +397,23 @@ class Session:
         size, _ = self.projector()
         self.plan.check_projector(size, self.path)
         frames = self.stack(verify, progress)
-        return Recording(frames, self.plan, size, self.bits, str(self.path))
+        return Recording(frames, self.plan, size, self.bits, str(self.path), self.response())
+
+    def response(self) -> Curve | None:
+        """Give the measured response of the rig that took the frames, where its file states one.
+
+        Returns
+        -------
+        Curve or None
+            The response.
+
+        Raises
+        ------
+        ConfigError
+            The rig's record holds something else.
+        """
+        found = (self.rig() or {}).get("response")
+        return None if found is None else config.validate(found, Curve, f"{self.path}: response of the rig")
 
     @property
     def bits(self) -> int:

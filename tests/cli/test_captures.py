@@ -106,7 +106,9 @@ def triangulated(seen: Observation, calibration: Calibration) -> Floats:
         matrix[:2, 2] -= pixel
         cut = replace(calibration, camera=replace(calibration.camera, size=(1, 1), matrix=matrix))
         u, v = (np.full((1, 1), value, np.float32) for value in coordinate)
-        maps = SimpleNamespace(u=u, v=v, sigma=np.full((1, 1), 0.1, np.float32), v_per_u=1.0)
+        maps = SimpleNamespace(
+            u=u, v=v, sigma=np.full((1, 1), 0.1, np.float32), v_per_u=1.0, sigma_phase_error=None
+        )
         points.append(triangulate(maps, cut, normals=False).points[0])
     return np.array(points, np.float64)
 

@@ -26,6 +26,7 @@ def a_cloud(**changes: object) -> Cloud:
         "normals": (normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32),
         "colour": random.integers(0, 256, N).astype(np.uint8),
         "sigma_noise_mm": random.random(N).astype(np.float32),
+        "sigma_phase_error_mm": random.random(N).astype(np.float32),
         "sigma_calibration_mm": random.random(N).astype(np.float32),
         "sigma_form_mm": random.random(N).astype(np.float32),
         "epipolar_px": random.random(N).astype(np.float32),
@@ -49,13 +50,17 @@ def test_ply_names_the_parts_of_the_uncertainty_and_both_together(tmp_path: Path
     cloud, path = a_cloud(), tmp_path / "cloud.ply"
     save_cloud(cloud, path)
     table, comments = ply.read(path)
-    assert np.allclose(table["sigma_mm"] ** 2, cloud.sigma_noise_mm**2 + cloud.sigma_calibration_mm**2)  # type: ignore[operator]
+    parts = cloud.sigma_noise_mm, cloud.sigma_phase_error_mm, cloud.sigma_calibration_mm
+    assert np.allclose(table["sigma_mm"] ** 2, np.sum(np.square(parts), axis=0))  # type: ignore[arg-type]
     assert np.array_equal(table["sigma_form_mm"], cloud.sigma_form_mm)  # type: ignore[arg-type]
     assert any("sigma_calibration_mm common to all" in text for text in comments)
 
 
 def test_what_the_calibration_does_not_tell_is_absent(tmp_path: Path) -> None:
-    cloud, path = a_cloud(sigma_calibration_mm=None, sigma_form_mm=None), tmp_path / "cloud.ply"
+    cloud, path = (
+        a_cloud(sigma_calibration_mm=None, sigma_form_mm=None, sigma_phase_error_mm=None),
+        tmp_path / "cloud.ply",
+    )
     assert cloud.sigma_mm is None
     save_cloud(cloud, path)
     names = ply.read(path)[0].dtype.names or ()

@@ -38,6 +38,21 @@ def test_a_rig_opens_what_its_file_names_and_closes_it(tmp_path: Path) -> None:
     assert [d.state for d in devices if d] == [State.CLOSED] * 3
 
 
+def test_a_plan_s_depth_goes_before_the_rig_s_and_must_be_offered(tmp_path: Path) -> None:
+    with rig_of(GOOD, tmp_path) as rig:
+        offered = rig.camera.caps.bits
+        assert [rig.camera_settings(0.05, bits).bits for bits in offered] == list(offered)
+        with pytest.raises(ConfigError, match="'bits' is 16, but camera of test offers 8, 12"):
+            rig.camera_settings(0.05, 16)
+
+
+def test_a_rig_file_may_name_its_response(tmp_path: Path) -> None:
+    with rig_of(GOOD + "response: {a: 0.65, b: 0.05, g: 1.1}\n", tmp_path) as rig:
+        assert rig.described()["response"] == {"a": 0.65, "b": 0.05, "g": 1.1}
+    with pytest.raises(ConfigError, match="'response' must name a file written by"):
+        rig_of(GOOD + "response: nothing.yaml\n", tmp_path)
+
+
 def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     with rig_of(GOOD, tmp_path) as rig:
         described = rig.described()
@@ -47,6 +62,13 @@ def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     }
     assert described["camera"]["bits"] == 12
     assert "fixture" not in described
+    assert "depth_mm" not in described
+
+
+def test_it_states_where_everything_lies(tmp_path: Path) -> None:
+    with rig_of(GOOD + "depth_mm: [380, 480]\n", tmp_path) as rig:
+        assert rig.file.depth_mm == (380.0, 480.0)
+        assert rig.described()["depth_mm"] == [380.0, 480.0]
 
 
 @pytest.mark.parametrize(
@@ -54,6 +76,12 @@ def test_it_tells_a_session_what_it_is(tmp_path: Path) -> None:
     [
         ("name: test", "", "'name' is missing"),
         ("name: test", "name: test\nlaser: {}", "unknown key 'laser'"),
+        (
+            "name: test",
+            "name: test\ndepth_mm: [480, 380]",
+            r"'depth_mm' is \[480, 380\]: the first must be less",
+        ),
+        ("name: test", "name: test\ndepth_mm: [-1, 380]", r"'depth_mm\[0\]' is -1: should be greater than 0"),
         ("bits: 12", "bits: 11", "'camera.bits' is 11: should be 8, 10, 12 or 16"),
         ("bits: 12", "bits: '12'", "'camera.bits' is '12'"),
         ("reference:ReferenceStage", "reference.ReferenceStage", "'stage.backend' is 'tests"),

@@ -328,6 +328,22 @@ def test_silence_is_a_time_out(
     bench.controller.alter_line = lambda line: line
 
 
+@pytest.mark.parametrize(("use", "line"), [("open", r"\$\$"), ("home", r"\$H"), ("move_to", "G90G21G53")])
+def test_a_lost_ok_is_a_time_out(
+    use: str, line: str, bench: Bench, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status reports still come, so that nothing but the missing `ok` shows what was lost."""
+    stage = bench.stage
+    if use != "open":
+        bench.homed()
+        monkeypatch.setattr(stage, "_mechanics", replace(stage._open_mechanics, homing_s=0.1))
+    bench.controller.alter_line = lambda sent: "" if sent.strip() == "ok" else sent
+    with pytest.raises(DeviceTimeoutError, match=f"no answer to '{line}"):
+        _use(stage, use)
+    assert stage.state is (State.CLOSED if use == "open" else State.FAULT)
+    bench.controller.alter_line = lambda sent: sent
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [("ok", "o\x00k"), ("ok", "okok"), ("MPos", "MPxs"), ("Idle", "Idel"), ("<", ""), (">", ""), (".", "..")],

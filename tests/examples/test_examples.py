@@ -23,7 +23,7 @@ def run(script: str, *words: object) -> str:
         capture_output=True,
         text=True,
         env={**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)},
-        timeout=280,
+        timeout=540,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -183,6 +183,13 @@ def test_contradictory_studies_are_refused(tmp_path: Path, changes: dict[str, An
     assert words in str(refused.value)
 
 
+def test_the_base_of_guided_sets_is_searched(tmp_path: Path) -> None:
+    start = {"fringes": FRINGES[1:], "unwrapping": "guided", "depth_mm": [400, 500]}
+    space = runner_of(tmp_path, start=start, space={"stripes": [[5, 20], [30, 228]]}).space
+    assert [p.name for p in space.parameters] == ["stripes[0]", "stripes[1]"]
+    assert [f.stripes for f in space.candidate((12.0, 150.0)).fringes] == [12.0, 150.0]
+
+
 def test_a_stage_is_needed_for_a_baseline(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no stage"):
         runner_of(tmp_path, limits=with_stage(None), space={"stage_mm": [-5, 5]})
@@ -194,7 +201,7 @@ def test_study_for_another_rig_is_refused() -> None:
         study(rig="Formula").check_rig("Other", "study.yaml")
 
 
-@pytest.mark.parametrize("name", ["phases", "stripes", "stripes_gradient", "baseline", "pareto"])
+@pytest.mark.parametrize("name", ["phases", "stripes", "stripes_gradient", "baseline", "pareto", "guided"])
 def test_shipped_studies_suit_the_demonstration_rig(name: str) -> None:
     from fpplab.devices.rig import Rig
     from fpplab.optimisation.limits import RigLimits

@@ -43,11 +43,6 @@ class Reordered(FringeSet):
     def demodulation(self) -> Demodulation:
         shift, n = self.phase_shifts(), self.images
         return Demodulation(np.sin(shift), np.cos(shift), np.full(n, 1 / n), 2 / n, 0.0)
-
-    def noise_power(self, sample: Floats) -> tuple[Floats, int]:
-        waves = np.column_stack([np.ones(self.images), self.waves(1)])
-        left = sample - waves @ np.linalg.lstsq(waves, sample, rcond=None)[0]
-        return (left**2).sum(axis=0), max(self.images - 3, 0)
 '''
 NEW_METHOD = '''
 """Uses the sets as they are, under another name."""

@@ -92,6 +92,37 @@ def test_both_axes_are_the_reference_s(axis: Axis) -> None:
         np.testing.assert_allclose(decoded.sigma[both], known.sigma[both], rtol=1e-3)
 
 
+@settings(deadline=None, max_examples=15)
+@given(
+    steps=st.integers(7, 12),
+    exposure=st.floats(1.1, 1.7),
+    bits=st.sampled_from([8, 12]),
+    seed=st.integers(0, 99),
+)
+def test_saturated_samples_are_left_out_as_by_the_reference(
+    steps: int, exposure: float, bits: int, seed: int
+) -> None:
+    fringes = tuple(Sinusoid(axis="x", stripes=s, steps=steps) for s in (1.0, 8.0))
+    plan = Plan(fringes=fringes, masks=LENIENT)
+    random, full = np.random.default_rng(seed), (1 << bits) - 1
+    shown = []
+    for index, step, _ in plan.steps():
+        level = exposure * (0.05 + 0.85 * fringes[index].level(step, SIZE, Lattice.SQUARE))
+        level += random.normal(0.0, 0.005, level.shape)
+        shown.append(np.rint(np.clip(level, 0.0, 1.0) * full).astype(np.uint8 if bits == 8 else np.uint16))
+    recording = Recording(shown, plan, SIZE, bits)
+    decoded, reference = decode(recording), decode_axis(recording, "x").coordinate
+    wrapped = [wrapped_phase(recording.of_set(k), fringes[k], full) for k in range(2)]
+    measured = (wrapped[0].peak < full) & (wrapped[1].peak < full) & np.isfinite(reference)
+    assert (decoded.valid != measured).mean() < 0.01
+    both = decoded.valid & measured
+    assert both.any()
+    np.testing.assert_allclose(decoded.u[both], reference[both], atol=3e-3)
+    truth = np.broadcast_to(np.arange(SIZE[0], dtype=np.float64), both.shape)
+    # Clipped samples kept in would be off by up to a tenth of a fringe.
+    assert np.quantile(np.abs(decoded.u - truth)[both], 0.99) < 0.8
+
+
 def test_modulation_is_the_reference_s() -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=1.0, steps=7),), masks=LENIENT)
     recording = Recording(list(frames(plan, 0.01, 12, 1)), plan, SIZE, 12)

@@ -16,11 +16,12 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.pipeline import check_plan, plan_with_depth
-from fpplab.reconstruction.depth_range import MARGIN_PX, depth_bounds
+from fpplab.reconstruction.depth_range import MARGIN_PX, DepthRange, depth_bounds
 from fpplab.reconstruction.triangulation import triangulate
 
 RIG = small_rig()
 NEAR, FAR = DISTANCE_MM - 40.0, DISTANCE_MM + 40.0
+RANGE = DepthRange((NEAR, FAR), "plan")
 
 
 def plan_of(stripes: tuple[float, ...], unwrapping: str = "guided", axes: str = "x") -> Plan:
@@ -29,7 +30,7 @@ def plan_of(stripes: tuple[float, ...], unwrapping: str = "guided", axes: str = 
 
 
 def test_the_intervals_hold_every_point_of_the_range_and_little_more() -> None:
-    bounds = depth_bounds(plan_of((10.0, 100.0), axes="xy"), RIG)
+    bounds = depth_bounds(plan_of((10.0, 100.0), axes="xy"), RIG, RANGE)
     assert bounds is not None
     width, height = RIG.camera.size
     u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
@@ -52,7 +53,7 @@ def test_a_guided_plan_measures_what_a_plan_with_one_stripe_does() -> None:
     clouds = []
     for plan in (guided, usual):
         recording = Recording(frames_of_plane(plan, RIG, 16), plan, RIG.projector.size, 16)
-        decoded = decode(recording, bounds=depth_bounds(plan, RIG))
+        decoded = decode(recording, bounds=depth_bounds(plan, RIG, RANGE))
         clouds.append(triangulate(decoded, RIG))
     assert len(clouds[0]) == len(clouds[1]) > 1000
     np.testing.assert_allclose(clouds[0].points[:, 2], DISTANCE_MM, atol=0.05)
@@ -60,7 +61,7 @@ def test_a_guided_plan_measures_what_a_plan_with_one_stripe_does() -> None:
 
 def test_without_a_range_there_are_no_intervals_and_guided_plans_are_refused() -> None:
     plan = plan_of((9.0, 120.0)).model_copy(update={"depth_mm": None})
-    assert depth_bounds(plan, RIG) is None
+    assert depth_bounds(plan, RIG, None) is None
     with pytest.raises(ConfigError, match="needs a calibration and a depth range"):
         check_plan(plan, "plan", RIG)
     check_plan(plan_with_depth(plan, (NEAR, FAR)), "plan", RIG)
@@ -74,8 +75,10 @@ def test_a_range_that_is_too_wide_for_the_plan_is_refused() -> None:
 def test_a_range_behind_the_projector_is_refused() -> None:
     ahead = RigidTransform(RIG.T_projector_camera.rotation, np.array([0.0, 0.0, -200.0]))
     rig = replace(RIG, T_projector_camera=ahead)
-    with pytest.raises(ConfigError, match="100 to 500 mm has points behind the projector"):
-        depth_bounds(plan_with_depth(plan_of((9.0, 120.0)), (100.0, 500.0)), rig)
+    with pytest.raises(
+        ConfigError, match=r"rig\.yaml: 'depth_mm': 100 to 500 mm has points behind the projector"
+    ):
+        depth_bounds(plan_of((9.0, 120.0)), rig, DepthRange((100.0, 500.0), "rig.yaml: 'depth_mm'"))
 
 
 @pytest.mark.parametrize("depth", [(500.0, 300.0), (-1.0, 300.0), (300.0, 300.0)])

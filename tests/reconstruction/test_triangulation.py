@@ -33,6 +33,19 @@ class Maps:
     v: NDArray[np.float32]
     sigma: NDArray[np.float32]
     v_per_u: float = 1.0
+    sigma_phase_error: NDArray[np.float32] | None = None
+
+
+def test_the_phase_error_is_propagated_as_noise_is() -> None:
+    maps = maps_of(plane(), "x", noise_px=0.05)
+    cloud = triangulate(maps, CALIBRATION)
+    assert cloud.sigma_phase_error_mm is None
+    error = np.linspace(0.01, 0.3, maps.u.size, dtype=np.float32).reshape(maps.u.shape)
+    noise = triangulate(replace(maps, sigma=error), CALIBRATION).sigma_noise_mm
+    found = triangulate(replace(maps, sigma_phase_error=error), CALIBRATION)
+    assert found.sigma_phase_error_mm is not None
+    np.testing.assert_allclose(found.sigma_phase_error_mm, noise, rtol=1e-5)
+    np.testing.assert_array_equal(found.sigma_noise_mm, cloud.sigma_noise_mm)
 
 
 def plane() -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
+from fpplab.reconstruction.ray_grid import RayGrid
 from fpplab.reconstruction.triangulation import triangulate
 from fpplab.reconstruction.uncertainty import (
     calibration_jacobian,
@@ -298,3 +299,45 @@ def test_characterisations_repeated_spread_the_points_as_each_predicts() -> None
     assert np.median(spread(found) / predicted) == pytest.approx(1.0, abs=0.15)
     left = np.array([fitted(p, found.mean(axis=0)) for p in found])
     assert np.median(spread(left) / form) == pytest.approx(1.0, abs=0.15)
+
+
+def scattered(rig: Calibration, count: int, seed: int) -> NDArray[np.float32]:
+    """Points of the camera's field at 300 to 700 mm, with two on no surface far away."""
+    random = np.random.default_rng(seed)
+    pixels = random.uniform(0, 1, (count, 2)) * rig.camera.size
+    rays = np.concatenate([rig.camera.normalise(pixels), np.ones((count, 1))], axis=-1)
+    depths = random.uniform(300.0, 700.0, count)
+    depths[:2] = 90.0, 40_000.0
+    return np.asarray(rays * depths[:, None], np.float32)
+
+
+@pytest.mark.parametrize("noise", [(1.0, np.inf), (1.0, 1.3)], ids=["one axis", "two axes"])
+def test_a_large_cloud_is_as_uncertain_as_its_points_are(
+    noise: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = replace(DISTORTED, uncertainty=an_uncertainty())
+    cloud = Cloud(scattered(rig, 60_000, seed=3))
+    quick = with_uncertainty(cloud, rig, noise)
+    monkeypatch.setattr(RayGrid, "around", lambda points: None)
+    exact = with_uncertainty(cloud, rig, noise)
+    for name in ("sigma_calibration_mm", "sigma_form_mm"):
+        ratio = getattr(quick, name) / getattr(exact, name)
+        assert np.abs(ratio - 1.0).max() < 0.005, name
+    assert not np.array_equal(quick.sigma_form_mm, exact.sigma_form_mm)  # type: ignore[arg-type]
+
+
+def test_the_grid_reproduces_cubic_functions() -> None:
+    """Lagrange's cubic is exact for them, up to the grid's edges, and says nothing beyond."""
+    points = scattered(DISTORTED, 60_000, seed=4)
+    grid = RayGrid.around(points)
+    assert grid is not None
+
+    def cubic(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, z = at[:, 0] / at[:, 2], at[:, 1] / at[:, 2], at[:, 2] / 500.0
+        return np.stack([1.0 + x**3 * z - 2.0 * y * z**2, 3.0 + x * y**3 * z**3], axis=-1)
+
+    found = grid.interpolate(cubic(grid.points), points)
+    inside = np.isfinite(found[:, 0])
+    assert not inside[:2].any()
+    assert inside.mean() > 0.99
+    assert np.allclose(found[inside], cubic(points[inside].astype(np.float64)), rtol=3e-6)

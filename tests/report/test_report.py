@@ -121,7 +121,7 @@ def test_lengths_and_what_contradicts_the_distances_are_shown(tmp_path: Path) ->
 def scan(name: str = "pyramid", axes: str = "x", truth: bool = True) -> ScanSection:
     frame = np.random.default_rng(1).integers(0, 200, (SIZE[1], SIZE[0])).astype(np.uint8)
     flat = np.zeros((SIZE[1], SIZE[0]), np.float32)
-    wrapped = Wrapped(flat + 1, flat + 50, flat + 100, flat, flat + 200)
+    wrapped = Wrapped(flat + 1, flat + 50, flat + 100, flat, flat + 200, flat + 1)
     points = cloud()
     return ScanSection(
         name, 36, frame, wrapped, decoded(axes), points, comparison(len(points)) if truth else None

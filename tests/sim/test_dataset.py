@@ -127,7 +127,9 @@ def check_sample(sample: dict[str, np.ndarray[Any, Any]], edges_px: int) -> None
         turned = (sample["wrapped_phase"] - sample["absolute_phase"])[n][good]
         check_noise(((turned + np.pi) % TWO_PI - np.pi) / finest)
     nothing = np.full_like(sample["depth"], np.nan)
-    maps = SimpleNamespace(u=sample["decoded_u"], v=nothing, sigma=sample["decoded_sigma"], v_per_u=1.0)
+    maps = SimpleNamespace(
+        u=sample["decoded_u"], v=nothing, sigma=sample["decoded_sigma"], v_per_u=1.0, sigma_phase_error=None
+    )
     cloud = triangulate(maps, devices, normals=False)
     column, row = cloud.pixels.T
     here = good[row, column]

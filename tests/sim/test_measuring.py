@@ -14,7 +14,7 @@ from fpplab import artefacts
 from fpplab.calibration.model import Calibration
 from fpplab.comparison import compare
 from fpplab.core import config
-from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.devices.rig import Rig
 from fpplab.optimisation.candidate import Candidate, Fringes, Score
 from fpplab.optimisation.measuring import RigEvaluator, candidate_from_plan
@@ -80,6 +80,27 @@ def test_score_does_not_depend_on_evaluator_or_order(folder: Path) -> None:
     assert one[2][0].images == 18
     assert one[2][0].seconds == pytest.approx(18 * START.exposure_s)
     assert all(scores[0].wrong_orders == 0.0 and scores[0].completeness > 0.9 for scores in one)
+
+
+@pytest.mark.slow
+def test_guided_orders_follow_the_depth_range_of_the_plan(folder: Path) -> None:
+    """Two near-equal sets of three images each, without a set of one stripe."""
+    few = candidate(140, 152, steps=3, stage_mm=0.0)
+    seen = {"fringes": [{"axis": "x", "stripes": 12.0, "steps": 3}], "stage_mm": 0.0, "unwrapping": "guided"}
+    score = {}
+    for depth in ([420.0, 480.0], [200.0, 4000.0], [700.0, 800.0]):
+        wanted = study(folder, start={**seen, "depth_mm": depth}, space={"stripes": [[8, 20]]})
+        with closing(RigEvaluator(str(folder / "rig.yaml"), wanted)) as evaluator:
+            try:
+                score[depth[0]] = evaluator.measure(few, 1)[0]
+            except DataError as reason:
+                score[depth[0]] = str(reason)
+    near, wide, elsewhere = score.values()
+    assert isinstance(near, Score)
+    assert near.wrong_orders == 0.0
+    assert near.completeness > 0.9
+    assert "guided unwrapping in this depth range needs a set" in str(wide)
+    assert isinstance(elsewhere, str) or elsewhere.completeness < 0.1
 
 
 @pytest.mark.slow

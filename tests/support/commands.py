@@ -43,7 +43,7 @@ def run(*words: object, cwd: Path | None = None, env: dict[str, str] | None = No
         text=True,
         cwd=cwd or ROOT,
         env={**os.environ, **(env or {})},
-        timeout=280,
+        timeout=540,
     )
     assert "Traceback" not in done.stderr, done.stderr
     return Outcome(done.returncode, done.stdout, done.stderr)

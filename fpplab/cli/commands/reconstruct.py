@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, app
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
@@ -20,7 +21,7 @@ def reconstruct_command(
         bool | None,
         typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
     ] = None,
-    depth: DepthRange = None,
+    depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -44,13 +45,16 @@ def reconstruct_command(
     refuse_existing(page, force)
     known = Calibration.load(calibration)
     recorded = Session.open(session)
+    used = pipeline.depth_range_of(recorded, depth)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering, depth_mm=depth)
         save_cloud(cloud, out)
-        write_scan_report(page, recorded, decoded, cloud)
+        write_scan_report(page, recorded, decoded, cloud, used)
     result = {
         "points": len(cloud.points),
         "removed": removal(decoded),
+        "depth_range": asdict(used) if used else None,
+        "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
         "uncertain_orders": uncertain_orders(decoded, recorded.plan),
         "seconds": seconds(),
     }

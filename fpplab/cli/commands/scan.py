@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthRange, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, PlanName, RigName, app
 
 
 @app.command("scan", rich_help_panel=MEASURE)
@@ -22,7 +23,7 @@ def scan_command(
     ] = None,
     pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
     view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
-    depth: DepthRange = None,
+    depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -40,10 +41,11 @@ def scan_command(
     from fpplab.sessions.session import refuse_foreign
 
     wanted, known = plan_with_depth(Plan.load(plan), depth), Calibration.load(calibration)
-    check_plan(wanted, plan, known)
+    bench = Rig.load(rig)
+    check_plan(wanted, plan, known, bench, depth)
     refuse_foreign(out)
     with ExitStack() as stack, console.stopwatch() as seconds:
-        bench = stack.enter_context(Rig.load(rig))
+        stack.enter_context(bench)
         caps = bench.projector.caps
         wanted.check_projector(caps.size, plan)
         known.check_camera(bench.camera.caps.size, calibration)
@@ -54,7 +56,7 @@ def scan_command(
         # Only now the heavy modules: wrong input is told at once.
         from fpplab.core.progress import ignore
         from fpplab.phase.precision import uncertain_orders
-        from fpplab.pipeline import CLOUD, REPORT, finish_scan, take
+        from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
         from fpplab.report.viewer import Viewer
@@ -80,12 +82,15 @@ def scan_command(
                 observe_frame=observe,
             )
         with console.progress("Reconstructing") as report:
+            used = depth_range_of(session, depth)
             decoded, cloud = finish_scan(session, known, report)
-            write_scan_report(out / REPORT, session, decoded, cloud)
+            write_scan_report(out / REPORT, session, decoded, cloud, used)
         result = {
             "points": len(cloud.points),
             "images": wanted.images,
             "removed": removal(decoded),
+            "depth_range": asdict(used) if used else None,
+            "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
             "uncertain_orders": uncertain_orders(decoded, wanted),
             "seconds": seconds(),
         }

@@ -141,9 +141,10 @@ def _measured(
     from fpplab.devices.rig import Rig
     from fpplab.pipeline import check_plan, finish_scan, take
 
-    check_plan(plan, "--plan", calibration)
+    loaded = Rig.load(rig)
+    check_plan(plan, "--plan", calibration, loaded)
     folder = out.with_name(out.stem + "_scans")
-    with Rig.load(rig) as bench:
+    with loaded as bench:
         fixture, caps = bench.need_fixture("fpplab verify --rig"), bench.projector.caps
         plan.check_projector(caps.size, "--plan")
         calibration.check_camera(bench.camera.caps.size, "--calibration")

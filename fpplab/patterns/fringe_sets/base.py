@@ -1,7 +1,7 @@
 """What every kind of fringe set is: images of `stripes` periods along an axis that together give a phase.
 
 A kind is a file of this package with one class. It owns its patterns (`level`), its contribution to decoding
-(`demodulation`, `noise_power`), what a pixel may see of it when everything is in step (`waves`), its part of
+(`demodulation`), what a pixel may see of it when everything is in step (`waves`), its part of
 a plan file (its fields) and its documentation (their docstrings). Plans, decoding and the proof of
 synchronisation take it through this class alone.
 """
@@ -177,23 +177,6 @@ class FringeSet(Document):
         """
         shift = np.outer(self.phase_shifts(), np.arange(1, harmonics + 1))
         return np.asarray(np.stack([np.cos(shift), np.sin(shift)], axis=-1).reshape(self.images, -1))
-
-    @abstractmethod
-    def noise_power(self, sample: Floats) -> tuple[Floats, int]:
-        """Measure what noise alone leaves in pixels of the set.
-
-        Parameters
-        ----------
-        sample : ndarray of float64, (N, P)
-            Raw values of P pixels in the N images.
-
-        Returns
-        -------
-        power : ndarray of float64, (P,)
-            Sum of squares beyond offset, fringe and the harmonics that a bent response leaves.
-        freedom : int
-            Its degrees of freedom; 0 where the set is too short to tell.
-        """
 
     def pattern_id(self, index: int, step: int) -> str:
         """Name one image: set, axis, stripes and step.

@@ -79,29 +79,3 @@ class Sinusoid(FringeSet):
             scale=2.0 / self.steps,
             origin_rad=self.phase_origin_rad,
         )
-
-    def noise_power(self, sample: Floats) -> tuple[Floats, int]:
-        """Sum the squares beyond offset and fringe, and beyond harmonics 2 and 3 where steps are enough.
-
-        Parameters
-        ----------
-        sample : ndarray of float64, (N, P)
-            Raw values of P pixels in the N images.
-
-        Returns
-        -------
-        power : ndarray of float64, (P,)
-            Sum of squares.
-        freedom : int
-            Its degrees of freedom; 0 for three steps, through which a sinusoid always passes.
-        """
-        if self.steps <= 3:
-            return np.zeros(sample.shape[1]), 0
-        harmonics = min(max((self.steps - 3) // 2, 1), 3)
-        spectrum = np.fft.rfft(sample, axis=0)[harmonics + 1 :]
-        weight = np.full(len(spectrum), 2.0)
-        if self.steps % 2 == 0:
-            weight[-1] = 1.0
-        # Not by BLAS: its threads go on spinning for 25 ms, on the processors that decoding needs next.
-        power = np.einsum("k,kp->p", weight, np.abs(spectrum) ** 2) / self.steps
-        return power, int(weight.sum())

@@ -1,0 +1,22 @@
+"""A range of distances from the camera, as plans and rig files state it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+DepthInterval = tuple[float, float]
+"""Least and greatest distance from the camera along its axis, in mm."""
+
+_Distance = Annotated[float, Field(gt=0, le=1e6)]
+
+
+def _rising(depth_mm: DepthInterval) -> DepthInterval:
+    if not depth_mm[0] < depth_mm[1]:
+        raise ValueError("the first must be less than the second, both in mm")
+    return depth_mm
+
+
+DepthField = Annotated[tuple[_Distance, _Distance], AfterValidator(_rising)]
+"""Type of a document's field that holds such a range."""

@@ -1,0 +1,450 @@
+"""Errors that are common to all pixels of one phase: harmonics of a bent response, flicker of the lamp.
+
+An image n of a pixel is `A + B cos θ_n` with `θ_n = φ - δ_n`, and besides noise
+
+    e_n = ε_n (A + B cos θ_n) + B Σ_k c_k cos kθ_n,
+
+where the gains ε_n of the lamp are the same for all pixels and so are the harmonics c_k of the response. What
+of it lies outside of offset and fringe is seen in the images; since the same few numbers rule all pixels,
+least squares find them although noise is greater in any one pixel. They tell what lies inside of the fringe,
+where no single pixel shows it: that is the error of its phase.
+
+Three images show nothing beyond offset and fringe. Where all sets have three, the differences of their
+offsets are used, to which the third harmonic and the gains contribute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.phase_error import harmonics, phase_error
+
+HARMONICS = (2, 3, 4, 5)
+"""Harmonics of the response that are looked for."""
+
+LEAST_PIXELS = 100
+"""Fewest pixels that errors are estimated from."""
+
+_GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
+_LEAST_VARIANCE = 1e-3
+_LEAST_THIRD = -0.0168
+_OUTLIER = 9.0
+_PASSES = 2
+_PIXELS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class CommonErrors:
+    """Errors of one fringe set that are common to all of its pixels.
+
+    Attributes
+    ----------
+    harmonics : ndarray of float64, (4,)
+        Amplitudes of `HARMONICS` as shares of the fringe's; NaN where nothing tells them.
+    harmonic_rad : float
+        RMS phase error in rad that the response causes; NaN where nothing tells it.
+    gain_first, gain_second : float
+        `|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of the lamp's gains ε_n; NaN where nothing tells them.
+    images : int
+        Number N of images of the set.
+    """
+
+    harmonics: Floats
+    harmonic_rad: float
+    gain_first: float
+    gain_second: float
+    images: int
+
+    def variance(self, offset_per_modulation: Floats | float) -> Floats:
+        """Compute the mean square phase error, over all phases.
+
+        Parameters
+        ----------
+        offset_per_modulation : float or ndarray of float64
+            A/B of the pixel.
+
+        Returns
+        -------
+        ndarray of float64
+            rad².
+        """
+        constant, rising = self.terms
+        return np.asarray(constant + rising * np.square(offset_per_modulation))
+
+    @property
+    def terms(self) -> tuple[float, float]:
+        """Mean square phase error in rad²: the constant part, and the factor of (A/B)²."""
+        rising = 2.0 * (self.gain_first / self.images) ** 2
+        return self.harmonic_rad**2 + 0.5 * (self.gain_second / self.images) ** 2, rising
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Images of the same P pixels that are fitted together: one set, or all sets where each has three.
+
+    An image is a linear combination of R features of its pixel: the offset A and, for each of S sets, the
+    real and imaginary parts of `B exp(ikφ)` for the harmonics k. All that is asked of many pixels therefore
+    follows from sums of products of features and images.
+
+    Attributes
+    ----------
+    members : tuple of int
+        Indices of the sets.
+    images : ndarray of float64, (N, P)
+        Their images, one set after the other, in grey levels.
+    features : ndarray of float64, (R, P)
+        The offset first, the mean of all sets; then set after set, by harmonic.
+    shift : ndarray of float64, (N,)
+        Phase shift δ_n of each image.
+    seen : ndarray of float64, (F, N)
+        Orthonormal rows that no fringe fills; common errors and noise are seen in them.
+    quiet : ndarray of float64, (Q, N)
+        Orthonormal rows that noise alone fills, once the common errors are taken away.
+    """
+
+    members: tuple[int, ...]
+    images: Floats
+    features: Floats
+    shift: Floats
+    seen: Floats
+    quiet: Floats
+
+    @property
+    def freedom(self) -> int:
+        """How much of a pixel's images shows common errors."""
+        return len(self.seen)
+
+    @property
+    def offset(self) -> Floats:
+        """Mean level of each pixel, (P,)."""
+        return np.asarray(self.features[0])
+
+    @cached_property
+    def membership(self) -> Floats:
+        """1 where an image is of a set, (N, S)."""
+        count = len(self.members)
+        return np.kron(np.eye(count), np.ones((len(self.images) // count, 1)))
+
+    @cached_property
+    def fringe(self) -> Floats:
+        """What makes the fitted sinusoids `A + B cos θ_n` of the features, (N, R)."""
+        fringe = self._wave(1)
+        fringe[:, 0] = 1.0
+        return fringe
+
+    @cached_property
+    def waves(self) -> Floats:
+        """What makes `B cos kθ_n` of the features, for each of `HARMONICS`: (4, N, R)."""
+        return np.array([self._wave(k) for k in HARMONICS])
+
+    def _wave(self, k: int) -> Floats:
+        wave, images = np.zeros((len(self.shift), len(self.features))), np.arange(len(self.shift))
+        column = 2 * k - 1 + 2 * HARMONICS[-1] * self.membership.argmax(axis=1)
+        wave[images, column] = np.cos(k * self.shift)
+        wave[images, column + 1] = np.sin(k * self.shift)
+        return wave
+
+    def rest(self, rows: Floats, found: Found) -> Floats:
+        """Take the common errors from the images.
+
+        Parameters
+        ----------
+        rows : ndarray of float64, (F, N)
+            `seen` or `quiet`.
+        found : Found
+            The common errors.
+
+        Returns
+        -------
+        ndarray of float64, (F, P)
+            What is left of the images in these rows.
+        """
+        common = found.gains[:, None] * self.fringe + np.tensordot(found.harmonics, self.waves, 1)
+        offset = rows @ self.membership @ found.offsets
+        return _product(rows, self.images) - _product(rows @ common, self.features) - offset[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What least squares found in a group.
+
+    Attributes
+    ----------
+    harmonics : ndarray of float64, (4,)
+        Shares c_k of `HARMONICS`.
+    uncertainty : ndarray of float64, (4,)
+        Standard uncertainties of them.
+    gains : ndarray of float64, (N,)
+        ε_n.
+    covariance : ndarray of float64, (N, N)
+        Of the gains.
+    offsets : ndarray of float64, (N,)
+        Offsets of whole sets in grey levels, where sets are compared.
+    """
+
+    harmonics: Floats
+    uncertainty: Floats
+    gains: Floats
+    covariance: Floats
+    offsets: Floats
+
+
+def groups_of(
+    samples: Sequence[Floats], fringes: Sequence[FringeSet], modulation_min: float = 0.0
+) -> list[Group]:
+    """Group fringe sets by what shows their errors.
+
+    Parameters
+    ----------
+    samples : sequence of ndarray of float64, (N, P)
+        Grey levels of each set, of the same P pixels in all.
+    fringes : sequence of FringeSet
+        The sets.
+    modulation_min : float
+        Least modulation of pixels that are used.
+
+    Returns
+    -------
+    list of Group
+        One for each set of more than three images; if there is none, one for all sets; none for a single set
+        of three, or where fewer than `LEAST_PIXELS` pixels are modulated enough.
+    """
+    fitted = [_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
+    long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
+    used = long or range(len(fringes))
+    least = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
+    strong = np.flatnonzero(least >= modulation_min)
+    if len(strong) < LEAST_PIXELS or (not long and len(fringes) < 2):
+        return []
+    parts = [_set_group(k, samples[k][:, strong], fitted[k][:, strong], fringes[k]) for k in used]
+    if long:
+        return parts
+    count = len(parts)
+    own = np.kron(np.eye(count), np.full((3, 3), 1.0 / 3.0))
+    between = _rows(own - np.full((3 * count, 3 * count), 1.0 / (3 * count)))
+    # The mean offset: with each set's own, a gain common to all images would seem to explain their noise.
+    offset = np.mean([part.offset for part in parts], axis=0)
+    features = np.concatenate([offset[None], *(part.features[1:] for part in parts)])
+    images = np.concatenate([part.images for part in parts])
+    shift = np.concatenate([part.shift for part in parts])
+    return [Group(tuple(used), images, features, shift, seen=between, quiet=between)]
+
+
+def _sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
+    """Offset, cosine and sine of the fringe at each pixel, (3, P)."""
+    return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
+
+
+def _set_group(index: int, sample: Floats, fitted: Floats, fringe: FringeSet) -> Group:
+    shift, (offset, c, s) = fringe.phase_shifts(), fitted
+    wave = c + 1j * s
+    phasor = wave / np.maximum(np.abs(wave), 1e-12)
+    features = np.empty((1 + 2 * HARMONICS[-1], sample.shape[1]))
+    features[0] = offset
+    for k in range(HARMONICS[-1]):
+        features[1 + 2 * k], features[2 + 2 * k] = wave.real, wave.imag
+        wave *= phasor
+    # Optics lessen harmonics differently where the picture is less sharp.
+    highest = min(max((len(shift) - 3) // 2, 1), 3)
+    return Group((index,), sample, features, shift, _beyond(shift, 1), _beyond(shift, highest))
+
+
+def _waves(shift: Floats, highest: int) -> Floats:
+    """Offset and harmonics as columns, (N, 1 + 2 highest)."""
+    angle = np.outer(shift, np.arange(1, highest + 1))
+    return np.concatenate([np.ones((len(shift), 1)), np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _beyond(shift: Floats, highest: int) -> Floats:
+    """Orthonormal rows that offset and harmonics do not fill, (F, N)."""
+    waves = _waves(shift, highest)
+    return _rows(np.eye(len(shift)) - waves @ np.linalg.pinv(waves))
+
+
+def _rows(projection: Floats) -> Floats:
+    """Orthonormal rows that span what a symmetric projection keeps."""
+    kept, vectors = np.linalg.eigh(projection)
+    return np.asarray(vectors[:, kept > 0.5].T)
+
+
+def _product(few: Floats, many: Floats) -> Floats:
+    """`few @ many`, not by BLAS: its threads spin for 25 ms afterwards, on processors that decoding needs."""
+    return np.asarray(np.einsum("mn,np->mp", few, many))
+
+
+def fit_group(group: Group) -> Found:
+    """Fit gains and harmonics of a group by least squares, without pixels that noise does not explain.
+
+    Parameters
+    ----------
+    group : Group
+        Images of many pixels.
+
+    Returns
+    -------
+    Found
+        What is common to them.
+    """
+    every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members))))
+    group = replace(group, images=group.images[:, every], features=group.features[:, every])
+    terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
+    power = np.square(_product(group.seen, group.images)).sum(axis=0)
+    for _ in range(_PASSES):
+        kept = power <= _OUTLIER * max(float(np.median(power)), 1e-12)
+        variance = max(float(power[kept].mean()) / group.freedom, _LEAST_VARIANCE)
+        chosen = terms[:, kept]
+        normal, right, prior = _equations(group, np.einsum("ap,bp->ab", chosen, chosen))
+        # Not by `inv`, whose threads spin as well.
+        strength, vectors = np.linalg.eigh(normal + np.diag(variance / prior**2))
+        inverse = (vectors / strength) @ vectors.T
+        found = _found(group, inverse @ right, variance * inverse)
+        power = np.square(group.rest(group.seen, found)).sum(axis=0)
+    return found
+
+
+def _equations(group: Group, sums: Floats) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of harmonics, gains and offsets of sets, and how great each of these may be.
+
+    `sums` are those over pixels of the products of features, images and 1, (R + N + 1, R + N + 1).
+    """
+    count = len(group.features)
+    features, of_images, totals = sums[:count, :count], sums[count:-1, :count], sums[-1]
+    members, fringe, seen = group.membership, group.fringe, group.seen.T @ group.seen
+    shown, bent, total = seen @ members, seen @ group.waves, fringe @ totals[:count]
+    summed = bent @ features
+    harmonic = np.tensordot(summed, bent, ((1, 2), (1, 2)))
+    by_gain = (summed * fringe).sum(axis=2)
+    by_offset = bent @ totals[:count] @ members
+    gain, gain_by_offset = seen * (fringe @ features @ fringe.T), total[:, None] * shown
+    offset = totals[-1] * (members.T @ shown)
+    normal = np.block(
+        [
+            [harmonic, by_gain, by_offset],
+            [by_gain.T, gain, gain_by_offset],
+            [by_offset.T, gain_by_offset.T, offset],
+        ]
+    )
+    seen_images = seen @ of_images
+    right = np.concatenate(
+        [
+            np.tensordot(bent, seen_images, 2),
+            (seen_images * fringe).sum(axis=1),
+            shown.T @ totals[count:-1],
+        ]
+    )
+    sizes = len(bent), len(fringe), len(group.members)
+    return normal, right, np.repeat([_HARMONIC, _GAIN, _OFFSET], sizes)
+
+
+def _found(group: Group, best: Floats, covariance: Floats) -> Found:
+    lamp = slice(len(HARMONICS), len(HARMONICS) + len(group.images))
+    return Found(
+        best[: lamp.start],
+        np.sqrt(np.diag(covariance)[: lamp.start]),
+        best[lamp],
+        covariance[lamp, lamp],
+        best[lamp.stop :],
+    )
+
+
+def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
+    """Measure what noise alone leaves in each pixel.
+
+    Of sets of seven images and more, harmonics 2 and 3 are left out pixel by pixel too.
+
+    Parameters
+    ----------
+    group : Group
+        Images of P pixels.
+    found : Found
+        What is common to them.
+
+    Returns
+    -------
+    power : ndarray of float64, (P,)
+        Sum of squares, in grey levels squared.
+    freedom : int
+        Its degrees of freedom.
+    """
+    return np.square(group.rest(group.quiet, found)).sum(axis=0), len(group.quiet)
+
+
+def errors_of_sets(
+    groups: Sequence[Group], found: Sequence[Found], fringes: Sequence[FringeSet], exponent: float | None
+) -> list[CommonErrors]:
+    """Tell the common errors of every set, also of those whose own images do not show them.
+
+    Those take the exponent of the response and the scatter of the lamp from the sets that show them.
+
+    Parameters
+    ----------
+    groups, found : sequence of Group and of Found
+        What was fitted.
+    fringes : sequence of FringeSet
+        All sets.
+    exponent : float, optional
+        Exponent g between the light wanted and seen, where it has been measured.
+
+    Returns
+    -------
+    list of CommonErrors
+        Of every set.
+    """
+    bent = {k: _exponent(group, one) for group, one in zip(groups, found, strict=True) for k in group.members}
+    sums = {
+        k: s for group, one in zip(groups, found, strict=True) for k, s in _gain_sums(group, one, fringes)
+    }
+    weight = sum(1.0 / u**2 for _, u in bent.values())
+    typical = sum(g / u**2 for g, u in bent.values()) / weight if bent else np.nan
+    powers = [np.square(one) / fringes[k].images for k, one in sums.items()]
+    scatter = np.mean(powers) if powers else np.nan
+    result = []
+    for k, fringe in enumerate(fringes):
+        g = exponent if exponent is not None else bent[k][0] if k in bent else typical
+        shares, rad = _response_errors(g, fringe.images)
+        unseen = float(np.sqrt(scatter * fringe.images))
+        first, second = sums.get(k, (unseen, unseen))
+        result.append(CommonErrors(shares, rad, first, second, fringe.images))
+    return result
+
+
+def _gain_sums(
+    group: Group, found: Found, fringes: Sequence[FringeSet]
+) -> Iterator[tuple[int, tuple[float, float]]]:
+    """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, beyond what noise makes of them."""
+    size = len(group.images) // len(group.members)
+    for place, k in enumerate(group.members):
+        own = slice(place * size, (place + 1) * size)
+        turns = np.exp(1j * np.outer([1, 2], fringes[k].phase_shifts()))
+        power = np.abs((turns * found.gains[own]).sum(axis=1)) ** 2
+        noise = np.einsum("km,mn,kn->k", turns, found.covariance[own, own], turns.conj()).real
+        first, second = np.sqrt(np.maximum(power - noise, 0.0))
+        yield k, (float(first), float(second))
+
+
+def _response_errors(g: float, images: int) -> tuple[Floats, float]:
+    if np.isnan(g):
+        return np.full(len(HARMONICS), np.nan), np.nan
+    amplitudes = harmonics(g, HARMONICS[-1])
+    return amplitudes[list(HARMONICS)] / amplitudes[1], phase_error(g, images)
+
+
+def _exponent(group: Group, found: Found) -> tuple[float, float]:
+    """The exponent of the response and its uncertainty, from the harmonic that shows it best.
+
+    Harmonics of a power law are `c_2 = (g - 1)/(g + 2)` and `c_3 = c_2 (g - 2)/(g + 3)` of the fringe.
+    """
+    if len(group.members) == 1:
+        c, u = found.harmonics[0], found.uncertainty[0]
+        return float((1.0 + 2.0 * c) / (1.0 - c)), float(3.0 * u / (1.0 - c) ** 2)
+    # Offsets show the third only, which is greatest at g = 1.47 and does not tell what lies beyond.
+    c, u = max(found.harmonics[1], _LEAST_THIRD), found.uncertainty[1]
+    half = 3.0 + 5.0 * c
+    root = np.sqrt(max(half**2 - 8.0 * (1.0 - c) * (1.0 - 3.0 * c), 0.0))
+    return float((half - root) / (2.0 * (1.0 - c))), float(12.0 * u)

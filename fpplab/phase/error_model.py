@@ -1,0 +1,178 @@
+"""The errors of a recording's grey levels and phases, estimated from a sparse sample of its pixels.
+
+Two kinds are told apart. Noise is independent from pixel to pixel, and averaging lessens it. What the
+response, the lamp and rounding do is the same for all pixels of one phase (`fpplab.phase.common_errors`,
+`fpplab.phase.noise.repeated_rounding`), and averaging does not lessen it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import Image, Mask, full_scale, raw_per_grey
+from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.recording import Recording
+from fpplab.phase.common_errors import (
+    LEAST_PIXELS,
+    CommonErrors,
+    Found,
+    Group,
+    errors_of_sets,
+    fit_group,
+    groups_of,
+    noise_power,
+)
+from fpplab.phase.noise import QUANTISATION, NoiseModel, fit_line, level_step
+from fpplab.phase.saturation import LEAST_SAMPLES
+
+_SAMPLE_ROWS, _SAMPLE_PIXELS = 32, 16_000
+_VALUES = 32_000
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """Errors of a recording.
+
+    Attributes
+    ----------
+    noise : NoiseModel
+        Of the grey levels.
+    sets : tuple of CommonErrors
+        Of each fringe set.
+    saturation : int
+        Raw value from which on a sample is saturated: a container deeper than its data ends before its full
+        scale.
+    """
+
+    noise: NoiseModel
+    sets: tuple[CommonErrors, ...]
+    saturation: int
+
+    @property
+    def phase_error_is_known(self) -> bool:
+        """Whether the frames, or a measured response, tell the common errors."""
+        return all(np.isfinite(one.terms).all() for one in self.sets)
+
+
+def error_model_of(recording: Recording) -> ErrorModel:
+    """Estimate the errors of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+
+    Returns
+    -------
+    ErrorModel
+        In 8-bit grey levels and rad.
+    """
+    plan = recording.plan
+    return fit_errors(
+        _sample(recording), plan.fringes, recording.bits, plan.masks.modulation_min, recording.exponent
+    )
+
+
+def _sample(recording: Recording) -> list[Image]:
+    """A sparse sample of pixels of each set, (N, P): whole cache lines of a few rows."""
+    height, width = recording.frames[0].shape
+    rows = max(1, height // _SAMPLE_ROWS)
+    columns = max(1, height // rows * width // _SAMPLE_PIXELS)
+    picked = np.stack([f[rows // 2 :: rows, ::columns].ravel() for f in recording.frames])
+    return [picked[a:b] for a, b in pairwise(recording.plan.set_starts)]
+
+
+def fit_errors(
+    samples: Sequence[Image],
+    fringes: Sequence[FringeSet],
+    bits: int,
+    modulation_min: float = 0.0,
+    exponent: float | None = None,
+) -> ErrorModel:
+    """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
+
+    Where a set has more than three steps, noise is what the sinusoid leaves. Where all have three, it is the
+    difference between the sets' offsets. One set of three steps does not reveal the noise: the model is then
+    the rounding alone, a lower bound.
+
+    Parameters
+    ----------
+    samples : sequence of ndarray of uint8 or uint16, (N, P)
+        Raw values of each fringe set, of the same P pixels in all.
+    fringes : sequence of FringeSet
+        The sets that the samples are of.
+    bits : int
+        Depth of the values.
+    modulation_min : float
+        Least modulation in 8-bit grey levels of pixels that are used.
+    exponent : float, optional
+        Exponent of the response, where it has been measured.
+
+    Returns
+    -------
+    ErrorModel
+        In 8-bit grey levels and rad.
+    """
+    step, grey = level_step(np.concatenate([sample.ravel() for sample in samples])), 1.0 / raw_per_grey(bits)
+    saturation = math.floor(full_scale(bits) - step) + 1
+    usable = np.flatnonzero(_usable(samples, saturation))
+    freedom = sum(fringe.images - 3 for fringe in fringes) or len(fringes) - 1
+    usable = usable[:: max(1, len(usable) * freedom // _VALUES)]
+    levels = [grey * sample[:, usable].astype(np.float64) for sample in samples]
+    groups = groups_of(levels, fringes, modulation_min)
+    found = [fit_group(group) for group in groups]
+    noise = _noise(groups, found, step * grey)
+    if not groups:
+        noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
+    return ErrorModel(noise, tuple(errors_of_sets(groups, found, fringes, exponent)), saturation)
+
+
+def _usable(samples: Sequence[Image], saturation: int) -> Mask:
+    """Pixels that no image shows saturated or, unless too few remain, black: clipped, they scatter less."""
+    lowest = np.min([s.min(axis=0) for s in samples], axis=0)
+    bright: Mask = np.max([s.max(axis=0) for s in samples], axis=0) < saturation
+    both: Mask = bright & (lowest > 0)
+    return both if both.sum() >= LEAST_PIXELS else bright
+
+
+def _noise(groups: Sequence[Group], found: Sequence[Found], step: float) -> NoiseModel:
+    """The line through the variances of the pixels, of all their images together."""
+    parts = [noise_power(group, one) for group, one in zip(groups, found, strict=True)]
+    if not parts:
+        return NoiseModel(QUANTISATION * step**2, 0.0, step)
+    freedom = sum(own for _, own in parts)
+    variance = np.sum([power for power, _ in parts], axis=0) / freedom
+    return fit_line(np.mean([g.offset for g in groups], axis=0), variance, freedom, step)
+
+
+def _noise_beside_saturation(
+    samples: Sequence[Image],
+    fringes: Sequence[FringeSet],
+    saturation: int,
+    grey: float,
+    step: float,
+) -> NoiseModel | None:
+    """The line through what sinusoids leave of unsaturated samples, where every pixel has saturated ones."""
+    pixels = samples[0].shape[1]
+    power, freedom, level = np.zeros(pixels), np.zeros(pixels), np.zeros(pixels)
+    for sample, fringe in zip(samples, fringes, strict=True):
+        shift, used = fringe.phase_shifts(), sample < saturation
+        waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+        values, weight = sample * grey, used.astype(np.float64)
+        normal = np.einsum("np,ni,nj->pij", weight, waves, waves)
+        fitted = np.linalg.pinv(normal) @ np.einsum("np,ni->pi", weight * values, waves)[:, :, None]
+        rest = weight * (values - np.einsum("ni,pi->np", waves, fitted[:, :, 0]))
+        enough = used.sum(axis=0) > LEAST_SAMPLES
+        power += np.where(enough, (rest**2).sum(axis=0), 0.0)
+        freedom += np.where(enough, used.sum(axis=0) - LEAST_SAMPLES, 0)
+        level += (weight * values).sum(axis=0) / np.maximum(used.sum(axis=0), 1) / len(fringes)
+    told = freedom > 0
+    if told.sum() < LEAST_PIXELS:
+        return None
+    typical = round(float(np.median(freedom[told])))
+    return fit_line(level[told], power[told] / freedom[told], max(typical, 1), step * grey)

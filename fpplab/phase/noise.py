@@ -1,0 +1,216 @@
+"""Noise of grey levels, found in the frames themselves by photon transfer.
+
+The variance of a grey level is a linear function of the signal, `a + b I` (read-out noise and shot noise),
+and contains the rounding to whole steps. Where noise is smaller than about a quarter of a step, a pixel that
+is measured again is rounded the same way again: that part of the variance is common to all pixels of the same
+level and phase (`repeated_rounding`), and no mean lessens it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import chdtr, chdtri
+
+from fpplab.core.conventions import Floats, Image
+
+QUANTISATION = 1 / 12
+"""Variance of rounding to integers, in units of the last place squared."""
+
+LEAST_SPREAD = 0.0025
+"""Variance of a level before rounding that can be told from none, in steps squared: less is taken as this, so
+that some part of the variance is always left to chance.
+"""
+
+_BINS = 24
+_LEAST_PER_BIN = 30
+_REJECTED = 0.001
+_PASSES = 6
+_UNDERSAMPLED = 0.7
+_NEGLIGIBLE = 1e-4
+_LEAST_LEVELS, _EVEN = 16, 0.9
+
+_f = np.float32
+_FIRST, _SECOND = _f(1 / (2 * np.pi**2)), _f(1 / (8 * np.pi**2))
+_HIGHER = _f(1 / 12 - 5 / (8 * np.pi**2))
+_RATE, _ONE = _f(4 * np.pi**2 / 64), _f(1)
+
+
+def repeated_rounding(spread: Floats) -> Floats:
+    """Compute the part of a variance that repeats because values are rounded to whole steps.
+
+    Noise of standard deviation s spreads a value over several steps, which leaves of the rounding error's
+    variance `Σ exp(-4π²k²s²)/(2π²k²)` as a function of the value alone: 1/12 without noise, nothing from half
+    a step on. The three terms here follow that sum within 0.001.
+
+    Parameters
+    ----------
+    spread : ndarray of float64
+        Variance s² of a level before rounding, in steps squared, at least `LEAST_SPREAD`; any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        In steps squared, of the same shape.
+
+    References
+    ----------
+    Widrow and Kollár, Quantization Noise, Cambridge 2008
+    """
+    # The power of a rational function is exp, but compiled to vector instructions.
+    w = _ONE / (_ONE + _RATE * spread)
+    w *= w
+    w *= w
+    w *= w
+    w *= w
+    w *= w
+    w *= w
+    w4 = w * w * w * w
+    return _FIRST * w + _SECOND * w4 + _HIGHER * w4 * w4 * w  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of a grey level I: `constant + per_level * I`, in 8-bit grey levels squared.
+
+    Attributes
+    ----------
+    constant : float
+        Variance at level 0 (read-out noise and rounding), in grey levels squared.
+    per_level : float
+        Increase of the variance per grey level (shot noise), in grey levels.
+    step : float
+        Smallest difference of two levels of the frames, in grey levels.
+    """
+
+    constant: float
+    per_level: float
+    step: float = 1.0
+
+    def variance(self, level: Floats | float) -> Floats:
+        """Compute the variance at the given levels.
+
+        Parameters
+        ----------
+        level : float or ndarray of float64
+            8-bit grey levels.
+
+        Returns
+        -------
+        ndarray of float64
+            Variance in grey levels squared, of the same shape.
+        """
+        return np.asarray(self.constant + self.per_level * np.asarray(level))
+
+    @property
+    def rounding_repeats(self) -> bool:
+        """Whether noise is so small at some level that rounding repeats."""
+        return bool(self.repeated(0.0) > _NEGLIGIBLE * self.variance(0.0))
+
+    def repeated(self, level: Floats | float) -> Floats:
+        """Compute the part of the variance that is rounding and repeats in all pixels of the same light.
+
+        Parameters
+        ----------
+        level : float or ndarray of float64
+            8-bit grey levels.
+
+        Returns
+        -------
+        ndarray of float64
+            Variance in grey levels squared, of the same shape; `variance` contains it.
+        """
+        spread = self.variance(level) / self.step**2 - QUANTISATION
+        return np.asarray(repeated_rounding(np.maximum(spread, LEAST_SPREAD)) * self.step**2)
+
+
+def level_step(values: Image) -> float:
+    """Find the step of raw values: more than 1 where a container is deeper than its data.
+
+    8-bit data stored as multiples of 16 in 12 bits have a step of 16. Values that were scaled by no whole
+    number have steps of two neighbouring sizes, of which the mean is given.
+
+    Parameters
+    ----------
+    values : ndarray of uint8 or uint16
+        A sample of raw values, any shape.
+
+    Returns
+    -------
+    float
+        In raw units, at least 1; 1 too where there are too few levels, or spaced too unevenly, to tell.
+    """
+    gaps = np.diff(np.flatnonzero(np.bincount(values.ravel())))
+    if len(gaps) + 1 < _LEAST_LEVELS:
+        return 1.0
+    least = int(gaps.min())
+    even = gaps <= least + (least > 1)
+    return float(gaps[even].mean()) if least > 1 and even.mean() >= _EVEN else 1.0
+
+
+def fit_line(level: Floats, variance: Floats, freedom: int, step: float) -> NoiseModel:
+    """Fit `a + b I` with a ≥ step²/12, b ≥ 0 through means over bins of equally many pixels.
+
+    Pixels whose variance chance does not explain (motion, edges) are left out of their bin's mean. Bins whose
+    variance is less than that of rounding are undersampled, their levels do not change over a whole step:
+    they say nothing about noise and have no weight.
+
+    Parameters
+    ----------
+    level : ndarray of float64, (P,)
+        Mean grey level of each pixel.
+    variance : ndarray of float64, (P,)
+        Measured variance of each pixel, in grey levels squared.
+    freedom : int
+        Degrees of freedom of each variance.
+    step : float
+        Smallest difference of two levels, in grey levels.
+
+    Returns
+    -------
+    NoiseModel
+        The line; rounding alone where every bin is undersampled.
+    """
+    floor = QUANTISATION * step**2
+    bins = max(1, min(_BINS, len(level) // _LEAST_PER_BIN))
+    order = np.argsort(level)[len(level) % bins :].reshape(bins, -1)
+    centre, mean = level[order].mean(axis=1), robust_mean(variance[order], freedom, floor)
+    sampled = mean >= _UNDERSAMPLED * floor
+    if not sampled.any():
+        return NoiseModel(floor, 0.0, step)
+    # Means scatter in proportion to the variance itself.
+    weight = 1.0 / np.maximum(mean[sampled], floor)
+    design = np.stack([np.ones(sampled.sum()), centre[sampled]], axis=1) * weight[:, None]
+    (constant, per_level), _ = nnls(design, np.maximum(mean[sampled] - floor, 0.0) * weight)
+    return NoiseModel(floor + float(constant), float(per_level), step)
+
+
+def robust_mean(variance: Floats, freedom: int, floor: float) -> Floats:
+    """Average variances, leaving out those that chance does not explain.
+
+    Parameters
+    ----------
+    variance : ndarray of float64, (..., P)
+        Measured variances of P alike pixels.
+    freedom : int
+        Degrees of freedom of each.
+    floor : float
+        Variances below it are never left out.
+
+    Returns
+    -------
+    ndarray of float64, (...)
+        Their means, corrected for the tail that is cut off; `floor` where none is left.
+    """
+    cut = float(chdtri(freedom, _REJECTED)) / freedom
+    # Mean of χ²/ν below the cut: the distribution of two more degrees of freedom.
+    kept_mean = float(chdtr(freedom + 2, cut * freedom)) / (1.0 - _REJECTED)
+    mean = np.median(variance, axis=-1) / (float(chdtri(freedom, 0.5)) / freedom)
+    for _ in range(_PASSES):
+        inside = variance <= cut * np.maximum(mean, floor)[..., None]
+        count = inside.sum(axis=-1)
+        total = np.where(inside, variance, 0.0).sum(axis=-1) / kept_mean
+        mean = np.where(count > 0, total / np.maximum(count, 1), floor)
+    return np.asarray(mean)

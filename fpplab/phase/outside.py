@@ -1,0 +1,127 @@
+"""Whether what the camera sees may lie outside of the possible positions, judged from a sample of pixels.
+
+Decoding looks for fringe orders among the possible positions alone. Light from elsewhere is decoded wrongly
+there, by a period of the coarsest set, unless the other sets contradict. Where they do, the position that
+they agree on tells that the depth range is too narrow; where the sets repeat themselves, nothing can tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
+from fpplab.patterns.recording import Recording
+from fpplab.phase.bounds import PossibleCoordinates, interval_of
+from fpplab.phase.error_model import ErrorModel
+from fpplab.phase.fusion import AGREEING_SIGMAS
+from fpplab.phase.reference import AxisPhases, axis_phases, fuse
+from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
+
+SAMPLE = 1000
+"""About how many pixels are looked at, evenly spaced."""
+LEAST_PIXELS = 50
+"""Fewer pixels with fringes than this say nothing."""
+CLEAR_TURNS = 0.05
+"""Greatest noise of a phase, in turns, of a pixel that is taken to have fringes."""
+WORTH_SAYING = 0.05
+"""Shares above this are told."""
+FAR_BEYOND_SIGMAS = 5.0
+"""How many standard deviations beyond the interval a position certainly lies outside."""
+
+
+@dataclass(frozen=True)
+class OutsideShare:
+    """How many of the sampled pixels with fringes may see something outside of the possible positions.
+
+    Attributes
+    ----------
+    likelier : float
+        Share whose phases noise explains outside and nowhere inside, 0 … 1.
+    as_likely : float
+        Share whose phases noise explains inside as well as outside, so that they cannot tell.
+    """
+
+    likelier: float
+    as_likely: float
+
+    def warnings(self) -> tuple[str, ...]:
+        """Say what these shares mean, where they are worth it.
+
+        Returns
+        -------
+        tuple of str
+            Sentences without a full stop.
+        """
+        said = []
+        if self.likelier > WORTH_SAYING:
+            said.append(
+                f"at {self.likelier:.0%} of the pixels with fringes the fringe sets agree on a position "
+                "outside of the depth range and on none inside, so part of what is seen probably lies outside"
+            )
+        if self.as_likely > WORTH_SAYING:
+            said.append(
+                f"at {self.as_likely:.0%} of the pixels with fringes the fringe sets agree on a position "
+                "outside of the depth range as well as inside, so what lies outside is decoded wrongly, "
+                "unnoticed"
+            )
+        return tuple(said)
+
+
+def outside_share(
+    recording: Recording,
+    sequences: Sequence[WavelengthSequence],
+    errors: ErrorModel,
+    bounds: Mapping[Axis, PossibleCoordinates] | None,
+) -> OutsideShare | None:
+    """Examine a sample of pixels, whether measured or not.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames.
+    sequences : sequence of WavelengthSequence
+        Of every coded axis; the first one with intervals and several sets is examined.
+    errors : ErrorModel
+        Of the recording.
+    bounds : mapping of str to PossibleCoordinates, or None
+        By axis, which coordinates each pixel may have.
+
+    Returns
+    -------
+    OutsideShare or None
+        None where nothing is known: no intervals, a single fringe set, or hardly a pixel with fringes.
+    """
+    sequence = next((s for s in sequences if s.axis in (bounds or {}) and len(s.sets) > 1), None)
+    if sequence is None:
+        return None
+    total = recording.frames[0].size
+    pixels = np.arange(0, total, max(total // SAMPLE, 1))
+    few = replace(recording, frames=[frame.reshape(-1)[pixels] for frame in recording.frames])
+    seen = axis_phases(few, sequence, errors)
+    length = axis_length(recording.projector_size, sequence.axis)
+    low, high = (np.asarray(end) for end in interval_of(bounds, sequence.axis, length, pixels))
+    noise_turns = np.max(seen.position_sigma * seen.stripes[:, None], axis=0)
+    with_fringes = (noise_turns <= CLEAR_TURNS) & (low <= high)
+    if with_fringes.sum() < LEAST_PIXELS:
+        return None
+    inside, outside = _least_chi2(seen, low, high, EDGE_MARGIN_PX / length)
+    limit = AGREEING_SIGMAS**2 * (len(sequence.sets) - 1)
+    fits = outside[with_fringes] <= limit
+    fits_inside = inside[with_fringes] <= limit
+    return OutsideShare(float(np.mean(fits & ~fits_inside)), float(np.mean(fits & fits_inside)))
+
+
+def _least_chi2(seen: AxisPhases, low: Floats, high: Floats, margin: float) -> tuple[Floats, Floats]:
+    """Least χ² of all orders inside of the intervals, and of all certainly outside."""
+    stripes, beyond = seen.stripes[-1], margin + FAR_BEYOND_SIGMAS * seen.position_sigma[-1]
+    inside, outside = np.full(low.shape, np.inf), np.full(low.shape, np.inf)
+    for order in range(int(np.ceil(stripes)) + 1):
+        position = (order + seen.phases[-1] / TWO_PI) / stripes
+        chi2 = fuse(seen, position).chi2
+        is_inside = (low - beyond <= position) & (position <= high + beyond)
+        inside = np.where(is_inside, np.minimum(inside, chi2), inside)
+        outside = np.where(is_inside | (position > 1.0), outside, np.minimum(outside, chi2))
+    return inside, outside

@@ -1,0 +1,91 @@
+"""Pixels with saturated samples: least squares over the samples that are left.
+
+Saturated samples say only that the level is high, so they are left out, one by one. What remains is no longer
+balanced: noise counts for more, and harmonics of the response, which cancel over all shifts, enter the phase.
+Both are computed, for the standard uncertainties of the pixel.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+LEAST_SAMPLES = 3
+"""Fewest unsaturated samples of a fringe set."""
+
+MOST_LOSS = 9.0
+"""Greatest variance of the phase from the samples that are left, where that from all samples is one: they lie
+too close together beyond it.
+"""
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def fit_unsaturated(levels: Any, cosine: Any, sine: Any, full: Any, shares: Any, fitted: Any) -> bool:
+    """Fit a sinusoid to the unsaturated samples of one pixel.
+
+    Parameters
+    ----------
+    levels : ndarray of float32, (N,)
+        Raw values.
+    cosine, sine : ndarray of float32, (N,)
+        Of the phase shifts; both zero for a value that is padding.
+    full : float
+        Raw value from which on a sample is saturated.
+    shares : ndarray of float32, (K,)
+        Harmonics of the response from the second on, as shares of the fringe.
+    fitted : ndarray of float64, (6,)
+        Result: offset, cosine and sine of the fringe and mean square residual in raw units; variance of the
+        phase relative to that from all samples; phase error in rad by the harmonics.
+
+    Returns
+    -------
+    bool
+        Whether enough samples are left, and far enough apart; nothing is in `fitted` otherwise.
+    """
+    count = total = 0
+    c = s = cc = ss = cs = y = yc = ys = 0.0
+    for n in range(len(levels)):
+        if cosine[n] == 0.0 and sine[n] == 0.0:
+            continue
+        total += 1
+        if levels[n] < full:
+            count += 1
+            p, q, level = float(cosine[n]), float(sine[n]), float(levels[n])
+            c += p
+            s += q
+            cc += p * p
+            ss += q * q
+            cs += p * q
+            y += level
+            yc += level * p
+            ys += level * q
+    if count < LEAST_SAMPLES:
+        return False
+    # The offset eliminated: two equations remain.
+    cc, ss, cs = cc - c * c / count, ss - s * s / count, cs - c * s / count
+    yc, ys = yc - c * y / count, ys - s * y / count
+    determinant = cc * ss - cs * cs
+    if determinant <= 1e-9 * total * total:
+        return False
+    a, b = (ss * yc - cs * ys) / determinant, (cc * ys - cs * yc) / determinant
+    offset, power = (y - a * c - b * s) / count, a * a + b * b
+    loss = 0.5 * total * (ss * b * b + cc * a * a + 2.0 * cs * a * b) / (determinant * max(power, 1e-30))
+    if loss > MOST_LOSS:
+        return False
+    turn, rest, error = np.arctan2(b, a), 0.0, 0.0
+    for n in range(len(levels)):
+        if (cosine[n] == 0.0 and sine[n] == 0.0) or levels[n] >= full:
+            continue
+        p, q = float(cosine[n]), float(sine[n])
+        rest += (levels[n] - offset - a * p - b * q) ** 2
+        theta, bent = turn - np.arctan2(q, p), 0.0
+        for k in range(len(shares)):
+            bent += shares[k] * np.cos((k + 2) * theta)
+        p, q = p - c / count, q - s / count
+        # How the phase answers to this sample, per modulation.
+        error += bent * (a * (cc * q - cs * p) - b * (ss * p - cs * q)) / determinant
+    fitted[0], fitted[1], fitted[2], fitted[3] = offset, a, b, rest / count
+    fitted[4], fitted[5] = loss, error / np.sqrt(max(power, 1e-30))
+    return True
