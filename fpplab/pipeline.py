@@ -19,9 +19,12 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
     DistortionModel,
+    Judgement,
     Observation,
     characterise,
     finest_periods,
+    judge,
+    judged_board,
     observe,
 )
 from fpplab.clouds import Cloud, save_cloud
@@ -450,15 +453,7 @@ def characterise_sessions(
         Too few poses remain, or the models do not fit.
     """
     size, lattice = sessions[0].projector()
-    periods = finest_periods(sessions[0].plan, size)
-    observations: list[Observation] = []
-    left_out: dict[str, str] = {}
-    for k, session in enumerate(sessions):
-        try:
-            observations.append(_observe_session(session, target, periods))
-        except CalibrationError as error:
-            left_out[session.path.name] = str(error)
-        progress(0.8 * (k + 1) / len(sessions))
+    observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share))
     width, height, _ = sessions[0].format
     result = characterise(
         observations,
@@ -472,6 +467,61 @@ def characterise_sessions(
     )
     progress(1.0)
     return result
+
+
+def judge_sessions(
+    sessions: Sequence[Session],
+    calibration: Calibration,
+    source: Path | str,
+    progress: Progress = no_progress,
+) -> Judgement:
+    """Judge a calibration by poses of its board that it was not fitted to, one session each.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Complete, of one plan and format.
+    calibration : Calibration
+        With its board.
+    source : Path or str
+        Name of the calibration, for errors.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    Judgement
+        Errors in these poses beside those predicted.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is for another camera or projector, does not say what its board was, or the board is
+        found in no pose.
+    """
+    board = judged_board(calibration, str(source))
+    width, height, _ = sessions[0].format
+    calibration.check_camera((width, height), sessions[0].path)
+    calibration.check_projector(*sessions[0].projector(), sessions[0].path)
+    target = config.validate(board.target, Target, f"{source}: board.target")
+    observations, left_out = _observe_sessions(sessions, target, progress)
+    return judge(calibration, observations, left_out, str(source))
+
+
+def _observe_sessions(
+    sessions: Sequence[Session], target: Target, progress: Progress
+) -> tuple[list[Observation], dict[str, str]]:
+    """What each pose tells, and by name why others tell nothing."""
+    periods = finest_periods(sessions[0].plan, sessions[0].projector()[0])
+    observations: list[Observation] = []
+    left_out: dict[str, str] = {}
+    for k, session in enumerate(sessions):
+        try:
+            observations.append(_observe_session(session, target, periods))
+        except CalibrationError as error:
+            left_out[session.path.name] = str(error)
+        progress((k + 1) / len(sessions))
+    return observations, left_out
 
 
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:

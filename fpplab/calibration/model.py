@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from fpplab.calibration.board import FittedBoard, FittedBoardFile
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats, Lattice
@@ -97,6 +98,8 @@ class Calibration:
         Reprojection errors in px by name (`camera`, `projector`, `joint`), for information only.
     uncertainty : Uncertainty, optional
         Of the parameters; None where it is unknown.
+    board : FittedBoard, optional
+        The board that it was found with, and the errors; None where they are unknown.
     """
 
     camera: Pinhole
@@ -104,6 +107,7 @@ class Calibration:
     T_projector_camera: RigidTransform
     rms_px: dict[str, float]
     uncertainty: Uncertainty | None = None
+    board: FittedBoard | None = None
 
     @property
     def baseline_mm(self) -> float:
@@ -371,6 +375,8 @@ class CalibrationFile(Document):
     """Reprojection errors in px by name (`camera`, `projector`, `joint`), for information only."""
     uncertainty: UncertaintyFile | None = None
     """Covariance of the parameters, where it is known."""
+    board: FittedBoardFile | None = None
+    """The board that the calibration was found with, and the errors, by which other poses are judged."""
 
     @model_validator(mode="after")
     def _has_a_baseline(self) -> CalibrationFile:
@@ -401,6 +407,7 @@ class CalibrationFile(Document):
             T_projector_camera=PoseFile.of(calibration.T_projector_camera),
             rms_px=calibration.rms_px,
             uncertainty=UncertaintyFile.of(known) if known else None,
+            board=FittedBoardFile.of(calibration.board) if calibration.board else None,
         )
 
     def calibration(self) -> Calibration:
@@ -412,5 +419,5 @@ class CalibrationFile(Document):
             The same calibration, angles in rad.
         """
         known = self.uncertainty.uncertainty() if self.uncertainty else None
-        pose = self.T_projector_camera.transform()
-        return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known)
+        pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
+        return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known, board)

@@ -1,6 +1,7 @@
 """Characterisation: calibrate a camera, a projector and the pose between them from poses of a board."""
 
 from fpplab.characterisation.fitting import characterise
+from fpplab.characterisation.judging import Judgement, judge, judged_board
 from fpplab.characterisation.observation import Observation, finest_periods, observe
 from fpplab.characterisation.parameters import DistortionModel
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
@@ -8,10 +9,13 @@ from fpplab.characterisation.result import Characterisation, ModelTrial, Rejecte
 __all__ = [
     "Characterisation",
     "DistortionModel",
+    "Judgement",
     "ModelTrial",
     "Observation",
     "Rejected",
     "characterise",
     "finest_periods",
+    "judge",
+    "judged_board",
     "observe",
 ]

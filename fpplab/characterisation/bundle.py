@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.optimize import least_squares
 
-from fpplab.calibration.model import INTRINSICS, POSE, Uncertainty
+from fpplab.calibration.model import INTRINSICS, Uncertainty
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, parameter_names
 from fpplab.characterisation.pose_effects import KINDS, Motion, PoseEffects, motions, pose_effects, widened
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
@@ -236,9 +236,7 @@ def uncertainty(
     longer = np.zeros(len(covariance))
     longer[-3:] = model.scale_tolerance * best.T_projector_camera[3:]
     covariance = covariance + np.outer(longer, longer)
-    terms = [f"{d}.{term}" for d in ("camera", "projector") for term in model.level.terms]
-    names = (*terms, *(f"T_projector_camera.{term}" for term in POSE))
-    return Uncertainty(names, 0.5 * (covariance + covariance.T))
+    return Uncertainty(parameter_names(model.level), 0.5 * (covariance + covariance.T))
 
 
 def motions_in_poses(

@@ -11,6 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from threadpoolctl import threadpool_limits
+
+from fpplab.calibration.board import FittedBoard, FittedErrors
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
 from fpplab.characterisation.board_diagnosis import find_description_error
@@ -31,6 +34,7 @@ from fpplab.characterisation.parameters import (
 )
 from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
+from fpplab.characterisation.validation import validate
 from fpplab.characterisation.zhang import (
     ImageSize,
     calibrate_separately,
@@ -40,6 +44,7 @@ from fpplab.characterisation.zhang import (
     stereo,
     transform,
 )
+from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole
@@ -90,6 +95,9 @@ def characterise(
     well, of the others to first order. A coefficient that is held at zero would count as exact, so the
     simplest level that fits is not the one whose uncertainty is right.
 
+    BLAS takes one thread: on matrices as small as these its threads would mostly wait for one another, on a
+    busy machine for minutes.
+
     Parameters
     ----------
     observations : Sequence[Observation]
@@ -125,25 +133,37 @@ def characterise(
     ----------
     Z. Zhang, "A flexible new technique for camera calibration", 2000.
     """
-    missing = dict(left_out or {})
+    with threadpool_limits(limits=1, user_api="blas"):
+        sizes = (camera_size, projector_size)
+        return _characterised(observations, target, sizes, lattice, dict(left_out or {}), level, refine_board)
+
+
+def _characterised(
+    observations: Sequence[Observation], target: Target, image_sizes: tuple[ImageSize, ImageSize],
+    lattice: Lattice, missing: dict[str, str], level: DistortionModel | Literal["auto"],
+    refine_board: bool | None,
+) -> Characterisation:  # fmt: skip
     chosen = DEFAULT_LEVEL if level == "auto" else level
     model = Model(chosen, target.points(), refine_board is not False, target.tolerance_mm, _scale(target))
-    kept, fit, separate_px = _settled(observations, target, model, (camera_size, projector_size), missing)
+    kept, fit, separate_px = _settled(observations, target, model, image_sizes, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
     most = model if len(chosen.terms) > len(DEFAULT_LEVEL.terms) else replace(model, level=DEFAULT_LEVEL)
     _determined(solution, uncertainty(kept, solution, most, sizes).sigma)
     few = level == "auto" and len(kept) <= LEAST_POSES
-    tried = {one: _tried(kept, fit, model, one) for one in _candidates(level, few)}
+    without = _without_each_pose(kept, fit, model)
+    tried = {one: _tried(kept, fit, model, one, without) for one in _candidates(level, few)}
     known = uncertainty(kept, solution, model, sizes)
+    proof = validate(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = Calibration(
-        Pinhole(camera_size, matrix_of(solution.camera), solution.camera[4:]),
-        Pinhole(projector_size, matrix_of(solution.projector), solution.projector[4:], lattice),
+        Pinhole(image_sizes[0], matrix_of(solution.camera), solution.camera[4:]),
+        Pinhole(image_sizes[1], matrix_of(solution.projector), solution.projector[4:], lattice),
         transform(solution.T_projector_camera),
         tried[chosen].fitted_px,
         known,
+        FittedBoard(config.plain(target), solution.board, _errors(sizes, solution, model)),
     )
     poses = tuple(transform(p) for p in solution.poses)
     return Characterisation(
@@ -163,12 +183,25 @@ def characterise(
         (
             *(UNJUDGED,) * few,
             *_motion(kept, fit, model),
+            *(proof.warnings if proof else ()),
             *coverage.warnings(kept, poses, calibration, solution.board),
         ),
         model.drawn if model.refined else None,
         solution,
         sizes,
         model,
+        proof,
+    )
+
+
+def _errors(sizes: ErrorSizes, solution: Solution, model: Model) -> FittedErrors:
+    return FittedErrors(
+        camera_px=sizes.camera_px,
+        projector_px=sizes.projector_px,
+        camera_shared_px=sizes.camera_shared_px,
+        projector_shared_px=sizes.projector_shared_px,
+        carried=solution.carried,
+        scale=model.scale_tolerance,
     )
 
 
@@ -255,37 +288,40 @@ def _candidates(level: DistortionModel | Literal["auto"], few: bool) -> tuple[Di
 
 
 def _tried(
-    observations: Sequence[Observation], settled: Fit, model: Model, level: DistortionModel
-) -> ModelTrial:
-    """Fit one level, with errors of the sizes found for `model`, and in each pose when that was left out."""
+    observations: Sequence[Observation], settled: Fit, model: Model, level: DistortionModel,
+    without: Sequence[Solution],
+) -> ModelTrial:  # fmt: skip
+    """Fit one level, with errors of the sizes found for `model`, and in each pose when that was left out.
+
+    without: fits of `model` to the other poses; those of the other levels are of first order.
+    """
     (solution, sizes), own = settled, replace(model, level=level)
     if level is not model.level:
         solution, _ = adjust_bundle(observations, solution, own, sizes)
+        without = fits_without_each_pose(observations, solution, own, sizes) if without else ()
     fitted = [solution.residuals(i, o) for i, o in enumerate(observations)]
-    held = _leave_one_out(observations, (solution, sizes), own, refit=level is model.level)
+    held = [
+        _held_out(o, near, solution.poses[k])
+        for k, (o, near) in enumerate(zip(observations, without, strict=bool(without)))
+    ]
     return ModelTrial(level, _rms_px(fitted), _rms_px(held) if held else None)
 
 
-def _leave_one_out(
-    observations: Sequence[Observation], fit: Fit, model: Model, refit: bool
-) -> list[Residuals] | None:
-    """Compute the residuals in each pose when only its own pose is fitted to it, all else to the others.
-
-    refit: whether the fits to the others are repeated until they converge, or are of first order.
-    """
+def _without_each_pose(observations: Sequence[Observation], fit: Fit, model: Model) -> list[Solution]:
+    """Fit all poses but one, for each in turn; nothing where too few would remain."""
     if len(observations) <= LEAST_POSES:
-        return None
-    solution, sizes = fit
-    held_out = []
-    for held, first in enumerate(fits_without_each_pose(observations, solution, model, sizes)):
-        observation = observations[held]
-        near = first
-        if refit:
-            others = [o for i, o in enumerate(observations) if i != held]
-            near, _ = adjust_bundle(others, without_poses(first, held), model, sizes)
-        pose = fit_pose(observation, near, solution.poses[held])
-        held_out.append(replace(near, poses=pose[None]).residuals(0, observation))
-    return held_out
+        return []
+    found = []
+    for held, first in enumerate(fits_without_each_pose(observations, fit[0], model, fit[1])):
+        others = [o for i, o in enumerate(observations) if i != held]
+        found.append(adjust_bundle(others, without_poses(first, held), model, fit[1])[0])
+    return found
+
+
+def _held_out(observation: Observation, near: Solution, start: Floats) -> Residuals:
+    """Compute the residuals in a pose when only its own pose is fitted to it, all else to the others."""
+    pose = fit_pose(observation, near, start)
+    return replace(near, poses=pose[None]).residuals(0, observation)
 
 
 def _rms_px(residuals: Sequence[Residuals]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
-from fpplab.calibration.model import INTRINSICS
+from fpplab.calibration.model import INTRINSICS, POSE
 from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -31,6 +31,23 @@ class DistortionModel(StrEnum):
     def terms(self) -> tuple[str, ...]:
         """The intrinsic parameters that are free; the first of `INTRINSICS`."""
         return INTRINSICS[: {"k1": 5, "k2": 6, "tangential": 8, "k3": 9, "rational": 12}[self]]
+
+
+def parameter_names(level: DistortionModel) -> tuple[str, ...]:
+    """Name the parameters of both devices that are estimated, in the order of their covariance.
+
+    Parameters
+    ----------
+    level : DistortionModel
+        Which distortion coefficients are estimated.
+
+    Returns
+    -------
+    tuple of str
+        Such as `camera.fx`; of `fpplab.calibration.model.PARAMETERS`.
+    """
+    terms = [f"{device}.{term}" for device in ("camera", "projector") for term in level.terms]
+    return (*terms, *(f"T_projector_camera.{term}" for term in POSE))
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 from scipy.stats import chi2, norm
 
+from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
 
@@ -189,7 +190,7 @@ def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float
     solution = problem.unpack(vector)
     columns, scores, own, bases = [], [], [], []
     for index in range(len(problem.observations)):
-        basis = problem.whitened(index, _basis(problem, index), solution.carried)
+        basis = effects_of_pose(problem, index, solution)
         residuals, weight = problem.weighted_residuals(index, solution, limit)
         scores.append(basis.T @ (weight * residuals))
         own.append(basis.T @ (weight[:, None] * basis))
@@ -208,14 +209,29 @@ def pose_effects(problem: Problem, vector: Floats, inverse: Floats, limit: float
     )
 
 
-def _basis(problem: Problem, index: int) -> Floats:
-    """Derivatives (4 K, 24) of the residuals of a pose by its effects: by device, coordinate and function."""
+def effects_of_pose(problem: Problem, index: int, solution: Solution) -> Floats:
+    """Differentiate the whitened residuals of a pose by its effects.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the errors' sizes.
+    index : int
+        Of the pose.
+    solution : Solution
+        Where the derivatives are taken.
+
+    Returns
+    -------
+    Floats
+        (4 K, 24) in 1/px: by device, coordinate and smooth function.
+    """
     functions = smooth_functions(problem.model.drawn[problem.observations[index].ids, :2])
     rows = np.zeros((2, len(functions), 2, 2, 2, FUNCTIONS))
     for device in (0, 1):
         for coordinate in (0, 1):
             rows[device, :, coordinate, device, coordinate] = functions
-    return rows.reshape(4 * len(functions), -1)
+    return problem.whitened(index, rows.reshape(4 * len(functions), -1), solution.carried)
 
 
 def _leaked(problem: Problem, vector: Floats, bases: list[Floats], passed: Floats) -> Floats:

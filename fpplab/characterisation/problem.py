@@ -107,7 +107,9 @@ class Problem:
         for index, observation in enumerate(self.observations):
             _, _, by_point = _pose_slopes(self.near, index, observation, self._free)
             camera, projector = by_point.reshape(2, -1, 2, 3)
-            found.append(projector[..., :2] @ np.linalg.inv(camera[..., :2]))
+            (a, b), (c, d) = np.moveaxis(camera[..., :2], 0, -1)
+            adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
+            found.append(projector[..., :2] @ adjugate / (a * d - b * c)[:, None, None])
         return found
 
     @property
@@ -270,6 +272,29 @@ class Problem:
         projector = projector - carried * (self._carry[index] @ camera)
         whole = np.stack([camera / self.sizes.camera_px, projector / self.sizes.projector_px])
         return np.asarray(whole.reshape(shape))
+
+    def unwhitened(self, index: int, rows: Floats, carried: float) -> Floats:
+        """Make residuals of one pose of whitened ones; inverse of `whitened`.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        rows : Floats
+            (4 K, …) in standard deviations.
+        carried : float
+            Share of the detection error that is carried.
+
+        Returns
+        -------
+        Floats
+            Of the same shape, in px.
+        """
+        shape = rows.shape
+        camera, projector = rows.reshape(2, shape[0] // 4, 2, -1)
+        camera = camera * self.sizes.camera_px
+        projector = projector * self.sizes.projector_px + carried * (self._carry[index] @ camera)
+        return np.asarray(np.stack([camera, projector]).reshape(shape))
 
     def errors(self, vector: Floats) -> tuple[Floats, Floats]:
         """Compute the whitened residuals of the points.

@@ -9,6 +9,7 @@ from typing import Any
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, Model, Solution
+from fpplab.characterisation.validation import Repeat, Validation
 from fpplab.characterisation.zhang import rms
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
@@ -102,6 +103,8 @@ class Characterisation:
         Standard deviations of the errors of each kind, as estimated.
     model : Model or None
         What was fitted.
+    validation : Validation or None
+        Calibrations from fewer poses beside what the covariance predicts; None with too few poses.
     """
 
     calibration: Calibration
@@ -122,6 +125,7 @@ class Characterisation:
     solution: Solution | None = None
     sizes: ErrorSizes | None = None
     model: Model | None = None
+    validation: Validation | None = None
 
     @property
     def points(self) -> int:
@@ -151,6 +155,8 @@ class Characterisation:
                 {"model": str(t.level), "fitted": _both(t.fitted_px), "held_out": _both(t.held_out_px)}
                 for t in self.trials
             ],
+            "jackknife": _repeats(self.validation.jackknife if self.validation else ()),
+            "halves": _repeats(self.validation.halves if self.validation else ()),
             "warnings": list(self.warnings),
         }
 
@@ -177,6 +183,19 @@ class Characterisation:
         """RMS of `camera` and `projector` by name of pose."""
         pairs = zip(self.observations, self.camera_residuals, self.projector_residuals, strict=True)
         return {o.name: {"camera": rms([c]), "projector": rms([p])} for o, c, p in pairs}
+
+
+def _repeats(repeats: tuple[Repeat, ...]) -> dict[str, dict[str, float | str]]:
+    return {
+        one.quantity: {
+            "unit": one.unit,
+            "stated": one.stated,
+            "changed": one.changed,
+            "predicted": one.predicted,
+            "chance": one.chance,
+        }
+        for one in repeats
+    }
 
 
 def _both(figures: dict[str, float] | None) -> dict[str, float | None]:

@@ -21,7 +21,8 @@ from fpplab.acceptance import (
 )
 from fpplab.report.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.report.figures import error_limit, error_map
-from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
+from fpplab.report.page import write_page
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.report.raster import raster_of, rasterise
 
 JUDGED = (

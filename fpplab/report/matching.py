@@ -28,7 +28,8 @@ from fpplab.report.drawing import (
     side_by_side,
 )
 from fpplab.report.figures import error_map
-from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
+from fpplab.report.page import write_page
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]

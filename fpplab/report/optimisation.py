@@ -22,7 +22,8 @@ from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
 from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
 from fpplab.report.figures import error_map
-from fpplab.report.page import ReportFigure, ReportSection, ReportTable, write_page
+from fpplab.report.page import write_page
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
 
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""

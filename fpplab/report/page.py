@@ -7,7 +7,6 @@ scan, or a characterisation.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from fpplab.characterisation import Characterisation
+from fpplab.characterisation import Characterisation, Judgement
 from fpplab.clouds import Cloud, local_quadric_distance
 from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Floats, Image, Map
@@ -27,8 +26,8 @@ from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
-from fpplab.report import characterisation as devices
-from fpplab.report import figures, response_figures, uncertainty
+from fpplab.report import devices, figures, response_figures, uncertainty
+from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,94 +70,6 @@ class ScanSection:
     depth: DepthRange | None = None
 
 
-@dataclass(frozen=True)
-class ReportFigure:
-    """A figure of the page.
-
-    Attributes
-    ----------
-    png : str
-        PNG file as base64.
-    alt : str
-        What the figure shows, for readers without images.
-    caption : str
-        Below the figure.
-    wide : bool
-        Whether it takes the full width of the page.
-    """
-
-    png: str
-    alt: str
-    caption: str
-    wide: bool = False
-
-    @classmethod
-    def of(cls, png: bytes, alt: str, caption: str, wide: bool = False) -> ReportFigure:
-        """Make a figure from a PNG file.
-
-        Parameters
-        ----------
-        png : bytes
-            The file.
-        alt : str
-            What the figure shows.
-        caption : str
-            Below the figure.
-        wide : bool
-            Whether it takes the full width of the page.
-
-        Returns
-        -------
-        ReportFigure
-            With the file as base64.
-        """
-        return cls(base64.b64encode(png).decode("ascii"), alt, caption, wide)
-
-
-@dataclass(frozen=True)
-class ReportTable:
-    """A table of text.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Heads; the first column names the rows.
-    rows : tuple of tuple of str
-        Cells, as many as columns.
-    caption : str
-        Below the table.
-    words : bool
-        Whether cells hold sentences, which are aligned left and wrapped, instead of figures.
-    """
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-    words: bool = False
-
-
-@dataclass(frozen=True)
-class ReportSection:
-    """One section of the page.
-
-    Attributes
-    ----------
-    title : str
-        Heading.
-    text : str
-        Paragraph below the heading.
-    tables : tuple of ReportTable
-        Below the text.
-    figures : tuple of ReportFigure
-        Below the tables.
-    """
-
-    title: str
-    text: str = ""
-    tables: tuple[ReportTable, ...] = ()
-    figures: tuple[ReportFigure, ...] = ()
-
-
 def write_report(
     path: Path,
     title: str,
@@ -166,6 +77,7 @@ def write_report(
     facts: Mapping[str, str] | None = None,
     response: tuple[Response, Floats] | None = None,
     characterisation: Characterisation | None = None,
+    judgement: Judgement | None = None,
     scans: Sequence[ScanSection] = (),
     when: datetime | None = None,
 ) -> None:
@@ -183,6 +95,8 @@ def write_report(
         The fit, and its levels (K, 2), shown and seen, in [0, 1].
     characterisation : Characterisation, optional
         Shown with its residuals.
+    judgement : Judgement, optional
+        Errors in poses that were not fitted, beside those predicted.
     scans : sequence of ScanSection
         One section each.
     when : datetime, optional
@@ -197,7 +111,9 @@ def write_report(
     if response:
         sections.append(_response_section(*response))
     if characterisation:
-        sections.append(_characterisation_section(characterisation))
+        sections.append(devices.characterisation_section(characterisation))
+    if judgement:
+        sections.append(devices.judgement_section(judgement))
     sections += [_scan_section(scan) for scan in scans]
     write_page(path, title, _summary(characterisation, scans), sections, facts, when)
 
@@ -276,25 +192,12 @@ ROUGHNESS = (
     "Roughness: median distance of a point from the quadric fitted to its neighbours. "
     "Noise: median standard deviation along the ray, as predicted from the fringes."
 )
-CHARACTERISED = (
-    "Characterisation",
-    "RMS in px",
-    "Leave-one-out RMS in px",
-    "RMS fitted separately in px",
-    "Focal length in px",
-    "Principal point in px",
-)
-REPROJECTION = (
-    "RMS: reprojection error of the board's points. Leave-one-out: the same for each pose, with the devices "
-    "fitted to all other poses."
-)
 
 
 def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSection]) -> list[ReportTable]:
     tables = []
     if characterisation:
-        rows = tuple(_device_row(characterisation, device) for device in ("camera", "projector"))
-        tables.append(ReportTable(CHARACTERISED, rows, REPROJECTION))
+        tables.append(devices.summary_table(characterisation))
     compared = tuple(_compared_row(s, s.comparison) for s in scans if s.comparison is not None)
     if compared:
         tables.append(ReportTable(COMPARED, compared, FLOOR))
@@ -334,69 +237,7 @@ def _noise(cloud: Cloud) -> str:
     return _number(None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm)))
 
 
-def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
-    calibration, held = found.calibration, found.leave_one_out_px or {}
-    matrix = (calibration.camera if name == "camera" else calibration.projector).matrix
-    focal = (_with_sigma(found, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy")))
-    centre = (_with_sigma(found, matrix[i, 2], f"{name}.{key}") for i, key in enumerate(("cx", "cy")))
-    return (
-        name.capitalize(),
-        f"{calibration.rms_px[name]:.3f}",
-        f"{held[name]:.3f}" if held else NOT_KNOWN,
-        f"{found.separate_px[name]:.3f}",
-        " / ".join(focal),
-        " / ".join(centre),
-    )
-
-
-def _with_sigma(found: Characterisation, value: float, name: str) -> str:
-    return f"{value:.1f} ± {found.sigma[name]:.1f}" if name in found.sigma else f"{value:.1f}"
-
-
 # Sections
-
-
-def _characterisation_section(found: Characterisation) -> ReportSection:
-    calibration, observations = found.calibration, found.observations
-    rms = found.pose_rms_px
-    bars = figures.pose_rms(
-        list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
-    )
-    pictures = [
-        ReportFigure.of(
-            bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True
-        )
-    ]
-    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
-    seen = (
-        ("camera", calibration.camera.size, cameras, found.camera_residuals),
-        ("projector", calibration.projector.size, projectors, found.projector_residuals),
-    )
-    for device, size, pixels, residuals in seen:
-        drawn = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
-        caption = (
-            f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
-            "scatter plot."
-        )
-        pictures.append(ReportFigure.of(drawn, f"Reprojection errors of the {device}", caption, wide=True))
-    for device, size, pixels, _ in seen:
-        drawn = figures.coverage(pixels, size, device)
-        caption = f"Where the board's points were on the {device}, one colour per pose."
-        pictures.append(ReportFigure.of(drawn, f"Points of the board over the {device}'s pixels", caption))
-    pictures.append(
-        ReportFigure.of(
-            devices.epipolar_figure(found), "Epipolar distances by pose", devices.EPIPOLAR, wide=True
-        )
-    )
-    if found.drawn is not None:
-        shape = devices.board_shape(found)
-        pictures.append(ReportFigure.of(shape, "Shape of the board as refined", devices.BOARD, wide=True))
-    joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
-    text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
-    text += f" Baseline {baseline:.2f} mm."
-    left_out = tuple(found.left_out.items())
-    tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
-    return ReportSection("Characterisation", text, tables, tuple(pictures))
 
 
 def _response_section(response: Response, levels: Floats) -> ReportSection:
@@ -545,8 +386,6 @@ def _error_figure(scan: ScanSection, found: Comparison) -> ReportFigure:
 
 
 # Formatting of numbers
-
-NOT_KNOWN = "–"
 
 
 def _number(value: float | None) -> str:

@@ -179,7 +179,8 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
         pulls.append(baseline / np.sqrt(along @ pair @ along))
         distances.append(error @ np.linalg.solve(known.covariance, error))
     assert np.mean(np.abs(pulls) < 3) >= 0.95
-    assert 0.85 < np.sqrt(np.mean(np.square(pulls))) < 1.15
+    # Six poses do not rule out errors that poses share, which widens the uncertainty by up to a third.
+    assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.15
     # Of chi squared with 22 degrees of freedom the mean of 40 has a standard deviation of 1.05.
     assert 22 - 4.2 < np.mean(distances) < 22 + 4.2
 

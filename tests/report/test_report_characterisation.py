@@ -16,7 +16,7 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.report import write_report
-from fpplab.report.characterisation import (
+from fpplab.report.characterisation_figures import (
     align_similarity,
     board_deviation,
     board_shape,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, app
-from fpplab.core.errors import ConfigError
+from fpplab.cli.app import PREPARE, Force, Json, PlanName, app
+from fpplab.core.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
-    pass
+    from fpplab.characterisation import Judgement
 
 
 class ModelName(StrEnum):
@@ -29,10 +29,14 @@ class ModelName(StrEnum):
 
 @app.command("characterise", rich_help_panel=PREPARE)
 def characterise_command(
-    target: Annotated[str, typer.Option("--target", help="Target file: the board that was shown.")],
-    out: Out,
     sessions: Annotated[
         list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option("--target", help="Target file: the board that was shown.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Where the result goes; with --judge, the report, if wanted.")
     ] = None,
     rig: Annotated[str | None, typer.Option("--rig", help="Take the poses now, on this rig.")] = None,
     plan: PlanName = "plan_board.yaml",
@@ -53,18 +57,31 @@ def characterise_command(
             help="Fit the board's shape too, which is the default; or take it as flat and exact.",
         ),
     ] = None,
+    judged: Annotated[
+        Path | None,
+        typer.Option(
+            "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Find the models of camera and projector, and the pose between them.
+    """Find the models of camera and projector, and the pose between them; or judge those found before.
 
     Either from recorded sessions, or with `--rig` by taking the poses now (their sessions stay in
     a folder beside the result). Ten poses or more, tilted up to 30 degrees, over the whole
     field and depth, make a good characterisation. Writes OUT and a report beside it.
 
+    With `--judge` nothing is fitted but where the board stands: the errors in these poses are shown beside
+    those that the calibration predicts. The exit code is 5 where they contradict it.
+
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
-    `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`
+    `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
+    `fpplab characterise --judge calibration.yaml later_poses/`
     """
+    if judged:
+        _judge(judged, sessions or [], out, force, json, unused={"--rig": rig, "--target": target})
+        return
     from fpplab.characterisation import DistortionModel
     from fpplab.core.files import refuse_existing
     from fpplab.devices.rig import Rig
@@ -75,6 +92,8 @@ def characterise_command(
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
+    if target is None or out is None:
+        raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
     if bool(sessions) == bool(rig):
         raise ConfigError("give either sessions or --rig, to say where the poses come from")
     page = out.with_suffix(".html")
@@ -106,3 +125,48 @@ def characterise_command(
     result.calibration.save(out)
     write_report(page, f"Characterisation {out.stem}", facts=result.facts(), characterisation=result)
     console.answer({**result.summary(), "left_out": result.left_out, "report": str(page)}, json)
+
+
+def _judge(
+    path: Path, paths: list[Path], out: Path | None, force: bool, json: bool, unused: dict[str, str | None]
+) -> None:
+    """Judge a calibration by sessions of poses that it was not fitted to."""
+    from fpplab.calibration.model import Calibration
+    from fpplab.core.files import refuse_existing
+    from fpplab.pipeline import judge_sessions
+    from fpplab.report import write_report
+    from fpplab.sessions.session import recorded_sessions
+
+    for option, value in unused.items():
+        if value is not None:
+            raise ConfigError(
+                f"{option} does not go with --judge, which takes recorded sessions of its board"
+            )
+    if not paths:
+        raise ConfigError("--judge needs sessions, one per pose, or the folder that holds them")
+    page = out.with_suffix(".html") if out else None
+    if page:
+        refuse_existing(page, force)
+    calibration = Calibration.load(path)
+    with console.progress("Judging") as report:
+        found = judge_sessions(recorded_sessions(paths), calibration, path, report)
+    for reason in found.left_out.values():
+        console.say(f"left out: {reason}")
+    if page:
+        write_report(page, f"Judgement of {path.stem}", judgement=found)
+    answer = {**found.summary(), "left_out": found.left_out, "report": str(page) if page else None}
+    console.answer(answer, json, lambda: _show_judgement(found))
+    if found.contradicted:
+        raise console.Answered(CalibrationError.exit_code)
+
+
+def _show_judgement(found: Judgement) -> None:
+    rows = [
+        [p.name, p.points]
+        + [f"{x:.3f}" for e in (p.camera, p.projector) for x in (e.rms_px, e.predicted_px)]
+        + ["more than chance" if p.contradicts else ""]
+        for p in found.poses
+    ]
+    columns = ["pose", "points", "camera px", "predicted", "projector px", "predicted", ""]
+    console.table("Errors in poses that were not fitted", columns, rows)
+    console.stdout.print(found.verdict, markup=False)

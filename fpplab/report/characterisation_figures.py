@@ -1,4 +1,4 @@
-"""Residual errors of a characterisation beyond each device's own: epipolar distances, the board's shape."""
+"""Figures of a characterisation beyond residuals: epipolar distances, the board's shape, uncertainty."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fpplab.calibration.model import Calibration
-from fpplab.characterisation import Characterisation, Observation
+from fpplab.characterisation import Characterisation, Judgement, Observation
+from fpplab.characterisation.validation import projected_uncertainty
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import DataError
 from fpplab.report.drawing import (
@@ -22,6 +23,7 @@ from fpplab.report.drawing import (
     colour_bar,
     map_height,
     new_figure,
+    sensor_axes,
     side_by_side,
 )
 
@@ -34,6 +36,12 @@ EPIPOLAR = (
     "not depend on the board. Where the mean of one pose differs from zero, something moved while that pose "
     "was captured."
 )
+MAPS = (
+    "Standard uncertainty of the pixel at which a place is seen, at the boards' median distance, by the "
+    "uncertainty of the device's model; a turn of the whole device does not count. Dots: the board's points. "
+    "The model is extrapolated where there are none."
+)
+JUDGED = "RMS error of each pose (bars) and that which the calibration predicts (lines)."
 BOARD = (
     "Deviation of the refined board from the board as drawn, after removal of position, rotation and scale. "
     "Left: out of its plane, positive away from the viewer. Right: within its plane."
@@ -219,3 +227,72 @@ def board_shape(found: Characterisation) -> Figure:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+@as_png
+def uncertainty_maps(found: Characterisation) -> Figure:
+    """Draw how uncertain the pixel is at which each device sees a place, over its image.
+
+    Parameters
+    ----------
+    found : Characterisation
+        With its uncertainty.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    calibration, grid = found.calibration, (24, 32)
+    figure, both = side_by_side(3.4, (1.0, 1.0))
+    to_projector = [calibration.T_projector_camera @ pose for pose in found.poses]
+    seen = (
+        ("camera", [o.camera_px for o in found.observations], found.poses),
+        ("projector", [o.projector_px for o in found.observations], to_projector),
+    )
+    for axes, (device, pixels, poses) in zip(both, seen, strict=True):
+        size = getattr(calibration, device).size
+        u, v = (np.linspace(0, n - 1, k) for n, k in zip(size, grid[::-1], strict=True))
+        places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        distance = float(np.median([pose.translation[2] for pose in poses]))
+        sigma = projected_uncertainty(calibration, device, places, distance).reshape(grid)
+        limit = float(np.percentile(sigma, 98))
+        mapped = axes.imshow(
+            sigma, cmap="viridis", vmin=0, vmax=limit, interpolation="bilinear",
+            extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5),
+        )  # fmt: skip
+        sensor_axes(axes, size, device)
+        axes.plot(*np.concatenate(pixels).T, ".", color="white", markersize=1.0, alpha=0.5)
+        colour_bar(figure, axes, mapped, "standard uncertainty in px")
+        axes.set_title(f"{device} at {distance:.0f} mm: median {np.median(sigma):.2g} px", fontsize=8.5)
+    return figure
+
+
+@as_png
+def judged_errors(found: Judgement) -> Figure:
+    """Draw the errors of poses that were not fitted beside those predicted.
+
+    Parameters
+    ----------
+    found : Judgement
+        Of one pose or more.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure, both = side_by_side(2.6, (1.0, 1.0))
+    places, names = np.arange(len(found.poses)), [pose.name for pose in found.poses]
+    for axes, device in zip(both, ("camera", "projector"), strict=True):
+        errors = [getattr(pose, device) for pose in found.poses]
+        colours = [SECOND if one.contradicts else ACCENT for one in errors]
+        axes.bar(places, [one.rms_px for one in errors], width=0.7, color=colours)
+        axes.hlines(
+            [one.predicted_px for one in errors], places - 0.42, places + 0.42, color=INK, linewidth=1.6
+        )
+        rotated = len(names) > CROWDED
+        axes.set_xticks(places, names, rotation=35 if rotated else 0, ha="right" if rotated else "center")
+        axes.set(ylabel="RMS error in px", xlim=(-0.6, len(names) - 0.4))
+        axes.set_title(device, fontsize=8.5)
+    return figure

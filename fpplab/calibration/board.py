@@ -1,0 +1,97 @@
+"""What a characterisation found out about its board and its own errors, kept with the calibration.
+
+With it other poses of the same board can be judged: which errors are to be expected in them is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from fpplab.core.config import Document
+from fpplab.core.conventions import Floats
+
+Size = Annotated[float, Field(ge=0, le=1e3)]
+
+
+class FittedErrors(Document):
+    """Standard deviations of the errors that a characterisation found."""
+
+    camera_px: Annotated[float, Field(gt=0, le=1e3)]
+    """Of a coordinate of a point detected in the camera's image, in px."""
+    projector_px: Annotated[float, Field(gt=0, le=1e3)]
+    """Of a projector coordinate read there, in px of the projector, beyond what is carried into it."""
+    camera_shared_px: Size = 0.0
+    """Of each smooth function over the board that the errors of one pose share in the camera, in px."""
+    projector_shared_px: Size = 0.0
+    """The same in the projector."""
+    carried: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of the detection error in the camera's image that is carried into the projector's reading."""
+    scale: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Relative standard uncertainty of the board's scale, which the calibration's covariance contains."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedBoard:
+    """The board of a characterisation.
+
+    Attributes
+    ----------
+    target : dict of str to object
+        Content of the target file.
+    points : ndarray of float64, (P, 3)
+        Points of the board in mm, as the characterisation found them.
+    errors : FittedErrors
+        Sizes of the errors.
+    """
+
+    target: dict[str, Any]
+    points: Floats
+    errors: FittedErrors
+
+
+class FittedBoardFile(Document):
+    """The board in a calibration file."""
+
+    target: dict[str, Any]
+    """Content of the target file."""
+    points_mm: tuple[tuple[float, float, float], ...]
+    """Points of the board as the characterisation found them, row by row, in mm in the board's frame."""
+    errors: FittedErrors
+    """Sizes of the errors."""
+
+    @model_validator(mode="after")
+    def _is_finite(self) -> FittedBoardFile:
+        if not np.isfinite(self.points_mm).all():
+            raise ValueError("'points_mm' must be finite")
+        return self
+
+    @classmethod
+    def of(cls, board: FittedBoard) -> FittedBoardFile:
+        """Convert a board to its form in a file.
+
+        Parameters
+        ----------
+        board : FittedBoard
+            The board.
+
+        Returns
+        -------
+        FittedBoardFile
+            The same, places rounded to 10 nm.
+        """
+        rows = tuple((x, y, z) for x, y, z in np.round(board.points, 5).tolist())
+        return cls(target=board.target, points_mm=rows, errors=board.errors)
+
+    def board(self) -> FittedBoard:
+        """Convert to the board.
+
+        Returns
+        -------
+        FittedBoard
+            What the file holds.
+        """
+        return FittedBoard(self.target, np.array(self.points_mm, float).reshape(-1, 3), self.errors)

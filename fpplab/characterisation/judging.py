@@ -1,0 +1,329 @@
+"""Judge a calibration by poses that it was not fitted to: their errors, beside those that it predicts.
+
+Only the pose of the board is fitted to each capture. What is left should be no more than noise, what the
+errors of one pose share, and the uncertainty of the devices, less what the pose takes up. The square sum of a
+device's residuals then follows a sum of weighted χ², here approximated by one χ² of the same mean and
+variance (F. E. Satterthwaite, "An approximate distribution of estimates of variance components", 1946).
+
+The uncertainty of the devices that `fpplab.characterisation.bundle.uncertainty` gives holds with the board as
+it was found, so that the board's own does not count again; with four poses the prediction is 4 % too small
+for that, with more less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from fpplab.calibration.board import FittedBoard, FittedErrors
+from fpplab.calibration.model import INTRINSICS, Calibration
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.outliers import reject_points, rejection_limits
+from fpplab.characterisation.parameters import (
+    DistortionModel,
+    ErrorSizes,
+    Model,
+    Solution,
+    parameter_names,
+    vectors_of,
+)
+from fpplab.characterisation.pose_effects import FUNCTIONS, effects_of_pose
+from fpplab.characterisation.problem import Problem
+from fpplab.characterisation.result import Rejected
+from fpplab.characterisation.zhang import matrix_of, rms
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
+
+DEVICES = ("camera", "projector")
+
+CONTRADICTED = 1e-3
+"""Probability of errors as great as those seen below which they contradict the calibration."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one device, seen and predicted.
+
+    Attributes
+    ----------
+    rms_px : float
+        Root mean square length of the residuals in px.
+    predicted_px : float
+        That which the calibration predicts.
+    chance : float
+        Probability of errors as great as these, if the calibration holds.
+    """
+
+    rms_px: float
+    predicted_px: float
+    chance: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the errors are greater than chance makes them."""
+        return self.chance < CONTRADICTED
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPose:
+    """A pose that was not fitted.
+
+    Attributes
+    ----------
+    name : str
+        Of the pose.
+    points : int
+        How many points of the board were used.
+    camera, projector : Errors
+        Of the two devices.
+    """
+
+    name: str
+    points: int
+    camera: Errors
+    projector: Errors
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the errors in one of the devices are greater than chance makes them."""
+        return self.camera.contradicts or self.projector.contradicts
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What poses that were not fitted say about a calibration.
+
+    Attributes
+    ----------
+    poses : tuple of JudgedPose
+        The poses.
+    camera, projector : Errors
+        Of all poses together.
+    rejected : tuple of Rejected
+        Points that were not used.
+    left_out : dict of str to str
+        Why a pose was not used, by its name.
+    """
+
+    poses: tuple[JudgedPose, ...]
+    camera: Errors
+    projector: Errors
+    rejected: tuple[Rejected, ...]
+    left_out: dict[str, str]
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether all poses together contradict the calibration."""
+        return self.camera.contradicts or self.projector.contradicts
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in one sentence, with what to do."""
+        told = "; ".join(
+            f"{name} {errors.rms_px:.3f} px where {errors.predicted_px:.3f} px were predicted"
+            for name, errors in ((d, getattr(self, d)) for d in DEVICES)
+        )
+        if self.contradicted:
+            return (
+                f"these poses contradict the calibration: {told}; camera, projector or a lens have moved "
+                "since, or the calibration is surer than it should be: characterise again, with more poses"
+            )
+        if odd := [pose.name for pose in self.poses if pose.contradicts]:
+            return f"the calibration holds: {told}; but not in {', '.join(odd)}: look for motion there"
+        return f"the calibration holds: {told}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures that the command line prints as JSON.
+
+        Returns
+        -------
+        dict of str to object
+            Plain data: verdict, errors in px seen and predicted, by device and pose.
+        """
+        return {
+            "contradicted": self.contradicted,
+            "verdict": self.verdict,
+            **{device: vars(getattr(self, device)) for device in DEVICES},
+            "poses": [
+                {"pose": p.name, "points": p.points, **{d: vars(getattr(p, d)) for d in DEVICES}}
+                for p in self.poses
+            ],
+            "rejected": len(self.rejected),
+        }
+
+
+def judge(
+    calibration: Calibration,
+    observations: Sequence[Observation],
+    left_out: dict[str, str] | None = None,
+    source: str = "the calibration",
+) -> Judgement:
+    """Judge a calibration by poses that it was not fitted to.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its covariance and its board.
+    observations : Sequence[Observation]
+        Of other poses of the same board.
+    left_out : dict of str to str, optional
+        Why other poses could not be observed, by name.
+    source : str
+        Name of the calibration, for errors.
+
+    Returns
+    -------
+    Judgement
+        Errors seen and predicted.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration does not say what its board and its errors are, or there is no pose to judge by.
+    """
+    judged = _Judged.of(calibration, source)
+    if not observations:
+        raise CalibrationError(
+            f"{source}: there is no pose to judge by ({'; '.join((left_out or {}).values())})"
+        )
+    poses = np.array([judged.pose(o) for o in observations])
+    limits = rejection_limits(observations)
+    kept, rejected = reject_points(observations, replace(judged.devices, poses=poses), limits)
+    predictions = [_prediction(judged, o) for o in kept]
+    camera, projector = (_errors(predictions, d) for d in (0, 1))
+    return Judgement(
+        tuple(_judged_pose(one) for one in predictions), camera, projector, tuple(rejected), left_out or {}
+    )
+
+
+def judged_board(calibration: Calibration, source: str) -> FittedBoard:
+    """Give the board by whose poses a calibration can be judged.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+    source : str
+        Its name, for errors.
+
+    Returns
+    -------
+    FittedBoard
+        Its board.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration does not say what its board and its errors are.
+    """
+    if calibration.board is None or calibration.uncertainty is None:
+        missing = "board" if calibration.board is None else "uncertainty"
+        raise CalibrationError(
+            f"{source}: '{missing}' is missing, as in files of other programs and of earlier versions, so "
+            "the errors to be expected are unknown; characterise again"
+        )
+    return calibration.board
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A calibration as the joint adjustment has it, and a factor (n, n) of its covariance."""
+
+    devices: Solution
+    errors: FittedErrors
+    level: DistortionModel
+    factor: Floats
+
+    @classmethod
+    def of(cls, calibration: Calibration, source: str) -> _Judged:
+        fitted, known = judged_board(calibration, source), calibration.uncertainty
+        assert known is not None
+        free = sum(name.startswith("camera.") for name in known.names)
+        levels = [one for one in DistortionModel if len(one.terms) == free]
+        names = parameter_names(levels[0]) if levels else ()
+        if set(names) != set(known.names):
+            raise CalibrationError(
+                f"{source}: 'uncertainty.names' are not those of a characterisation; characterise again"
+            )
+        lenses = [
+            np.append(d.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], d.coefficients)
+            for d in (calibration.camera, calibration.projector)
+        ]
+        lenses = [np.append(lens, np.zeros(len(INTRINSICS) - len(lens))) for lens in lenses]
+        pair = vectors_of(calibration.T_projector_camera)
+        devices = Solution(lenses[0], lenses[1], pair, np.zeros((1, 6)), fitted.points, fitted.errors.carried)
+        order = [known.names.index(name) for name in names]
+        # No image shows the board's scale: with it, all lengths would grow.
+        longer = np.append(np.zeros(len(names) - 3), fitted.errors.scale * pair[3:])
+        covariance = known.covariance[np.ix_(order, order)] - np.outer(longer, longer)
+        values, vectors = np.linalg.eigh(covariance)
+        return cls(devices, fitted.errors, levels[0], vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def problem(self, observation: Observation, pose: Floats) -> tuple[Problem, Solution]:
+        """One pose by itself."""
+        at = replace(self.devices, poses=pose[None])
+        sizes = ErrorSizes(self.errors.camera_px, self.errors.projector_px, 0.0, 0.0)
+        return Problem((observation,), Model(self.level, at.board), sizes, at), at
+
+    def pose(self, observation: Observation) -> Floats:
+        """Fit the pose (6,) of the board, by residuals in standard deviations."""
+        points, lens = self.devices.board[observation.ids], self.devices.camera
+        _, turn, place = cv2.solvePnP(points, observation.camera_px, matrix_of(lens), lens[4:])
+        start = np.concatenate([turn, place]).ravel()
+        problem, near = self.problem(observation, start)
+
+        def misfit(pose: Floats) -> Floats:
+            return problem.weighted_residuals(0, replace(near, poses=pose[None]), np.inf)[0]
+
+        return np.asarray(least_squares(misfit, start, x_scale="jac", method="lm").x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """Residuals (2, 2 K) in px of one pose by device, and factors of their covariance.
+
+    `own` (2, 2 K, E) is of errors of this pose, `common` (2, 2 K, n) of those of the devices.
+    """
+
+    name: str
+    residuals: Floats
+    own: Floats
+    common: Floats
+
+
+def _prediction(judged: _Judged, observation: Observation) -> _Prediction:
+    """Fit the pose and predict its residuals: what the pose takes up of all errors is gone from them."""
+    problem, at = judged.problem(observation, judged.pose(observation))
+    _, slopes, _ = problem.slopes(0, at)
+    n, rows = len(judged.factor), len(slopes)
+    fitted, _ = np.linalg.qr(slopes[:, n : n + 6])
+    shared = np.repeat([judged.errors.camera_shared_px, judged.errors.projector_shared_px], 2 * FUNCTIONS)
+    every = np.hstack([np.eye(rows), effects_of_pose(problem, 0, at) * shared, slopes[:, :n] @ judged.factor])
+    left = problem.unwhitened(0, every - fitted @ (fitted.T @ every), at.carried)
+    of_device = left.reshape(2, rows // 2, -1)
+    residuals = np.stack([part.ravel() for part in at.residuals(0, observation)])
+    return _Prediction(observation.name, residuals, of_device[..., :-n], of_device[..., -n:])
+
+
+def _judged_pose(one: _Prediction) -> JudgedPose:
+    camera, projector = (_errors([one], d) for d in (0, 1))
+    return JudgedPose(one.name, one.residuals.shape[1] // 2, camera, projector)
+
+
+def _errors(predictions: Sequence[_Prediction], device: int) -> Errors:
+    """Errors of one device in some poses, which share those of the devices."""
+    seen = [one.residuals[device].reshape(-1, 2) for one in predictions]
+    parts = [(one.own[device], one.common[device]) for one in predictions]
+    mean = sum(float(np.sum(own**2) + np.sum(common**2)) for own, common in parts)
+    # tr C² of the covariance C = diag(own ownᵀ) + common commonᵀ.
+    square = sum(np.sum((own.T @ own) ** 2) + 2.0 * np.sum((own.T @ common) ** 2) for own, common in parts)
+    square += np.sum(sum(common.T @ common for _, common in parts) ** 2)
+    freedom = mean**2 / float(square)
+    total, points = float(sum(np.sum(r**2) for r in seen)), sum(len(r) for r in seen)
+    return Errors(rms(seen), float(np.sqrt(mean / points)), float(chi2.sf(freedom * total / mean, freedom)))

@@ -1,0 +1,308 @@
+"""Calibrations from fewer poses beside what the covariance predicts, to test the stated uncertainty.
+
+Leaving out each pose in turn (jackknife) and fitting the two halves of the poses (as mrcal's documentation
+does) changes the result. How much it should change follows from the covariances: what is estimated from some
+of the data differs from the estimate from all by the difference of their covariances (J. Hausman,
+"Specification tests in econometrics", 1978), and two halves by the sum.
+
+Besides focal lengths and baseline, the points that the devices measure are compared: by how much they are
+moved in space (place), and by how much their form changes, all rigid motion removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from fpplab.calibration.model import INTRINSICS, Calibration
+from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, view
+from fpplab.characterisation.problem import without_poses
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import RigidTransform
+
+LEAST_OF_HALF = 4
+"""Fewest poses of each half."""
+
+TOO_SMALL = 1e-4
+"""Probability of changes as great as those seen below which the stated uncertainty is too small."""
+
+PROBES = 9
+"""Points of each pose at which place and form are compared, about."""
+
+Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """A quantity in calibrations from fewer poses.
+
+    Attributes
+    ----------
+    quantity : str
+        Such as `camera.fx`, `baseline`, `place` or `form`.
+    unit : str
+        Of all figures.
+    stated : float
+        Standard uncertainty that the calibration states.
+    changed : float
+        How much the quantity changes: for the jackknife its standard uncertainty as these changes tell it,
+        for halves their difference.
+    predicted : float
+        The same, as the covariances predict it.
+    chance : float
+        Probability of changes as great as these if the prediction is right, about.
+    """
+
+    quantity: str
+    unit: str
+    stated: float
+    changed: float
+    predicted: float
+    chance: float
+
+    @property
+    def ratio(self) -> float:
+        """Actual over predicted change."""
+        return self.changed / self.predicted
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """The stated uncertainty, put to the test.
+
+    Attributes
+    ----------
+    jackknife : tuple of Repeat
+        Each pose left out in turn.
+    halves : tuple of Repeat
+        Every other pose beside the rest; empty with fewer than 8 poses.
+    """
+
+    jackknife: tuple[Repeat, ...]
+    halves: tuple[Repeat, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on uncertainties that are too small."""
+        return tuple(
+            f"{how} changes the {_NAMES[one.quantity]} {one.ratio:.1f} times as much as predicted: its true "
+            "uncertainty is greater than stated; look for a pose in which something moved, or take more poses"
+            for how, repeats in (("leaving poses out", self.jackknife), ("halving the poses", self.halves))
+            for one in repeats
+            if one.chance < TOO_SMALL
+        )
+
+
+_NAMES = {
+    "camera.fx": "camera's focal length",
+    "projector.fx": "projector's focal length",
+    "baseline": "baseline",
+    "place": "place of what is measured",
+    "form": "form of what is measured",
+}
+
+
+def validate(
+    observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes,
+    without: Sequence[Solution],
+) -> Validation:  # fmt: skip
+    """Compare calibrations from fewer poses with what the covariance of all predicts.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    best : Solution
+        Fitted to them.
+    model : Model
+        Which parameters are estimated.
+    sizes : ErrorSizes
+        Of the errors.
+    without : Sequence[Solution]
+        Fitted without each pose in turn.
+
+    Returns
+    -------
+    Validation
+        Changes beside those predicted.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer poses do not determine the parameters.
+    """
+    whole: Fit = (observations, best, model, sizes)
+    quantities = _quantities(whole)
+    covariance, count = _covariance(whole), len(observations)
+    changes, spreads = [], []
+    for index, near in enumerate(without):
+        others = [o for k, o in enumerate(observations) if k != index]
+        changes.append(_devices(near, model) - _devices(best, model))
+        spreads.append(_covariance((others, near, model, sizes)) - covariance)
+    share = (count - 1) / count
+    around = np.array(changes) - np.mean(changes, axis=0)
+    jackknife = tuple(
+        _repeat(one, covariance, share * around.T @ around, share * np.sum(spreads, axis=0), count - 1)
+        for one in quantities
+    )
+    return Validation(jackknife, _halves(whole, quantities, covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class _Quantity:
+    """Derivatives (m, n) of a quantity; `scale` times the sum of its squares counts."""
+
+    name: str
+    unit: str
+    slopes: Floats
+    scale: float = 1.0
+
+    def size(self, square: Floats) -> float:
+        """Root mean square of the quantity for a matrix (n, n) of squares of the parameters."""
+        total = float(np.einsum("mi,ij,mj->", self.slopes, square, self.slopes))
+        return float(np.sqrt(max(total * self.scale, 1e-24)))
+
+    def freedom(self, square: Floats) -> float:
+        """Effective number of independent components for such a matrix."""
+        spread = self.slopes @ square @ self.slopes.T
+        return float(np.trace(spread) ** 2 / np.sum(spread**2))
+
+
+def _repeat(one: _Quantity, covariance: Floats, changed: Floats, predicted: Floats, repeats: int) -> Repeat:
+    was, expected = one.size(changed), one.size(predicted)
+    freedom = repeats * one.freedom(predicted)
+    chance = float(chi2.sf(freedom * (was / expected) ** 2, freedom))
+    return Repeat(one.name, one.unit, one.size(covariance), was, expected, chance)
+
+
+def _halves(whole: Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
+    observations, best, model, sizes = whole
+    if len(observations) < 2 * LEAST_OF_HALF:
+        return ()
+    found, spread = [], []
+    for first in (0, 1):
+        chosen = np.arange(first, len(observations), 2)
+        start = without_poses(best, np.setdiff1d(np.arange(len(observations)), chosen).tolist())
+        half = [observations[k] for k in chosen]
+        solution, _ = adjust_bundle(half, start, model, sizes)
+        found.append(_devices(solution, model))
+        spread.append(_covariance((half, solution, model, sizes)))
+    change = found[1] - found[0]
+    return tuple(
+        _repeat(one, covariance, np.outer(change, change), spread[0] + spread[1], 1) for one in quantities
+    )
+
+
+def _covariance(fit: Fit) -> Floats:
+    """Covariance (n, n) of the devices, without the board's scale, which is the same in every fit."""
+    observations, solution, model, sizes = fit
+    return uncertainty(observations, solution, replace(model, scale_tolerance=0.0), sizes).covariance
+
+
+def _devices(solution: Solution, model: Model) -> Floats:
+    """The parameters (n,) of both devices and of the pose between them."""
+    free = len(model.level.terms)
+    return np.concatenate([solution.camera[:free], solution.projector[:free], solution.T_projector_camera])
+
+
+def _quantities(fit: Fit) -> tuple[_Quantity, ...]:
+    _, best, model, _ = fit
+    free = len(model.level.terms)
+    n = 2 * free + 6
+    every, translation = np.eye(n), best.T_projector_camera[3:]
+    baseline = np.append(np.zeros(n - 3), translation / np.linalg.norm(translation))
+    moved = _moved(fit)
+    points = len(moved) // 3
+    return (
+        _Quantity("camera.fx", "px", every[:1]),
+        _Quantity("projector.fx", "px", every[free : free + 1]),
+        _Quantity("baseline", "mm", baseline[None]),
+        _Quantity("place", "mm", moved, 1.0 / points),
+        _Quantity("form", "mm", _without_motion(moved, _probes(fit)), 1.0 / points),
+    )
+
+
+def _probes(fit: Fit) -> Floats:
+    """Points (m, 3) in the camera's frame where the boards were, in mm."""
+    observations, best, _, _ = fit
+    places = []
+    for observation, pose in zip(observations, best.poses, strict=True):
+        chosen = observation.ids[:: max(1, len(observation.ids) // PROBES)]
+        places.append(RigidTransform.from_vectors(pose[:3], pose[3:]).apply(best.board[chosen]))
+    return np.concatenate(places)
+
+
+def _moved(fit: Fit) -> Floats:
+    """Derivatives (3 m, n) of triangulated points by the devices' parameters, all pixels held."""
+    _, best, model, _ = fit
+    free, probes, still = len(model.level.terms), _probes(fit), np.zeros(6)
+    seen = view(probes, still, best.camera)[1].reshape(-1, 2, 6 + len(INTRINSICS))
+    lit = view(probes, best.T_projector_camera, best.projector)[1].reshape(seen.shape)
+    turn = RigidTransform.from_vectors(best.T_projector_camera[:3], np.zeros(3)).rotation
+    by_place = np.concatenate([seen[..., 3:6], lit[..., 3:6] @ turn], axis=1)
+    by_device = np.zeros((len(probes), 4, 2 * free + 6))
+    by_device[:, :2, :free] = seen[..., 6 : 6 + free]
+    by_device[:, 2:, free : 2 * free] = lit[..., 6 : 6 + free]
+    by_device[:, 2:, 2 * free :] = lit[..., :6]
+    return np.asarray(-np.linalg.pinv(by_place) @ by_device).reshape(-1, 2 * free + 6)
+
+
+def _without_motion(moved: Floats, places: Floats) -> Floats:
+    """Take the best rigid motion from changes (3 m, n) of places (m, 3)."""
+    x, y, z = (places - places.mean(axis=0)).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    turns = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]
+    shifts = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
+    motions = np.stack([np.stack(m, axis=1).ravel() for m in (*turns, *shifts)], axis=1)
+    basis, _ = np.linalg.qr(motions)
+    return np.asarray(moved - basis @ (basis.T @ moved))
+
+
+def projected_uncertainty(
+    calibration: Calibration, device: str, pixels: Floats, distance_mm: float
+) -> Floats:
+    """Compute how uncertain the pixel is at which a device sees a place, over its image.
+
+    That a device might be turned as a whole does not count: a rotation and a shifted principal point cannot
+    be told from one another. So the best common rotation is removed.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its covariance.
+    device : str
+        `camera` or `projector`.
+    pixels : Floats
+        (m, 2) where, in px.
+    distance_mm : float
+        Distance of the places in mm.
+
+    Returns
+    -------
+    Floats
+        (m,) root mean square of the standard uncertainties in u and v, in px.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration has no covariance.
+    """
+    known, lens = calibration.uncertainty, getattr(calibration, device)
+    if known is None:
+        raise CalibrationError("the calibration does not say how uncertain it is; characterise again")
+    places = distance_mm * np.column_stack([lens.normalise(pixels), np.ones(len(pixels))])
+    intrinsics = np.append(lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], lens.coefficients)
+    intrinsics = np.append(intrinsics, np.zeros(len(INTRINSICS) - len(intrinsics)))
+    slopes = view(places, np.zeros(6), intrinsics)[1]
+    own = [k for k, name in enumerate(known.names) if name.startswith(f"{device}.")]
+    terms = [6 + INTRINSICS.index(known.names[k].removeprefix(f"{device}.")) for k in own]
+    turned, _ = np.linalg.qr(slopes[:, :3])
+    left = slopes[:, terms] - turned @ (turned.T @ slopes[:, terms])
+    variance = np.einsum("ri,ij,rj->r", left, known.covariance[np.ix_(own, own)], left).reshape(-1, 2)
+    return np.asarray(np.sqrt(variance.mean(axis=1)))

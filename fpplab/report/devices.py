@@ -1,0 +1,191 @@
+"""Sections of the report on camera and projector: a characterisation, and the judgement of one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fpplab.characterisation import Characterisation, Judgement
+from fpplab.characterisation.validation import TOO_SMALL, Repeat
+from fpplab.report import characterisation_figures as drawn
+from fpplab.report import figures
+from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
+
+CHARACTERISED = (
+    "Characterisation",
+    "RMS in px",
+    "Leave-one-out RMS in px",
+    "RMS fitted separately in px",
+    "Focal length in px",
+    "Principal point in px",
+)
+REPROJECTION = (
+    "RMS: reprojection error of the board's points. Leave-one-out: the same for each pose, with the devices "
+    "fitted to all other poses."
+)
+JACKKNIFE = (
+    ("Each pose left out", "Changed", "Predicted", "Stated uncertainty", "Changed over predicted", ""),
+    "Changed: standard deviation that the calibrations without each pose in turn tell (jackknife). "
+    "Predicted: the same by the covariances, with and without the pose. Place and form: of points where the "
+    "boards stood, root mean square; form without rigid motion. Without the board's scale, as "
+    "every pose has the same.",
+)
+HALVES = (
+    ("Halves of the poses", "Difference", "Predicted", "Stated uncertainty", "Difference over predicted", ""),
+    "Calibrations from every other pose and from the rest. Predicted: from both covariances; a single "
+    "difference may well be twice as great or a fraction.",
+)
+JUDGED = ("Pose", "Points", "Camera in px", "Predicted", "Projector in px", "Predicted", "")
+JUDGED_CAPTION = (
+    "RMS reprojection errors in poses that the calibration was not fitted to, and those that it predicts: "
+    "noise, what errors of one pose share, and the uncertainty of the devices."
+)
+
+
+def summary_table(found: Characterisation) -> ReportTable:
+    """Make the table at the top of the page.
+
+    Parameters
+    ----------
+    found : Characterisation
+        The result.
+
+    Returns
+    -------
+    ReportTable
+        A row for each device.
+    """
+    return ReportTable(
+        CHARACTERISED, tuple(_device_row(found, d) for d in ("camera", "projector")), REPROJECTION
+    )
+
+
+def _device_row(found: Characterisation, name: str) -> tuple[str, ...]:
+    calibration, held = found.calibration, found.leave_one_out_px or {}
+    matrix = (calibration.camera if name == "camera" else calibration.projector).matrix
+    focal = (_with_sigma(found, matrix[i, i], f"{name}.{key}") for i, key in enumerate(("fx", "fy")))
+    centre = (_with_sigma(found, matrix[i, 2], f"{name}.{key}") for i, key in enumerate(("cx", "cy")))
+    return (
+        name.capitalize(),
+        f"{calibration.rms_px[name]:.3f}",
+        f"{held[name]:.3f}" if held else NOT_KNOWN,
+        f"{found.separate_px[name]:.3f}",
+        " / ".join(focal),
+        " / ".join(centre),
+    )
+
+
+def _with_sigma(found: Characterisation, value: float, name: str) -> str:
+    return f"{value:.1f} ± {found.sigma[name]:.1f}" if name in found.sigma else f"{value:.1f}"
+
+
+def characterisation_section(found: Characterisation) -> ReportSection:
+    """Show a characterisation: residuals, coverage, the board, and the uncertainty put to the test.
+
+    Parameters
+    ----------
+    found : Characterisation
+        The result.
+
+    Returns
+    -------
+    ReportSection
+        Text, tables and figures.
+    """
+    calibration, observations = found.calibration, found.observations
+    rms = found.pose_rms_px
+    bars = figures.pose_rms(
+        list(rms), [r["camera"] for r in rms.values()], [r["projector"] for r in rms.values()]
+    )
+    pictures = [
+        ReportFigure.of(
+            bars, "Bars: RMS error of each pose", "RMS reprojection error of each pose.", wide=True
+        )
+    ]
+    cameras, projectors = [o.camera_px for o in observations], [o.projector_px for o in observations]
+    seen = (
+        ("camera", calibration.camera.size, cameras, found.camera_residuals),
+        ("projector", calibration.projector.size, projectors, found.projector_residuals),
+    )
+    for device, size, pixels, residuals in seen:
+        picture = figures.residuals_figure(np.concatenate(pixels), np.concatenate(residuals), size, device)
+        caption = (
+            f"Reprojection errors of the {device}, model minus observation: over its pixels, and as a "
+            "scatter plot."
+        )
+        pictures.append(ReportFigure.of(picture, f"Reprojection errors of the {device}", caption, wide=True))
+    for device, size, pixels, _ in seen:
+        picture = figures.coverage(pixels, size, device)
+        caption = f"Where the board's points were on the {device}, one colour per pose."
+        pictures.append(ReportFigure.of(picture, f"Points of the board over the {device}'s pixels", caption))
+    pictures.append(
+        ReportFigure.of(drawn.epipolar_figure(found), "Epipolar distances by pose", drawn.EPIPOLAR, wide=True)
+    )
+    if found.drawn is not None:
+        shape = drawn.board_shape(found)
+        pictures.append(ReportFigure.of(shape, "Shape of the board as refined", drawn.BOARD, wide=True))
+    joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
+    text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
+    text += f" Baseline {baseline:.2f} mm."
+    pictures.append(
+        ReportFigure.of(drawn.uncertainty_maps(found), "Projected uncertainty", drawn.MAPS, wide=True)
+    )
+    left_out = tuple(found.left_out.items())
+    tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
+    return ReportSection("Characterisation", text, (*_validation(found), *tables), tuple(pictures))
+
+
+def _validation(found: Characterisation) -> tuple[ReportTable, ...]:
+    """Calibrations from fewer poses beside what is predicted."""
+    if found.validation is None:
+        return ()
+    both = ((JACKKNIFE, found.validation.jackknife), (HALVES, found.validation.halves))
+    return tuple(
+        ReportTable(columns, tuple(_repeat_row(one) for one in repeats), caption)
+        for (columns, caption), repeats in both
+        if repeats
+    )
+
+
+def _repeat_row(one: Repeat) -> tuple[str, ...]:
+    figures_of = (one.changed, one.predicted, one.stated)
+    return (
+        f"{one.quantity} in {one.unit}",
+        *(f"{x:.3g}" for x in figures_of),
+        f"{one.ratio:.2f}",
+        "greater than chance" if one.chance < TOO_SMALL else "",
+    )
+
+
+def judgement_section(found: Judgement) -> ReportSection:
+    """Show the errors of poses that were not fitted, beside those predicted.
+
+    Parameters
+    ----------
+    found : Judgement
+        Of one pose or more.
+
+    Returns
+    -------
+    ReportSection
+        Verdict, table and figure.
+    """
+    rows = [(p.name, str(p.points), p.camera, p.projector) for p in found.poses]
+    rows.append(("all", str(sum(p.points for p in found.poses)), found.camera, found.projector))
+    cells = tuple(
+        (name, points, *(f"{x:.3f}" for e in (camera, projector) for x in (e.rms_px, e.predicted_px)),
+         "contradicts" if camera.contradicts or projector.contradicts else "")
+        for name, points, camera, projector in rows
+    )  # fmt: skip
+    picture = ReportFigure.of(
+        drawn.judged_errors(found),
+        "Bars: errors of each pose beside those predicted",
+        drawn.JUDGED,
+        wide=True,
+    )
+    left_out = tuple(found.left_out.items())
+    tables = [ReportTable(JUDGED, cells, JUDGED_CAPTION)]
+    if left_out:
+        tables.append(ReportTable(("Pose left out", "Why"), left_out, words=True))
+    return ReportSection(
+        "Judgement", found.verdict[0].upper() + found.verdict[1:] + ".", tuple(tables), (picture,)
+    )
