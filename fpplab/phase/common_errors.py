@@ -15,6 +15,7 @@ offsets are used, to which the third harmonic and the gains contribute.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,6 +36,7 @@ _GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
 _LEAST_VARIANCE = 1e-3
 _LEAST_THIRD = -0.0168
 _OUTLIER = 9.0
+_SIGNIFICANT = -math.log(0.001)
 _PASSES = 2
 _PIXELS = 2000
 
@@ -291,7 +293,7 @@ def fit_group(group: Group) -> Found:
     Found
         What is common to them.
     """
-    every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members))))
+    every = slice(None, None, -(-group.images.shape[1] // (_PIXELS * len(group.members) ** 2)))
     group = replace(group, images=group.images[:, every], features=group.features[:, every])
     terms = np.concatenate([group.features, group.images, np.ones((1, group.images.shape[1]))])
     power = np.square(_product(group.seen, group.images)).sum(axis=0)
@@ -417,14 +419,17 @@ def errors_of_sets(
 def _gain_sums(
     group: Group, found: Found, fringes: Sequence[FringeSet]
 ) -> Iterator[tuple[int, tuple[float, float]]]:
-    """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, beyond what noise makes of them."""
+    """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them.
+
+    Zero where noise alone makes as much of them once in a thousand times.
+    """
     size = len(group.images) // len(group.members)
     for place, k in enumerate(group.members):
         own = slice(place * size, (place + 1) * size)
         turns = np.exp(1j * np.outer([1, 2], fringes[k].phase_shifts()))
         power = np.abs((turns * found.gains[own]).sum(axis=1)) ** 2
         noise = np.einsum("km,mn,kn->k", turns, found.covariance[own, own], turns.conj()).real
-        first, second = np.sqrt(np.maximum(power - noise, 0.0))
+        first, second = np.sqrt(np.where(power > _SIGNIFICANT * noise, power - noise, 0.0))
         yield k, (float(first), float(second))
 
 

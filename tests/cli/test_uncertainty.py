@@ -49,10 +49,11 @@ def test_the_cloud_carries_its_uncertainty(
     assert done.code == 0, done.err
     cloud = load_cloud(out)
     assert len(cloud) == done.json["points"] == 96 * 64
-    sigmas = cloud.sigma_noise_mm, cloud.sigma_calibration_mm, cloud.sigma_form_mm, cloud.sigma_mm
-    noise, whole, form, both = (np.asarray(s) for s in sigmas)
+    parts = cloud.sigma_noise_mm, cloud.sigma_phase_error_mm, cloud.sigma_calibration_mm
+    noise, common, whole = (np.asarray(s) for s in parts)
+    form, both = np.asarray(cloud.sigma_form_mm), np.asarray(cloud.sigma_mm)
     assert np.allclose(whole, 1e-3 * np.linalg.norm(cloud.points, axis=1), rtol=1e-4)
-    assert np.allclose(both, np.hypot(noise, whole), rtol=1e-6)
+    assert np.allclose(both, np.sqrt(noise**2 + common**2 + whole**2), rtol=1e-6)
     # Of a cloud that grows about the camera a thousandth of its own size remains.
     size = np.linalg.norm(cloud.points - cloud.points.mean(axis=0), axis=1)
     assert np.allclose(form, 1e-3 * size, rtol=1e-3, atol=1e-5)
