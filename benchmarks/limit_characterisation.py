@@ -39,7 +39,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Setting:
+class Case:
     """One kind of lens, noise and board.
 
     Attributes
@@ -91,12 +91,12 @@ def board() -> Target:
     return Target.load("target_paper").model_copy(update={"scale_tolerance": SCALE})
 
 
-def draw(setting: Setting, seed: int) -> Draw:
+def draw(setting: Case, seed: int) -> Draw:
     """Draw poses, a board and noise.
 
     Parameters
     ----------
-    setting : Setting
+    setting : Case
         Of the lens, the noise and the board.
     seed : int
         Of everything.
@@ -179,7 +179,7 @@ def _calibration(solution: Solution) -> Calibration:
     return Calibration(devices[0], devices[1], pair, {})
 
 
-def motions(points: Floats) -> tuple[Floats, Floats]:
+def rigid_and_form(points: Floats) -> tuple[Floats, Floats]:
     """Split displacements of a cloud into rigid motion and form.
 
     Parameters
@@ -202,8 +202,8 @@ def motions(points: Floats) -> tuple[Floats, Floats]:
     return whole, whole - q @ q.T
 
 
-def errors(found: Floats, draw: Draw) -> tuple[float, float]:
-    """Compute the error of a cloud that a calibration measures.
+def place_and_form(found: Floats, draw: Draw) -> tuple[float, float]:
+    """Compute the error of a cloud that a calibration measures, but for the scale of its board.
 
     Parameters
     ----------
@@ -219,20 +219,21 @@ def errors(found: Floats, draw: Draw) -> tuple[float, float]:
     """
     points = cloud_of(draw.truth)
     slopes = calibration_jacobian(points, _calibration(draw.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
-    moved = slopes @ (found - _vector(draw.truth))
-    return _rms_um(moved), _rms_um(motions(points)[1] @ moved)
+    scaled = np.append(found[:-3], (1.0 + draw.scale) * found[-3:])
+    moved = slopes @ (scaled - _vector(draw.truth))
+    return _rms_um(moved), _rms_um(rigid_and_form(points)[1] @ moved)
 
 
 def _rms_um(moved: Floats) -> float:
     return 1e3 * float(np.sqrt(np.sum(moved**2) / (len(moved) // 3)))
 
 
-def optimum(setting: Setting, seen: Draw) -> Floats:
+def optimum(setting: Case, seen: Draw) -> Floats:
     """Estimate by generalised least squares with the true size of every error.
 
     Parameters
     ----------
-    setting : Setting
+    setting : Case
         What was drawn.
     seen : Draw
         The observations.
@@ -250,12 +251,12 @@ def optimum(setting: Setting, seen: Draw) -> Floats:
     return _vector(solution)
 
 
-def form_beside_optimum(setting: Setting, seeds: Sequence[int]) -> tuple[float, float, float]:
+def form_beside_optimum(setting: Case, seeds: Sequence[int]) -> tuple[float, float, float]:
     """Compare the form that characterisation reaches with the optimum.
 
     Parameters
     ----------
-    setting : Setting
+    setting : Case
         What is drawn.
     seeds : sequence of int
         Of the draws.
@@ -270,8 +271,8 @@ def form_beside_optimum(setting: Setting, seeds: Sequence[int]) -> tuple[float, 
         seen = draw(setting, seed)
         result = characterise(seen.observations, board(), SIZE, PROJECTOR, level=DistortionModel.K3)
         assert result.solution is not None
-        _, form = errors(_vector(result.solution), seen)
-        _, best = errors(optimum(setting, seen), seen)
+        _, form = place_and_form(_vector(result.solution), seen)
+        _, best = place_and_form(optimum(setting, seen), seen)
         forms.append((form, best, _stated(result.calibration, seen)[2]))
     return tuple(np.sqrt(np.mean(np.square(forms), axis=0)).tolist())
 
@@ -285,17 +286,17 @@ def _stated(calibration: Calibration, seen: Draw) -> tuple[Floats, float, float]
     covariance[np.ix_(rows, rows)] = known.covariance
     points = cloud_of(seen.truth)
     slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
-    shape = motions(points)[1] @ slopes
+    shape = rigid_and_form(points)[1] @ slopes
     place, form = (1e3 * np.sqrt(np.trace(m @ covariance @ m.T) / len(points)) for m in (slopes, shape))
     return covariance, float(place), float(form)
 
 
-def intervals(setting: Setting, seed: int) -> dict[str, bool]:
+def intervals(setting: Case, seed: int) -> dict[str, bool]:
     """Tell which 95 % intervals of one characterisation contain the truth.
 
     Parameters
     ----------
-    setting : Setting
+    setting : Case
         What is drawn.
     seed : int
         Of the draw.
@@ -319,7 +320,7 @@ def intervals(setting: Setting, seed: int) -> dict[str, bool]:
     inside = {k: bool(abs(a @ error) < 1.959964 * np.sqrt(a @ covariance @ a)) for k, a in lines.items()}
     points = cloud_of(seen.truth)
     slopes = calibration_jacobian(points, _calibration(seen.truth), (1.0, 1.0)).reshape(-1, len(PARAMETERS))
-    for name, projection in zip(("place", "form"), motions(points), strict=True):
+    for name, projection in zip(("place", "form"), rigid_and_form(points), strict=True):
         moved = projection @ slopes
         sizes = np.linalg.eigvalsh(moved @ covariance @ moved.T)
         chances = np.random.default_rng(0).chisquare(1, (20_000, 30)) @ np.maximum(sizes[-30:], 0)
@@ -327,12 +328,12 @@ def intervals(setting: Setting, seed: int) -> dict[str, bool]:
     return inside
 
 
-def coverage(setting: Setting, seeds: Sequence[int]) -> dict[str, float]:
+def share_covered(setting: Case, seeds: Sequence[int]) -> dict[str, float]:
     """Count how often 95 % intervals contain the truth.
 
     Parameters
     ----------
-    setting : Setting
+    setting : Case
         What is drawn.
     seeds : sequence of int
         Of the draws.
@@ -355,9 +356,9 @@ def run() -> list[Result]:
         A figure each.
     """
     settings = [
-        *(Setting(dots_um=dots) for dots in DOTS_UM),
-        *(Setting(lens=lens) for lens in LENSES if lens != "tangential"),
-        *(Setting(noise=noise) for noise in NOISES if noise != "even"),
+        *(Case(dots_um=dots) for dots in DOTS_UM),
+        *(Case(lens=lens) for lens in LENSES if lens != "tangential"),
+        *(Case(noise=noise) for noise in NOISES if noise != "even"),
     ]
     results = []
     with console.progress("Characterising") as report:
@@ -366,7 +367,7 @@ def run() -> list[Result]:
             name = f"form_{setting.lens}_{setting.noise}_{setting.dots_um:g}um"
             results.append(below(name, found, "um", MOST_EXCESS * best))
             report(0.3 * (k + 1) / len(settings))
-        for name, share in coverage(Setting(), range(2000, 2000 + DRAWS)).items():
+        for name, share in share_covered(Case(), range(2000, 2000 + DRAWS)).items():
             results.append(above(f"coverage_{name}", share, "share", COVERED[0]))
             results.append(below(f"coverage_{name}_at_most", share, "share", COVERED[1]))
         report(1.0)

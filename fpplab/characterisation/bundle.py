@@ -17,7 +17,14 @@ from scipy.optimize import least_squares
 from fpplab.calibration.model import INTRINSICS, Uncertainty
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, parameter_names
-from fpplab.characterisation.pose_effects import KINDS, Motion, PoseEffects, motions, pose_effects, widened
+from fpplab.characterisation.pose_effects import (
+    KINDS,
+    PoseEffects,
+    PoseShift,
+    pose_effects,
+    pose_shifts,
+    widened,
+)
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
@@ -241,7 +248,7 @@ def uncertainty(
 
 def motions_in_poses(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes
-) -> list[Motion]:
+) -> list[PoseShift]:
     """Estimate by how much the board of each pose moved while it was taken.
 
     Parameters
@@ -257,7 +264,7 @@ def motions_in_poses(
 
     Returns
     -------
-    list of Motion
+    list of PoseShift
         By pose.
 
     Raises
@@ -265,7 +272,7 @@ def motions_in_poses(
     CalibrationError
         The poses do not determine the parameters.
     """
-    return motions(_effects(Problem(tuple(observations), model, sizes, best), best)[1])
+    return pose_shifts(_effects(Problem(tuple(observations), model, sizes, best), best)[1])
 
 
 def _effects(problem: Problem, best: Solution) -> tuple[Floats, PoseEffects]:

@@ -34,7 +34,7 @@ from fpplab.characterisation.parameters import (
 )
 from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
-from fpplab.characterisation.validation import validate
+from fpplab.characterisation.validation import compare_with_fewer_poses
 from fpplab.characterisation.zhang import (
     ImageSize,
     calibrate_separately,
@@ -155,7 +155,7 @@ def _characterised(
     without = _without_each_pose(kept, fit, model)
     tried = {one: _tried(kept, fit, model, one, without) for one in _candidates(level, few)}
     known = uncertainty(kept, solution, model, sizes)
-    proof = validate(kept, solution, model, sizes, without) if without else None
+    proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
     calibration = Calibration(
         Pinhole(image_sizes[0], matrix_of(solution.camera), solution.camera[4:]),

@@ -127,7 +127,7 @@ class PoseEffects:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PoseShift:
     """How far the projector's coordinates of a whole pose are shifted, and how rarely chance does so.
 
     Attributes
@@ -142,7 +142,7 @@ class Motion:
     chance: float
 
 
-def motions(effects: PoseEffects) -> list[Motion]:
+def pose_shifts(effects: PoseEffects) -> list[PoseShift]:
     """Estimate by how much the board of each pose moved between its image and its fringes.
 
     Parameters
@@ -152,7 +152,7 @@ def motions(effects: PoseEffects) -> list[Motion]:
 
     Returns
     -------
-    list of Motion
+    list of PoseShift
         By pose.
     """
     found, size = [], 4 * FUNCTIONS
@@ -164,7 +164,9 @@ def motions(effects: PoseEffects) -> list[Motion]:
         expected = seen + effects.seen[shift] * variances[effects.device] @ effects.seen[:, shift]
         score = effects.scores[shift]
         square = float(score @ np.linalg.solve(expected, score))
-        found.append(Motion(float(np.linalg.norm(np.linalg.solve(seen, score))), float(chi2.sf(square, 2))))
+        found.append(
+            PoseShift(float(np.linalg.norm(np.linalg.solve(seen, score))), float(chi2.sf(square, 2)))
+        )
     return found
 
 

@@ -35,7 +35,7 @@ TOO_SMALL = 1e-4
 PROBES = 9
 """Points of each pose at which place and form are compared, about."""
 
-Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
+_Fit = tuple[Sequence[Observation], Solution, Model, ErrorSizes]
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ _NAMES = {
 }
 
 
-def validate(
+def compare_with_fewer_poses(
     observations: Sequence[Observation], best: Solution, model: Model, sizes: ErrorSizes,
     without: Sequence[Solution],
 ) -> Validation:  # fmt: skip
@@ -137,7 +137,7 @@ def validate(
     CalibrationError
         Fewer poses do not determine the parameters.
     """
-    whole: Fit = (observations, best, model, sizes)
+    whole: _Fit = (observations, best, model, sizes)
     quantities = _quantities(whole)
     covariance, count = _covariance(whole), len(observations)
     changes, spreads = [], []
@@ -181,7 +181,7 @@ def _repeat(one: _Quantity, covariance: Floats, changed: Floats, predicted: Floa
     return Repeat(one.name, one.unit, one.size(covariance), was, expected, chance)
 
 
-def _halves(whole: Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
+def _halves(whole: _Fit, quantities: Sequence[_Quantity], covariance: Floats) -> tuple[Repeat, ...]:
     observations, best, model, sizes = whole
     if len(observations) < 2 * LEAST_OF_HALF:
         return ()
@@ -199,7 +199,7 @@ def _halves(whole: Fit, quantities: Sequence[_Quantity], covariance: Floats) -> 
     )
 
 
-def _covariance(fit: Fit) -> Floats:
+def _covariance(fit: _Fit) -> Floats:
     """Covariance (n, n) of the devices, without the board's scale, which is the same in every fit."""
     observations, solution, model, sizes = fit
     return uncertainty(observations, solution, replace(model, scale_tolerance=0.0), sizes).covariance
@@ -211,7 +211,7 @@ def _devices(solution: Solution, model: Model) -> Floats:
     return np.concatenate([solution.camera[:free], solution.projector[:free], solution.T_projector_camera])
 
 
-def _quantities(fit: Fit) -> tuple[_Quantity, ...]:
+def _quantities(fit: _Fit) -> tuple[_Quantity, ...]:
     _, best, model, _ = fit
     free = len(model.level.terms)
     n = 2 * free + 6
@@ -228,7 +228,7 @@ def _quantities(fit: Fit) -> tuple[_Quantity, ...]:
     )
 
 
-def _probes(fit: Fit) -> Floats:
+def _probes(fit: _Fit) -> Floats:
     """Points (m, 3) in the camera's frame where the boards were, in mm."""
     observations, best, _, _ = fit
     places = []
@@ -238,7 +238,7 @@ def _probes(fit: Fit) -> Floats:
     return np.concatenate(places)
 
 
-def _moved(fit: Fit) -> Floats:
+def _moved(fit: _Fit) -> Floats:
     """Derivatives (3 m, n) of triangulated points by the devices' parameters, all pixels held."""
     _, best, model, _ = fit
     free, probes, still = len(model.level.terms), _probes(fit), np.zeros(6)

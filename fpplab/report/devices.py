@@ -126,9 +126,10 @@ def characterisation_section(found: Characterisation) -> ReportSection:
     joint, baseline = calibration.rms_px["joint"], calibration.baseline_mm
     text = f"{found.points} points in {len(observations)} poses; joint RMS {joint:.3f} px."
     text += f" Baseline {baseline:.2f} mm."
-    pictures.append(
-        ReportFigure.of(drawn.uncertainty_maps(found), "Projected uncertainty", drawn.MAPS, wide=True)
-    )
+    if calibration.uncertainty:
+        pictures.append(
+            ReportFigure.of(drawn.uncertainty_maps(found), "Projected uncertainty", drawn.MAPS, wide=True)
+        )
     left_out = tuple(found.left_out.items())
     tables = (ReportTable(("Pose left out", "Why"), left_out, words=True),) if left_out else ()
     return ReportSection("Characterisation", text, (*_validation(found), *tables), tuple(pictures))

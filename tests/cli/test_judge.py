@@ -1,0 +1,85 @@
+"""`fpplab characterise --judge`: a calibration beside poses that it was not fitted to."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fpplab.calibration.model import Calibration
+from tests.support.commands import Command, Demo
+
+OLD = Path(__file__).parents[1] / "data" / "version_0_1_0" / "calibration.yaml"
+
+
+@pytest.fixture(scope="module")
+def later(demo: Demo, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("later")
+    for pose in sorted((demo.folder / "board").glob("pose_*"))[:2]:
+        shutil.copytree(pose, folder / pose.name)
+    return folder
+
+
+def test_a_calibration_is_judged(fpplab: Command, demo: Demo, later: Path, tmp_path: Path) -> None:
+    """By poses of its own here, in which errors are rather less than in others."""
+    page = tmp_path / "judged.html"
+    given = ["characterise", "--judge", demo.folder / "calibration.yaml", later]
+    done = fpplab(*given, "--out", page, "--json")
+    assert done.code == 0, done.err
+    assert not done.json["contradicted"]
+    assert [p["pose"] for p in done.json["poses"]] == ["pose_00", "pose_01"]
+    for device in ("camera", "projector"):
+        told = done.json[device]
+        assert 0.4 * told["predicted_px"] < told["rms_px"] < 1.1 * told["predicted_px"]
+    written = page.read_text()
+    assert "The calibration holds" in written
+    assert written.count("data:image/png;base64,") == 1
+    plain = fpplab(*given)
+    assert plain.code == 0
+    assert "pose_01" in plain.out
+    assert "the calibration holds" in plain.out
+
+
+def test_a_lens_that_was_moved_since_ends_with_a_calibration_error(
+    fpplab: Command, demo: Demo, later: Path, tmp_path: Path
+) -> None:
+    known = Calibration.load(demo.folder / "calibration.yaml")
+    matrix = known.projector.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= 1.01
+    replace(known, projector=replace(known.projector, matrix=matrix)).save(tmp_path / "old.yaml")
+    done = fpplab("characterise", "--judge", tmp_path / "old.yaml", later, "--json")
+    assert done.code == 5
+    assert done.json["contradicted"]
+    assert "characterise again" in done.json["verdict"]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (["--target", "target_paper"], 2, "--target does not go with --judge"),
+        (["--rig", "rig_demo"], 2, "--rig does not go with --judge"),
+    ],
+)
+def test_options_that_do_not_go_with_it_are_refused(
+    fpplab: Command, demo: Demo, later: Path, options: list[str], code: int, words: str
+) -> None:
+    done = fpplab("characterise", "--judge", demo.folder / "calibration.yaml", later, *options, "--json")
+    assert done.code == code
+    assert words in done.json["error"]
+
+
+def test_what_is_missing_is_named(fpplab: Command, demo: Demo, later: Path) -> None:
+    done = fpplab("characterise", "--judge", demo.folder / "calibration.yaml", "--json")
+    assert (done.code, "needs sessions" in done.json["error"]) == (2, True)
+    done = fpplab("characterise", later, "--json")
+    assert (done.code, done.json["error"]) == (2, "--target is missing")
+    done = fpplab("characterise", later, "--target", "target_paper", "--json")
+    assert (done.code, done.json["error"]) == (2, "--out is missing")
+
+
+def test_a_calibration_of_an_earlier_version_is_refused_with_the_reason(fpplab: Command, later: Path) -> None:
+    done = fpplab("characterise", "--judge", OLD, later, "--json")
+    assert done.code == 5
+    assert "calibration.yaml: 'board' is missing" in done.json["error"]
