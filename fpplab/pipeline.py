@@ -6,7 +6,8 @@ runs on.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from typing import Literal
@@ -149,6 +150,7 @@ def reconstruct(
     *,
     filtering: bool | None = None,
     depth_mm: tuple[float, float] | None = None,
+    maps_ready: Callable[[Decoded], object] = ignore,
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and say how well each point is known.
 
@@ -166,6 +168,8 @@ def reconstruct(
     depth_mm : tuple of float, optional
         Least and greatest distance from the camera in mm, in which the object lies; by default that of the
         session, see `depth_range_of`.
+    maps_ready : callable
+        Given the decoded maps as soon as they are, before the points' uncertainty is computed.
 
     Returns
     -------
@@ -194,6 +198,7 @@ def reconstruct(
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
+    maps_ready(decoded)
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
 
@@ -314,9 +319,15 @@ def finish_scan(
     CalibrationError, DataError
         As `reconstruct`.
     """
-    decoded, cloud = reconstruct(session, calibration, progress)
-    decoded.save(session.path / DECODED)
-    save_cloud(cloud, session.path / CLOUD)
+    with ThreadPoolExecutor(1) as writer:  # the disk has time until the cloud is known
+        saved: list[Future[None]] = []
+
+        def save(maps: Decoded) -> None:
+            saved.append(writer.submit(maps.save, session.path / DECODED))
+
+        decoded, cloud = reconstruct(session, calibration, progress, maps_ready=save)
+        save_cloud(cloud, session.path / CLOUD)
+        saved[0].result()
     calibration.save(session.path / CALIBRATION)
     return decoded, cloud
 

@@ -13,6 +13,7 @@ linear: α a + β b + γ = w, with (α, β, γ) along its normal. The rule then 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -182,6 +183,56 @@ def _scatter(
         a[v, u], b[v, u], w[v, u] = points[i, 0] * near, points[i, 1] * near, near
         if sigma[i] > 0.0:
             noise[v, u] = weight * sigma[i] * near
+
+
+def gather(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Select rows of an array, on all processors.
+
+    Parameters
+    ----------
+    values : ndarray, (N,) or (N, C)
+        Any numbers.
+    rows : ndarray of intp, (M,)
+        Which.
+
+    Returns
+    -------
+    ndarray
+        (M,) or (M, C), of the same type.
+    """
+    found = np.empty((len(rows), *values.shape[1:]), values.dtype)
+    _gather(values.reshape(len(values), -1), rows, found.reshape(len(found), -1))
+    return found
+
+
+@njit(parallel=True, cache=True)
+def _gather(values: NDArray[Any], rows: NDArray[np.intp], found: NDArray[Any]) -> None:
+    for i in prange(len(rows)):
+        for k in range(values.shape[1]):
+            found[i, k] = values[rows[i], k]
+
+
+@njit(cache=True)
+def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
+    """Tell whether all pixels lie in an image.
+
+    Parameters
+    ----------
+    pixels : ndarray of int32, (N, 2)
+        Columns and rows.
+    width, height : int
+        Of the image in px.
+
+    Returns
+    -------
+    bool
+        True where none lies outside.
+    """
+    inside = True
+    for i in range(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        inside &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return inside
 
 
 @njit(inline="always")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 from fpplab.core.errors import ConfigError, DataError
 
@@ -23,16 +23,37 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     path : Path
         Of the file; missing folders are made.
     write : Callable[[BinaryIO], object]
-        Writes the content to a stream in memory.
+        Writes the content to a stream, which can be searched but not read.
 
     Raises
     ------
     DataError
         As `write_parts`.
     """
-    content = io.BytesIO()  # first in memory: writers of arrays lose the system's reason for a refusal
-    write(content)
-    write_parts(path, content.getbuffer())
+    with _draft(path) as stream:
+        write(cast(BinaryIO, _Sink(stream)))
+
+
+class _Sink(io.BufferedIOBase):
+    """A file without descriptor: with one, writers of arrays lose the system's reason for a refusal."""
+
+    def __init__(self, stream: io.BufferedWriter) -> None:
+        self._stream = stream
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        return self._stream.write(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._stream.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._stream.tell()
 
 
 def write_parts(path: Path, *parts: bytes | memoryview) -> None:
@@ -52,6 +73,13 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
     DataError
         There is no space left or the place cannot be written.
     """
+    with _draft(path) as stream:
+        stream.writelines(parts)
+
+
+@contextmanager
+def _draft(path: Path) -> Iterator[io.BufferedWriter]:
+    """A file beside `path` that replaces it once the context ends, complete and on disk."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -60,7 +88,7 @@ def write_parts(path: Path, *parts: bytes | memoryview) -> None:
     try:
         os.fchmod(handle, 0o644)
         with os.fdopen(handle, "wb") as stream:
-            stream.writelines(parts)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(name, path)

@@ -118,7 +118,9 @@ def _by_grid(
     if grid is None:
         return exactly(points, progress)
     found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)), points)
-    left = np.flatnonzero(~(found.min(axis=1) > 0))  # outside, or so near to 0 that interpolation passes it
+    left = np.flatnonzero(
+        ~((found[:, 0] > 0) & (found[:, 1] > 0))
+    )  # outside, or so near to 0 that interpolation passes it
     if len(left):
         found[left] = exactly(points[left], no_progress)
     progress(1.0)
