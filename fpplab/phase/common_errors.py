@@ -36,6 +36,7 @@ _GAIN, _HARMONIC, _OFFSET = 0.01, 0.1, 10.0
 _LEAST_VARIANCE = 1e-3
 _LEAST_THIRD = -0.0168
 _OUTLIER = 9.0
+_FEWEST_STRIPES = 4.0
 _SIGNIFICANT = -math.log(0.001)
 _PASSES = 2
 _PIXELS = 2000
@@ -421,10 +422,13 @@ def _gain_sums(
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """`|Σ ε_n exp(iδ_n)|` and `|Σ ε_n exp(2iδ_n)|` of each set, less what noise makes of them.
 
-    Zero where noise alone makes as much of them once in a thousand times.
+    Zero where noise alone makes as much of them once in a thousand times. Where offsets are compared, wide
+    fringes do not tell: light from the rest of the scene changes as slowly as they do.
     """
     size = len(group.images) // len(group.members)
     for place, k in enumerate(group.members):
+        if len(group.members) > 1 and fringes[k].stripes < _FEWEST_STRIPES:
+            continue
         own = slice(place * size, (place + 1) * size)
         turns = np.exp(1j * np.outer([1, 2], fringes[k].phase_shifts()))
         power = np.abs((turns * found.gains[own]).sum(axis=1)) ** 2
