@@ -15,6 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.errors import ConfigError
+from fpplab.core.strict_yaml import load_yaml
 
 
 class Document(BaseModel):
@@ -31,24 +32,6 @@ Positive = Annotated[float, Field(gt=0)]
 """A number above zero."""
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe loading that refuses a key given twice, and reads 1e-3 as a number."""
-
-
-def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    seen: set[Any] = set()
-    for key_node, _ in node.value:
-        if not isinstance(key_node, yaml.ScalarNode):
-            raise yaml.constructor.ConstructorError(None, None, "a key is not a word", key_node.start_mark)
-        key = loader.construct_object(key_node)
-        if key in seen:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"key {key!r} is given twice", key_node.start_mark
-            )
-        seen.add(key)
-    return loader.construct_mapping(node, deep=True)
-
-
 class _Dumper(yaml.SafeDumper):
     """Quotes what would be read back as something else: a serial number 21e7, an odd line break."""
 
@@ -59,13 +42,11 @@ def _word(dumper: _Dumper, word: str) -> yaml.ScalarNode:
 
 
 _Dumper.add_representer(str, _word)
-_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
-for _class in (_Loader, _Dumper):
-    _class.add_implicit_resolver(
-        "tag:yaml.org,2002:float",
-        re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$"),
-        list("-+0123456789"),
-    )
+_Dumper.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d[\d_]*)(\.\d*)?[eE][-+]?\d+$"),
+    list("-+0123456789"),
+)
 
 
 def parse_yaml(text: str, source: Path | str) -> Any:
@@ -89,12 +70,12 @@ def parse_yaml(text: str, source: Path | str) -> Any:
         The text is not YAML or gives a key twice; names `source` and the line.
     """
     try:
-        return yaml.load(text, _Loader)
+        return load_yaml(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f" line {mark.line + 1}" if mark else ""
         raise ConfigError(f"{source}{line}: {error.problem or 'not readable as YAML'}") from error
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"{source}: not readable as YAML ({reason})") from error
 

@@ -125,7 +125,7 @@ _KINDS = ("target", "artefact", "mesh", "card_mm")
 
 
 def _kind(item: Any) -> str | None:
-    keys = item if isinstance(item, dict) else type(item).model_fields
+    keys = item if isinstance(item, dict) else getattr(type(item), "model_fields", {})
     return next((f"with {kind}" for kind in _KINDS if kind in keys), None)  # tags must not look like keys
 
 

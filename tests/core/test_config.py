@@ -76,8 +76,14 @@ def test_a_wrong_field_is_named(tmp_path: Path, text: str, complaint: str) -> No
         ("name: [a", "line 1: expected ',' or ']'"),
         ("name: a\n\tlens: b", "line 2: found character '\\\\t'"),
         ("? [1, 2]\n: 3", "line 1: a key is not a word"),
-        ("name: &n [*n]", "line 1: found unconstructable recursive node"),
-        ("name: !!python/object/apply:os.getcwd []", "line 1: could not determine a constructor"),
+        ("name: &n [*n]", "line 1: an alias refers to a value that it is part of"),
+        ("name: !!python/object/apply:os.getcwd []", "line 1: the tag '.*os.getcwd' is not allowed"),
+        ("name: !!bool maybe", "line 1: the tag '.*bool' is not allowed"),
+        ("a: 1\nname: !!map [x]", "line 2: the tag '.*map' is not allowed"),
+        ("name: !!binary aGk=", "line 1: the tag '.*binary' is not allowed"),
+        ("name: " + 60 * "{a: " + "1" + 60 * "}", "line 1: there are more than 50 mappings"),
+        ("name: " + 100_000 * "[", ": not readable as YAML .there are more than 50 mappings"),
+        ("name: '" + 2_000_001 * "a" + "'", ": not readable as YAML .it has 20000.. characters, more than"),
         ("name: a\x07", ": not readable as YAML"),
     ],
 )
@@ -113,6 +119,24 @@ def test_a_configuration_is_found_by_name(tmp_path: Path, monkeypatch: pytest.Mo
 def test_numbers_are_read_as_an_operator_writes_them() -> None:
     assert config.parse_yaml("[1e-3, 2E+5, -1e3, 1.5e2, 7]", "x") == [1e-3, 2e5, -1e3, 150.0, 7]
     assert config.parse_yaml("[1e, e3, '1e3', v1e3]", "x") == ["1e", "e3", "1e3", "v1e3"]
+
+
+def test_aliases_that_multiply_are_refused_at_once() -> None:
+    """Ten levels of ten aliases each would be ten thousand million values."""
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{k}: &a{k} [{', '.join(10 * [f'*a{k - 1}'])}]\n" for k in range(1, 11)
+    )
+    with pytest.raises(ConfigError, match=r"line \d+: there are more than 100000 values, those that aliases"):
+        config.parse_yaml(bomb, "x")
+    assert config.parse_yaml("a: &one [1, 2]\nb: *one", "x") == {"a": [1, 2], "b": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    "word", ["2026-11-23", "2026-11-23 10:00:00", "0x1F", "0o17", "017", "0b11", "12:30:00", "<<", "=", "1_"]
+)
+def test_what_yaml_takes_for_dates_and_odd_numbers_is_a_word(word: str) -> None:
+    assert config.parse_yaml(f"[{word}]", "x") in ([word], [1])
+    assert config.parse_yaml(f"{word}: 1", "x") in ({word: 1}, {1: 1})
 
 
 PLAIN = st.recursive(

@@ -15,7 +15,7 @@ PIXELS = 20_000
 
 
 def sets(*steps):
-    return [Sinusoid(axis="x", stripes=1, steps=n) for n in steps]
+    return [Sinusoid(axis="x", stripes=8, steps=n) for n in steps]
 
 
 def waves(generator, *steps, offset=(40, 160), modulation=30.0, g=1.0):

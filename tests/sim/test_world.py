@@ -130,6 +130,7 @@ def test_a_board_that_does_not_fit_is_refused() -> None:
         ("stage", {"axis": [0.0, 0.0, 0.0]}, "must be a direction"),
         ("items", {"nothing": plain()["items"]["card"]}, "empty fixture"),
         ("items", {"cup": {"colour": "red"}}, r"'items\.cup' .*must name a 'target'"),
+        ("items", {"cup": "red"}, r"'items\.cup' .*must name a 'target'"),
         ("render", {"sampels": 3}, "unknown key"),
     ],
 )  # fmt: skip

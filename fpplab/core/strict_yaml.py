@@ -1,0 +1,129 @@
+"""YAML as plain data: mappings, lists, words, decimal numbers, booleans and null, and nothing else.
+
+YAML can do more than a configuration needs, and files come from strangers: aliases that multiply to more than
+memory holds, tags that make objects, dates, and numbers to the base of 2, 8, 16 or 60 where a person meant a
+word. All of that is refused, or stays a word.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import yaml
+
+MOST_CHARACTERS = 2_000_000
+"""Greatest length of a text."""
+MOST_NODES = 100_000
+"""Greatest number of values in it, those that aliases repeat included."""
+DEEPEST = 50
+"""Greatest number of mappings and lists inside one another."""
+
+_NULL, _BOOL, _INT, _FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float"))
+_RESOLVERS = (
+    (_NULL, r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    (
+        _BOOL,
+        r"^(?:yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF)$",
+        list("yYnNtTfFoO"),
+    ),
+    (_INT, r"^[-+]?(?:0|[1-9][\d_]{0,99})$", list("-+0123456789")),
+    (
+        _FLOAT,
+        r"^[-+]?(?:\d[\d_]*\.[\d_]*(?:[eE][-+]?\d+)?|\.\d[\d_]*(?:[eE][-+]?\d+)?|\d[\d_]*[eE][-+]?\d+"
+        r"|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$",
+        list("-+0123456789."),
+    ),
+)
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses tags, keys that are given twice, and what is too large or too deep."""
+
+    def get_single_node(self) -> yaml.Node | None:
+        node = super().get_single_node()
+        if node is not None:
+            _measure(node, {}, 0)
+        return node
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            raise _refusal(
+                f"the tag '{tag}' is not allowed: values are words, numbers, lists, mappings", event
+            )
+        return super().compose_node(parent, index)
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise _refusal("a key is not a word", key_node)
+        key = loader.construct_object(key_node)
+        if key in seen:
+            raise _refusal(f"key {key!r} is given twice", key_node)
+        seen.add(key)
+    return {
+        loader.construct_object(key): loader.construct_object(value, deep=True) for key, value in node.value
+    }
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in _RESOLVERS:
+    _Loader.add_implicit_resolver(_tag, re.compile(_pattern), _first)
+
+
+def _measure(node: yaml.Node, known: dict[int, int], depth: int) -> int:
+    """Count the values of a node, each as often as aliases repeat it; refuse too many, or too deep ones."""
+    if depth > DEEPEST:
+        raise _refusal(f"there are more than {DEEPEST} mappings and lists inside one another", node)
+    if id(node) not in known:
+        known[id(node)] = 0  # while its parts are counted: 0 tells that it is part of itself
+        parts = node.value if isinstance(node, yaml.CollectionNode) else []
+        inside = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
+        count = 1
+        for part in inside:
+            count += _measure(part, known, depth + 1)
+            if count > MOST_NODES:
+                raise _refusal(
+                    f"there are more than {MOST_NODES} values, those that aliases repeat included", part
+                )
+        known[id(node)] = count
+    if known[id(node)] == 0:
+        raise _refusal("an alias refers to a value that it is part of", node)
+    return known[id(node)]
+
+
+def _refusal(problem: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.constructor.ConstructorError(None, None, problem, at.start_mark)
+
+
+def load_yaml(text: str) -> Any:
+    """Parse YAML text as plain data.
+
+    Parameters
+    ----------
+    text : str
+        The YAML.
+
+    Returns
+    -------
+    object
+        Mappings, lists, strings, numbers, booleans and None.
+
+    Raises
+    ------
+    ValueError
+        The text is too long, or too deep to be read.
+    yaml.YAMLError
+        It is not YAML, has tags, gives a key twice, or is too large; most say in which line.
+    """
+    if len(text) > MOST_CHARACTERS:
+        raise ValueError(f"it has {len(text)} characters, more than {MOST_CHARACTERS}")
+    try:
+        return yaml.load(text, _Loader)
+    except RecursionError:
+        raise ValueError(f"there are more than {DEEPEST} mappings and lists inside one another") from None
