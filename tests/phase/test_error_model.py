@@ -155,3 +155,15 @@ def test_the_robust_mean_is_the_mean_without_outliers(freedom):
     assert robust_mean(variance, freedom, 0.01) == pytest.approx(1.0, abs=0.02)
     variance[::50] = 100.0
     assert robust_mean(variance, freedom, 0.01) == pytest.approx(1.0, abs=0.05)
+
+
+def test_wide_fringes_do_not_tell_the_lamp_s_gains_by_their_offsets():
+    """Light from the rest of the scene that follows one wide fringe would pass for a lamp that flickers."""
+    generator = np.random.default_rng(15)
+    both = waves(generator, 3, 3, offset=(100, 140), modulation=60.0)
+    both[1] += 0.05 * (both[1][0] - both[1].mean(axis=0))
+    wide = [Sinusoid(axis="x", stripes=s, steps=3) for s in (16, 1)]
+    fine = [Sinusoid(axis="x", stripes=s, steps=3) for s in (16, 12)]
+    frames = noisy(generator, both, 1.0)
+    assert fit_errors(frames, wide, 8).sets[1].gain_first < 0.005
+    assert fit_errors(frames, fine, 8).sets[1].gain_first > 0.01
