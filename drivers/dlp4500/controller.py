@@ -15,7 +15,12 @@ from drivers.clock import Clock
 from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
-from drivers.dlp4500.status import Status, validation_messages
+from drivers.dlp4500.status import (
+    VALIDATION_ERRORS,
+    VALIDATION_WARNINGS,
+    Status,
+    validation_messages,
+)
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, ProtocolError, SettingError
 
@@ -34,10 +39,13 @@ MODE_STEP_S, MODE_S = 0.1, 2.0
 """Polling interval and time limit in s of a change of display mode; the pairs below are of the same form."""
 STOP_STEP_S, STOP_S = 0.01, 2.0
 VALIDATION_STEP_S, VALIDATION_S = 0.01, 2.0
+START_STEP_S, START_S = 0.01, 0.2
 LOCK_STEP_S, LOCK_S = 0.1, 1.5
 END_STEP_S, END_S = 0.005, 1.0
 WAKE_STEP_S, WAKE_S = 0.1, 5.0
 """Waking has the longest limit that existing clients use."""
+START_ORDERS = 2
+"""How often a start is ordered."""
 SETTLING_S = 5.0
 """Time in s that TI's GUI waits after a reset before it opens the device again."""
 
@@ -80,6 +88,7 @@ class Controller:
 
     def __init__(self, link: Link, clock: Clock, name: str) -> None:
         self.link, self._clock, self._name = link, clock, name
+        self._warnings: list[str] = []
 
     # --- status and power
 
@@ -480,10 +489,13 @@ class Controller:
     def validate(self) -> None:
         """Have the controller validate the configured sequence.
 
+        Warnings do not keep a sequence from running: patterns from the video port always have that of missing
+        black. They are kept, for the case that it does not run.
+
         Raises
         ------
         ProtocolError
-            There is an error or a warning.
+            There is an error.
         DeviceTimeoutError
             The validation does not end within 2 s.
         """
@@ -498,11 +510,15 @@ class Controller:
         if found["busy"]:
             self._clock.sleep(VALIDATION_STEP_S)
             self._until(done, "validation", "does not end", VALIDATION_STEP_S, VALIDATION_S)
-        if words := validation_messages(found):
+        self._warnings = validation_messages(found, VALIDATION_WARNINGS)
+        if words := validation_messages(found, VALIDATION_ERRORS):
             raise ProtocolError(self._name, "validation", "; ".join(words), "change the plan's exposure")
 
     def start(self, program: Program) -> None:
         """Switch the LEDs on, start the prepared sequence and check that it runs.
+
+        A board may show a little later that it runs, and may ignore the first order: other clients order
+        twice.
 
         Parameters
         ----------
@@ -514,17 +530,31 @@ class Controller:
         ProtocolError
             The sequence does not run.
         """
-        begun = self._clock.now()
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
+        faults: list[str] = []
+        for _ in range(START_ORDERS):
+            if (outcome := self._order_start(program)) is None:
+                return
+            if faults := outcome:
+                break
+        found = ["the sequence does not run", *faults, *self._warnings]
+        raise ProtocolError(self._name, "start", "; ".join(found), "try it again")
+
+    def _order_start(self, program: Program) -> list[str] | None:
+        """Order the start and watch; None once it runs or may have run already, otherwise the faults."""
+        begun = self._clock.now()
         self.link.write(protocol.SEQUENCE, run=Run.START)
-        status = self.status()
-        if status.main["running"]:
-            return
-        over = not program.repeat and self._clock.now() - begun >= program.duration_s
-        if status.faults or not over:
-            raise ProtocolError(
-                self._name, "start", "; ".join(["the sequence does not run", *status.faults]), "try it again"
-            )
+        while True:
+            status, passed = self.status(), self._clock.now() - begun
+            if status.main["running"]:
+                return None
+            if status.faults:
+                return status.faults
+            if not program.repeat and program.duration_s <= passed:
+                return None  # it may have run and ended unseen, and must not run twice
+            if passed >= START_S:
+                return []
+            self._clock.sleep(START_STEP_S)
 
     def await_end(self, program: Program) -> None:
         """Wait until a sequence that is not repeated has ended; it may begin with a wait for a video frame.

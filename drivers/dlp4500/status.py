@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.dlp4500.protocol import Values
@@ -64,18 +65,19 @@ class Status:
         return [words[0 if self.main[name] else 1] for name, words in MAIN_WORDS.items()] + self.faults
 
 
-def validation_messages(validation: Values) -> list[str]:
-    """Describe the errors and warnings of a finished validation.
+def validation_messages(validation: Values, known: Mapping[str, str]) -> list[str]:
+    """Describe what a finished validation found.
 
     Parameters
     ----------
     validation : dict of str to int
         Fields of `protocol.VALIDATION`.
+    known : mapping of str to str
+        `VALIDATION_ERRORS` or `VALIDATION_WARNINGS`.
 
     Returns
     -------
     list of str
-        One description for each error and warning; empty for a valid sequence.
+        One description for each; empty where there are none.
     """
-    known = VALIDATION_ERRORS | VALIDATION_WARNINGS
     return [words for name, words in known.items() if validation[name]]

@@ -101,6 +101,7 @@ class Host:
             verdict = self.read("1a1a")[0]
             if not verdict & 0x80:
                 return verdict
+            self.clock.sleep(0.01)
         raise AssertionError("busy for ever")
 
     def run(self, **changes: Any) -> None:

@@ -400,20 +400,78 @@ def test_an_exposure_beyond_the_longest(bench: Bench, projector: Dlp4500) -> Non
     assert projector.state is State.IDLE
 
 
-def test_what_the_validation_finds_is_told_in_words(bench: Bench, projector: Dlp4500) -> None:
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ({"exposure_invalid": 1}, "exposure or period is not valid"),
+        ({"pattern_invalid": 1, "gap_too_short": 1}, "a pattern number or an image is not valid"),
+    ],
+)
+def test_what_the_validation_finds_is_told_in_words(
+    bench: Bench, projector: Dlp4500, found: dict[str, int], words: str
+) -> None:
     """A controller that objects to what the driver thought good."""
     projector.load(bench.patterns)
     bench.controller._readers[0x1A1A] = lambda: (
         dict.fromkeys(("exposure_invalid", "pattern_invalid", "trigger_overlap", "black_missing", "busy"), 0)
-        | {"gap_too_short": 1}
+        | {"gap_too_short": 0}
+        | found
     )
-    with pytest.raises(ProtocolError, match="validation: the period is less than 230 µs longer"):
+    with pytest.raises(ProtocolError, match=f"validation: {words}"):
         projector.play(EXPOSURE_S)
     assert bench.is_dark()
 
 
+def _with_warnings(bench: Bench) -> None:
+    """The controller finds every warning there is, and no error."""
+    warnings = dict.fromkeys(("trigger_overlap", "black_missing", "gap_too_short"), 1)
+    found = dict.fromkeys(("exposure_invalid", "pattern_invalid", "busy"), 0) | warnings
+    bench.controller._readers[0x1A1A] = lambda: found
+
+
+def test_warnings_do_not_keep_a_sequence_from_running(bench: Bench, projector: Dlp4500) -> None:
+    projector.load(bench.patterns)
+    _with_warnings(bench)
+    projector.show(0)
+    assert bench.controller.sequencer.running
+
+
+def test_warnings_are_told_when_it_does_not_run(bench: Bench, projector: Dlp4500) -> None:
+    projector.load(bench.patterns)
+    _with_warnings(bench)
+    bench.controller._start = lambda now: None
+    with pytest.raises(
+        ProtocolError, match=r"does not run; trigger output 1 .*; no black before .*; the period"
+    ):
+        projector.show(0)
+    assert bench.is_dark()
+
+
+@pytest.mark.parametrize("ignored", [0, 1])
+@pytest.mark.parametrize("late_s", [0.0, 0.02, 0.15])
+def test_a_start_may_be_shown_late_or_have_to_be_ordered_twice(
+    tmp_path: Path, ignored: int, late_s: float
+) -> None:
+    bench = Bench(greys(6), tmp_path, Dlpc350Policy(ignored_starts=ignored, running_shown_late_s=late_s))
+    with bench.projector() as projector:
+        projector.load(bench.patterns)
+        projector.show(1)
+        assert bench.controller.sequencer.running
+        projector.play(0.1)
+        assert bench.controller.sequencer.running
+
+
+def test_a_start_that_is_always_ignored_is_an_error(tmp_path: Path) -> None:
+    bench = Bench(greys(1), tmp_path, Dlpc350Policy(ignored_starts=2))
+    with bench.projector() as projector:
+        projector.load(bench.patterns)
+        with pytest.raises(ProtocolError, match="start: the sequence does not run"):
+            projector.show(0)
+        assert bench.is_dark()
+
+
 def test_a_validation_without_end(tmp_path: Path) -> None:
-    bench = Bench(greys(1), tmp_path, Dlpc350Policy(validation_polls=10**6))
+    bench = Bench(greys(1), tmp_path, Dlpc350Policy(validation_s=1e6))
     with bench.projector() as projector:
         projector.load(bench.patterns)
         with pytest.raises(DeviceTimeoutError, match="validation: does not end after 2 s"):

@@ -189,11 +189,37 @@ def test_fewer_entries_than_declared(host: Host) -> None:
 
 
 def test_it_is_busy_for_a_while_and_says_nothing_else() -> None:
-    for polls in (0, 2):
-        host = Host(Dlpc350Policy(validation_polls=polls))
+    """By time, not by how often it is asked: a client that only waits finds it done as well."""
+    for busy_s in (0.0, 0.02):
+        host = Host(Dlpc350Policy(validation_s=busy_s))
         host.sequence(exposure_us=1)
         host.write("1a1a 00")
-        assert [host.read("1a1a")[0] for _ in range(4)] == [0x80] * polls + [1] * (4 - polls)
+        assert {host.read("1a1a")[0] for _ in range(4)} == {0x80 if busy_s else 1}
+        host.clock.sleep(0.021)
+        assert host.read("1a1a")[0] == 1
+
+
+def test_a_start_during_the_validation_is_ignored() -> None:
+    host = Host(Dlpc350Policy(validation_s=0.02))
+    host.sequence()
+    host.write("1a1a 00")
+    host.write("1a24 02")
+    assert not host.running
+    host.clock.sleep(0.021)
+    host.write("1a24 02")
+    assert host.running
+
+
+def test_a_client_that_orders_the_start_twice_and_never_polls_runs_its_sequence() -> None:
+    for ignored in (0, 1):
+        host = Host(Dlpc350Policy(ignored_starts=ignored))
+        host.sequence()
+        host.write("1a1a 00")
+        host.clock.sleep(0.1)
+        host.write("1a24 02")
+        host.write("1a24 02")
+        assert host.running
+        assert host.greys(3) == [1, 2, 3]
 
 
 # --- running

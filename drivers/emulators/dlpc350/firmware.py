@@ -109,7 +109,7 @@ class Dlpc350:
         self.asleep, self._awake_at_s = False, 0.0
         self._mode, self._next_mode = DisplayMode.VIDEO, (DisplayMode.VIDEO, 0.0)
         self._aborted, self._unvalidated = False, True
-        self._busy_polls = 0
+        self._validated_s, self._ignored_starts, self._started_s = 0.0, 0, 0.0
         self._validation_result = dict.fromkeys((field.name for field in protocol.VALIDATION.named), 0)
         self._timing = 0
         self._tables = PatternTables()
@@ -365,7 +365,7 @@ class Dlpc350:
         gamma = self._registers[protocol.GAMMA.number]["on"]
         return {
             "parked": int(self.asleep),
-            "running": int(self.sequencer.running),
+            "running": int(self.sequencer.running and self._is_shown_running()),
             "frozen": frozen,
             "gamma": gamma,
         }
@@ -385,10 +385,15 @@ class Dlpc350:
         return found
 
     def _validation(self) -> Values:
-        if self._busy_polls:
-            self._busy_polls -= 1
+        if self._is_validating():
             return dict.fromkeys(self._validation_result, 0) | {"busy": 1}
         return self._validation_result
+
+    def _is_validating(self) -> bool:
+        return self.clock.now() < self._validated_s
+
+    def _is_shown_running(self) -> bool:
+        return self.clock.now() >= self._started_s + self.policy.running_shown_late_s
 
     def _table_bytes(self) -> bytes:
         entries, images = self._counts()
@@ -467,7 +472,12 @@ class Dlpc350:
             self.sequencer.pause()
         elif self._open() is not Mailbox.CLOSED:
             raise CommandRejected
-        elif self._mode is DisplayMode.PATTERN and not self._busy_polls and not self.sequencer.running:
+        elif self._mode is not DisplayMode.PATTERN or self._is_validating() or self.sequencer.running:
+            return
+        elif self._ignored_starts:
+            self._ignored_starts -= 1
+        else:
+            self._started_s = now
             self._start(now)
 
     def _start(self, now: float) -> None:
@@ -548,7 +558,8 @@ class Dlpc350:
             self.policy.accepts_a_gap_of_230_us,
         )
         self._validation_result = found | {"busy": 0}
-        self._busy_polls = self.policy.validation_polls
+        self._validated_s = self.clock.now() + self.policy.validation_s
+        self._ignored_starts = self.policy.ignored_starts
         self._unvalidated = bool(found["exposure_invalid"] or found["pattern_invalid"])
 
     def _sequence(self) -> SequenceTables:

@@ -24,8 +24,12 @@ class Dlpc350Policy:
         Settings and tables cannot be changed while a sequence runs or is paused; otherwise they can.
     needs_validation : bool
         A start after changes that were not validated leaves the sequencer stopped and sets the abort flag.
-    validation_polls : int
-        How often the status of a validation reads busy before it gives the result.
+    validation_s : float
+        Time in s that a validation takes; until then its status reads busy, and a start is ignored.
+    ignored_starts : int
+        How many orders to start are acknowledged without effect, after each change of a sequence.
+    running_shown_late_s : float
+        How long after a start the main status still reads "stopped", in s.
     accepts_a_gap_of_230_us : bool
         Whether a period of exactly 230 µs more than its exposure is valid.
     needs_lock_before_pattern_mode : bool
@@ -62,7 +66,9 @@ class Dlpc350Policy:
     answers_other_destinations: bool = False
     refuses_changes_while_running: bool = True
     needs_validation: bool = True
-    validation_polls: int = 3
+    validation_s: float = 0.03
+    ignored_starts: int = 0
+    running_shown_late_s: float = 0.0
     accepts_a_gap_of_230_us: bool = False
     needs_lock_before_pattern_mode: bool = True
     swap_letter_is_input: bool = True

@@ -62,7 +62,6 @@ def validate_sequence(
                 b["trigger"] in (PatternTrigger.RISING, PatternTrigger.FALLING) and not a["black_after"]
                 for a, b in pairwise(entries)
             )
-            and vsync_us is None
         ),
         "gap_too_short": int(
             any(_gap_too_short(period - exposure, accepts_gap) for exposure, period in times_us)
