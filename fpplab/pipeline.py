@@ -326,8 +326,8 @@ def finish_scan(
             saved.append(writer.submit(maps.save, session.path / DECODED))
 
         decoded, cloud = reconstruct(session, calibration, progress, maps_ready=save)
+        saved[0].result()  # a cloud is not written where its maps could not be
         save_cloud(cloud, session.path / CLOUD)
-        saved[0].result()
     calibration.save(session.path / CALIBRATION)
     return decoded, cloud
 

@@ -130,8 +130,15 @@ class Cloud:
         -------
         Cloud
             The selected points in the same order.
+
+        Raises
+        ------
+        DataError
+            The selection is of another number of points, or empty.
         """
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
+        if kept.shape != (len(self),):
+            raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
         rows = np.flatnonzero(kept)
         chosen: dict[str, Any] = {
             name: gather(part, rows) for name, part in parts.items() if part is not None

@@ -181,3 +181,9 @@ def test_a_surface_needs_pixels_and_a_window_an_odd_width() -> None:
         Cloud(a_cloud().points).grid_mesh()
     with pytest.raises(ConfigError, match="odd"):
         local_quadric_distance(a_cloud(), window=4)
+
+
+def test_a_selection_of_another_number_of_points_is_refused() -> None:
+    cloud = a_cloud()
+    with pytest.raises(DataError, match=r"a selection of \(\d+,\) does not fit"):
+        cloud.only(np.ones(len(cloud) + 1, np.bool_))
