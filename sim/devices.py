@@ -424,7 +424,7 @@ class SimProjector(Projector):
     def _show(self, i: int) -> None:
         self._bench.show = Show(self._loaded, i)
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         raise AssertionError("refused before: there is no trigger output")
 
     def _blank(self) -> None:

@@ -265,7 +265,16 @@ class BaslerCamera(Camera):
             features.limits(named.GAIN_DB) if features.has(named.GAIN_DB) else (0.0, 0.0),
             self._triggers(),
             *self._row_times_s(),
+            self._period_s(),
         )
+
+    def _period_s(self) -> float | None:
+        """Return the least time in s between triggers: the reciprocal of the resulting frame rate.
+
+        Basler documents that this is how long to wait after each trigger, and that an earlier one is ignored.
+        """
+        rate_hz = self._features.read(named.RESULTING_HZ)
+        return 1.0 / rate_hz if rate_hz else None
 
     def _triggers(self) -> tuple[Trigger, ...]:
         """List the supported triggers: none if the camera cannot tell when it is ready for its first one."""
@@ -342,7 +351,8 @@ class BaslerCamera(Camera):
             if time.monotonic() >= deadline:
                 break
         self._check_connected("read")
-        remedy = "check the trigger cable" if self._trigger == "hardware" else "allow more time"
+        cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
+        remedy = cable if self._trigger == "hardware" else "allow more time"
         raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
 
     def _index(self, block_id: int) -> int:

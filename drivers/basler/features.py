@@ -23,6 +23,11 @@ GAIN_DB: FeatureNames = ("Gain",)
 BLACK_LEVEL: FeatureNames = ("BlackLevel",)
 SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
 READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
+RESULTING_HZ: FeatureNames = (
+    "ResultingFrameRate",
+    "BslResultingAcquisitionFrameRate",
+    "ResultingFrameRateAbs",
+)
 TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
 TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
 TRIGGER_MODE: FeatureNames = ("TriggerMode",)

@@ -518,7 +518,7 @@ class Controller:
         """Switch the LEDs on, start the prepared sequence and check that it runs.
 
         A board may show a little later that it runs, and may ignore the first order: other clients order
-        twice.
+        twice. A sequence that may end before it is shown to run is ordered twice at once.
 
         Parameters
         ----------
@@ -531,28 +531,31 @@ class Controller:
             The sequence does not run.
         """
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
+        ends_unseen = not program.repeat and program.duration_s < START_S
+        if ends_unseen:  # it cannot be ordered again later; a start has no effect while it runs
+            self.link.write(protocol.SEQUENCE, run=Run.START)
         faults: list[str] = []
-        for _ in range(START_ORDERS):
-            if (outcome := self._order_start(program)) is None:
+        for _ in range(1 if ends_unseen else START_ORDERS):
+            if (outcome := self._order_start()) is None:
                 return
             if faults := outcome:
                 break
+        if ends_unseen and not faults:
+            return
         found = ["the sequence does not run", *faults, *self._warnings]
         raise ProtocolError(self._name, "start", "; ".join(found), "try it again")
 
-    def _order_start(self, program: Program) -> list[str] | None:
-        """Order the start and watch; None once it runs or may have run already, otherwise the faults."""
+    def _order_start(self) -> list[str] | None:
+        """Order the start and watch; None once it runs, otherwise the faults."""
         begun = self._clock.now()
         self.link.write(protocol.SEQUENCE, run=Run.START)
         while True:
-            status, passed = self.status(), self._clock.now() - begun
+            status = self.status()
             if status.main["running"]:
                 return None
             if status.faults:
                 return status.faults
-            if not program.repeat and program.duration_s <= passed:
-                return None  # it may have run and ended unseen, and must not run twice
-            if passed >= START_S:
+            if self._clock.now() - begun >= START_S:
                 return []
             self._clock.sleep(START_STEP_S)
 

@@ -117,6 +117,14 @@ class Storage(Protocol):
     def depths(self) -> set[int]:
         """Bit depths that can be shown; known once open."""
 
+    @property
+    def longest_us(self) -> int:
+        """Longest exposure in µs of a played pattern; known once open."""
+
+    @property
+    def gap_us(self) -> int:
+        """Least time in µs to the next played pattern, where it does not follow at once."""
+
     def open(self, board: Controller) -> None:
         """Prepare the source and enter pattern mode; the projector is dark before and after.
 
@@ -151,7 +159,7 @@ class Storage(Protocol):
             Index of the pattern.
         """
 
-    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+    def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Show all patterns once; may return once that has begun or after it has ended.
 
         Parameters
@@ -162,6 +170,8 @@ class Storage(Protocol):
             Exposure of each pattern in µs.
         dark_us : int
             Dark time after each pattern in µs.
+        period_us : int
+            Time from trigger pulse to trigger pulse in µs, at least.
         """
 
     def check_played(self, board: Controller) -> None:
@@ -221,7 +231,8 @@ class Dlp4500(Projector):
 
     def _caps(self) -> ProjectorCaps:
         depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
-        return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES)
+        longest_s, gap_s = self._storage.longest_us * 1e-6, self._storage.gap_us * 1e-6
+        return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES, longest_s, gap_s)
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]
@@ -232,8 +243,8 @@ class Dlp4500(Projector):
     def _show(self, i: int) -> None:
         self._storage.show(self._board, i)
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
-        self._storage.play(self._board, round(exposure_s * 1e6), ceil(dark_s * 1e6))
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
+        self._storage.play(self._board, round(exposure_s * 1e6), ceil(dark_s * 1e6), ceil(period_s * 1e6))
 
     def _blank(self) -> None:
         self._board.go_dark()

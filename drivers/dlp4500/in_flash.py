@@ -10,6 +10,8 @@ from drivers.dlp4500.index import FlashIndex, index_checksum
 from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import (
     LEAST_EXPOSURE_US,
+    LEAST_GAP_US,
+    MOST_EXPOSURE_US,
     PRELOADED_IMAGES,
     Program,
     Slot,
@@ -47,6 +49,16 @@ class InFlash:
     def depths(self) -> set[int]:
         """Bit depths of the patterns in the index."""
         return self._index.depths
+
+    @property
+    def longest_us(self) -> int:
+        """The controller's own limit."""
+        return MOST_EXPOSURE_US
+
+    @property
+    def gap_us(self) -> int:
+        """The controller's own limit."""
+        return LEAST_GAP_US
 
     def open(self, board: Controller) -> None:
         """Enter pattern mode and compare the index with the number of images in flash.
@@ -113,7 +125,7 @@ class InFlash:
         with board.dark_on_failure():
             board.run(still_program(slot, LEAST_EXPOSURE_US[slot.bits], self._leds))
 
-    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+    def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Start a run of all patterns; returns once it has begun.
 
         Parameters
@@ -124,13 +136,15 @@ class InFlash:
             Exposure of each pattern in µs.
         dark_us : int
             Dark time after each pattern in µs.
+        period_us : int
+            Time from pattern to pattern in µs, at least.
 
         Raises
         ------
         SettingError
             The exposure is out of range.
         """
-        program = self._program(self._slots, exposure_us, dark_us)
+        program = self._program(self._slots, exposure_us, dark_us, period_us)
         with board.dark_on_failure():
             self._forced_before = board.has_forced_swap()
             board.run(program)
@@ -158,9 +172,18 @@ class InFlash:
                 "expose longer, or put the patterns into fewer images",
             )
 
-    def _program(self, slots: Sequence[Slot], exposure_us: int, dark_us: int = 0) -> Program:
+    def _program(
+        self, slots: Sequence[Slot], exposure_us: int, dark_us: int = 0, period_us: int = 0
+    ) -> Program:
         try:
-            return flash_program(slots, exposure_us, self._leds, load_us=self._load_us, dark_us=dark_us)
+            return flash_program(
+                slots,
+                exposure_us,
+                self._leds,
+                load_us=self._load_us,
+                dark_us=dark_us,
+                period_us=period_us,
+            )
         except ValueError as error:
             raise SettingError(self._name, "load", str(error), "change the plan") from error
 

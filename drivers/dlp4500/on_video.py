@@ -53,6 +53,16 @@ class OnVideo:
         """Bit depths of which at least one pattern fits into a frame."""
         return {bits for bits, least_us in LEAST_EXPOSURE_US.items() if least_us <= self._frame_us}
 
+    @property
+    def longest_us(self) -> int:
+        """Period of the video frames, in which a pattern has to fit."""
+        return self._frame_us
+
+    @property
+    def gap_us(self) -> int:
+        """None: the next pattern is started when it is due."""
+        return 0
+
     def open(self, board: Controller) -> None:
         """Open the display, and have the projector synchronise to its signal before pattern mode.
 
@@ -110,8 +120,11 @@ class OnVideo:
             board.run(program)
             self._clock.sleep(self._display.vsync_s)  # the pattern begins with the next frame
 
-    def play(self, board: Controller, exposure_us: int, dark_us: int) -> None:
+    def play(self, board: Controller, exposure_us: int, dark_us: int, period_us: int) -> None:
         """Show all patterns once, frame by frame, and wait for the end of each frame's patterns.
+
+        Patterns of one frame follow each other at once. Where pulses have to be farther apart, every pattern
+        has a frame of its own.
 
         Parameters
         ----------
@@ -121,6 +134,8 @@ class OnVideo:
             Exposure of each pattern in µs.
         dark_us : int
             Dark time after each pattern in µs; only 0 is possible.
+        period_us : int
+            Time from trigger pulse to trigger pulse in µs, at least.
 
         Raises
         ------
@@ -145,7 +160,7 @@ class OnVideo:
             )
         with board.dark_on_failure():
             board.go_dark()
-            self._play_frames(board, exposure_us)
+            self._play_frames(board, exposure_us, period_us)
 
     def check_played(self, board: Controller) -> None:
         """Do nothing: `play` has waited for the end of every frame.
@@ -160,8 +175,9 @@ class OnVideo:
     def _frame_us(self) -> int:
         return int(self._display.vsync_s * 1e6)
 
-    def _play_frames(self, board: Controller, exposure_us: int) -> None:
-        slots = assign_slots(self._patterns, self._frame_us // exposure_us)
+    def _play_frames(self, board: Controller, exposure_us: int, period_us: int) -> None:
+        gap_us = max(period_us - exposure_us, 0)
+        slots = assign_slots(self._patterns, 1 if gap_us else self._frame_us // exposure_us)
         groups = [list(group) for _, group in groupby(slots, lambda slot: slot.image)]
         self._displayed_image, prepared = None, None
         for frame, group in zip(pack_images(self._patterns, slots), groups, strict=True):
@@ -173,6 +189,7 @@ class OnVideo:
                 prepared = program
             board.start(program)
             board.await_end(program)
+            self._clock.sleep(gap_us * 1e-6)
 
     def _display_image(self, image: int) -> None:
         self._displayed_image = None

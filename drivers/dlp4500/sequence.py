@@ -254,6 +254,7 @@ def flash_program(
     repeat: bool = False,
     load_us: Mapping[int, int] | None = None,
     dark_us: int = 0,
+    period_us: int = 0,
 ) -> Program:
     """Build a sequence of patterns in flash, each with a pulse on trigger output 1.
 
@@ -273,6 +274,8 @@ def flash_program(
         Load time in µs of each flash image, by index; needed where images are swapped in more than twice.
     dark_us : int
         Dark time in µs that must follow each pattern.
+    period_us : int
+        Least time in µs from pattern to pattern.
 
     Returns
     -------
@@ -292,7 +295,7 @@ def flash_program(
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
-    least = max(exposure_us + dark_us, _least_period_us(slots, load_us or {}, repeat))
+    least = max(exposure_us + dark_us, period_us, _least_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,
         tuple(entries),

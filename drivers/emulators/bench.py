@@ -39,6 +39,7 @@ from drivers.emulators.exposure import BenchClock, CollectedLight, EmulatedShutt
 from drivers.emulators.grbl import GrblController, Rail
 from drivers.emulators.grbl.settings import DEFAULTS
 from drivers.emulators.optics import GreyImage, OpticsRig
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from drivers.emulators.terminal import PseudoTerminal
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -64,6 +65,8 @@ class BenchFaults(Document):
     """Trigger pulses since the camera was armed that do not arrive."""
     doubled: tuple[FaultCount, ...] = ()
     """Trigger pulses since the camera was armed that give two frames."""
+    cut: bool = False
+    """Whether the trigger cable is cut, so that no pulse arrives."""
     extra: bool = False
     """Whether there is an extra trigger pulse, one exposure before the first."""
     dropped: tuple[FaultCount, ...] = ()
@@ -98,6 +101,8 @@ class EmulatedBenchOptions(Document):
     """File with the content of the projector's flash, from `fpplab dlp4500 build`."""
     refresh_hz: Annotated[float, Field(ge=10, le=120)] = 60.0
     """Refresh rate in Hz of the display on the projector's video port."""
+    sensor: SensorTiming = STRICT
+    """How soon the camera takes the next trigger pulse."""
     faults: BenchFaults = BenchFaults()
     """Faults to provoke."""
 
@@ -156,8 +161,8 @@ class EmulatedBench:
             self._check_optics()
             self.optics = OpticsRig(self.optics_rig)
             self._make_projector()
-            self.shutter, self._exposures = EmulatedShutter(self.clock), 0
-            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render)
+            self.shutter, self._exposures = EmulatedShutter(self.clock, self._options.sensor), 0
+            self.pylon = BenchPylon(self.optics.size, self.shutter, self._render, self._options.sensor)
             self.pylon.start()
             stack.callback(self.pylon.close)
             self.terminal = self._make_stage(stack)
@@ -243,12 +248,12 @@ class EmulatedBench:
         edges = (pulse.rise_s, pulse.fall_s)
         rise_s, fall_s = edges[::-1] if self.controller.inverts_output_1 else edges
         camera = self.pylon.armed_camera()
-        if camera is None:
+        if camera is None or self.faults.cut:
             return
         number, camera.pulses = camera.pulses, camera.pulses + 1
         settings, at_s = camera.settings(), camera.exposure_start_s(rise_s, fall_s)
         if self.faults.extra and number == 0:
-            self.shutter.open(settings, at_s - settings.exposure_s)
+            self.shutter.open(settings, at_s - self._options.sensor.period_s(settings.exposure_s))
         if number not in self.faults.missed:
             self.shutter.open(settings, at_s, times=1 + (number in self.faults.doubled))
 

@@ -12,7 +12,8 @@ from pypylon import genicam, pylon
 from drivers.basler.features import TRIGGER_DELAY_US, TRIGGER_EDGE, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
 from drivers.basler.options import EDGES
 from drivers.emulators.exposure import CollectedLight, EmulatedShutter
-from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon
+from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
@@ -36,6 +37,8 @@ class BenchPylon(EmulatedPylon):
         The camera's shutter.
     render : ImageSource
         Renders an image from what the shutter collected.
+    timing : SensorTiming
+        How soon the camera tells that it takes the next pulse.
 
     Attributes
     ----------
@@ -43,9 +46,19 @@ class BenchPylon(EmulatedPylon):
         As given.
     """
 
-    def __init__(self, size: tuple[int, int], shutter: EmulatedShutter, render: ImageSource) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        shutter: EmulatedShutter,
+        render: ImageSource,
+        timing: SensorTiming = STRICT,
+    ) -> None:
         sensor = (max(size[0], MIN_SENSOR_SIZE[0]), max(size[1], MIN_SENSOR_SIZE[1]))
-        super().__init__(sensor, lambda settings: self.read_out(settings, shutter.expose_now(settings)))
+        super().__init__(
+            sensor,
+            lambda settings: self.read_out(settings, shutter.expose_now(settings)),
+            PylonPolicy(timing=timing),
+        )
         self.shutter, self._render = shutter, render
 
     def armed_camera(self) -> BenchCamera | None:
@@ -120,7 +133,7 @@ class BenchCamera(EmulatedCamera):
         """
         self.pulses, self._frame_coming = 0, False
         self._emulator.shutter.clear()
-        self.instant.StartGrabbing(strategy)
+        super().StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
         """Trigger as pylon does, for an exposure that begins now."""

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from drivers.clock import SteppedClock
 from drivers.emulators.dlpc350 import Dlpc350, ProjectedLight
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.devices import CameraSettings
 
 NEVER = float("inf")
 """Time of what never happens, in s."""
 HISTORY_S = 1.0
 """How far back light is remembered in s, beyond what is being exposed."""
-ROUNDING_S = 1e-7
-"""A shutter that closes this late in s, by rounding alone, is closed in time for the next pulse."""
+ROUNDING_S = 1e-9
+"""A camera that is ready this late in s, by rounding alone, is ready in time for the next pulse."""
 
 CollectedLight = list[tuple[ProjectedLight, float]]
 """What a shutter collected: each light and its share of the exposure time; the rest was dark."""
@@ -124,7 +125,7 @@ class Exposure:
 
 
 class EmulatedShutter:
-    """The camera's shutter, opened by pulses; while it is open, further pulses have no effect.
+    """The camera's shutter, opened by pulses; a pulse before the camera is ready has no effect.
 
     Exposures are queued until they are read out.
 
@@ -132,10 +133,17 @@ class EmulatedShutter:
     ----------
     clock : BenchClock
         The bench's time; its `on_interval` is taken over.
+    timing : SensorTiming
+        When the camera is ready again.
+
+    Attributes
+    ----------
+    ignored : int
+        Number of pulses since the last `clear` that came too early.
     """
 
-    def __init__(self, clock: BenchClock) -> None:
-        self._clock = clock
+    def __init__(self, clock: BenchClock, timing: SensorTiming = STRICT) -> None:
+        self._clock, self._timing = clock, timing
         self._past: deque[LightInterval] = deque()
         self._exposures: deque[Exposure] = deque()
         clock.on_interval = self._record
@@ -144,10 +152,10 @@ class EmulatedShutter:
     def clear(self) -> None:
         """Close the shutter and discard the exposures that were not read out."""
         self._exposures.clear()
-        self._closes_s = -NEVER
+        self._ready_s, self.ignored = -NEVER, 0
 
     def open(self, settings: CameraSettings, begin_s: float, times: int = 1) -> None:
-        """Start an exposure, unless the shutter is still open at that time.
+        """Start an exposure, unless the camera is not ready at that time.
 
         Parameters
         ----------
@@ -158,10 +166,11 @@ class EmulatedShutter:
         times : int
             Number of equal frames that it gives.
         """
-        if begin_s < self._closes_s - ROUNDING_S:
+        if begin_s < self._ready_s - ROUNDING_S:
+            self.ignored += 1
             return
-        self._closes_s = begin_s + settings.exposure_s
-        self._exposures.extend([Exposure(settings, begin_s, self._closes_s)] * times)
+        self._ready_s = begin_s + self._timing.period_s(settings.exposure_s)
+        self._exposures.extend([Exposure(settings, begin_s, begin_s + settings.exposure_s)] * times)
 
     def wait_next(self, patience_s: float) -> tuple[CameraSettings, CollectedLight] | None:
         """Let time pass until an exposure is over, and read it out.

@@ -12,6 +12,7 @@ always replaced as a whole. What the emulator cannot do, and its behaviour that 
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from drivers.basler.features import (
     Features,
 )
 from drivers.basler.transport import Pylon
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 
@@ -40,6 +42,8 @@ CAMERA_COUNT_VARIABLE = "PYLON_CAMEMU"
 """Environment variable with the number of cameras that pylon emulates; read at every enumeration."""
 READY_MS = 5000
 """Longest time in ms that the emulator is given to become ready for a trigger."""
+ROUNDING_S = 1e-9
+"""A camera that is ready this late in s, by rounding alone, is ready in time for the next pulse."""
 
 SceneSource = Callable[[CameraSettings], Image]
 """Renders the whole sensor [v, u] under given settings, in raw integers of `settings.bits`."""
@@ -54,13 +58,17 @@ class PylonPolicy:
     exclusive : bool
         A camera that is open cannot be opened again, as is reported of real ones; pylon's emulator allows it.
     pulse_waits : bool
-        A trigger pulse waits for a camera that is not ready; otherwise it is lost, as on a real wire.
+        A trigger pulse waits for pylon's emulator, whose readiness depends on the computer's load; otherwise
+        it is lost, as on a real wire.
+    timing : SensorTiming
+        When the camera is ready for a pulse whose time is given; one that comes earlier is ignored.
     exposure_s : float
         Time in s that an emulated exposure takes, whatever the camera is set to.
     """
 
     exclusive: bool = True
     pulse_waits: bool = True
+    timing: SensorTiming = STRICT
     exposure_s: float = 100e-6
 
 
@@ -139,17 +147,20 @@ class EmulatedPylon(Pylon):
             )
         return self._camera(serial, super().attach(info))
 
-    def pulse(self, times: int = 1) -> None:
+    def pulse(self, times: int = 1, at_s: float | None = None) -> None:
         """Send trigger pulses to Line1 of the camera that was opened last; any thread may call it.
 
         Parameters
         ----------
         times : int
             Number of pulses.
+        at_s : float, optional
+            When a single pulse comes, in s from any origin; pulses without a time come when the camera is
+            ready.
         """
         for _ in range(times):
             for camera in list(self._open.values())[-1:]:
-                camera.pulse()
+                camera.pulse(at_s)
 
     def unplug(self, noticed: bool = True) -> None:
         """Unplug the cable.
@@ -266,7 +277,7 @@ class EmulatedCamera:
     def __init__(self, emulator: EmulatedPylon, serial: str, instant: Any) -> None:
         self.serial, self.instant = serial, instant
         self.frames_to_lose, self.unplugged = 0, False
-        self._emulator = emulator
+        self._emulator, self._ready_s = emulator, -math.inf
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.instant, name)
@@ -286,6 +297,31 @@ class EmulatedCamera:
         """Destroy the device as pylon does."""
         self._emulator.on_closed(self)
         self.instant.DestroyDevice()
+
+    def GetNodeMap(self) -> Any:
+        """Return pylon's node map, with the resulting frame rate that a camera of this timing has.
+
+        Returns
+        -------
+        pylon.NodeMap
+            Of the camera.
+        """
+        rate, timing = self.instant.AcquisitionFrameRateAbs, self._emulator.policy.timing
+        exposure_s = self.instant.GetNodeMap().GetNode(EXPOSURE_US[0]).GetValue() / US_PER_S
+        if rate.IsWritable() and rate.GetValue() != timing.told_rate_hz(exposure_s):
+            rate.SetValue(timing.told_rate_hz(exposure_s))
+        return self.instant.GetNodeMap()
+
+    def StartGrabbing(self, strategy: Any) -> None:
+        """Arm the camera as pylon does; it is ready then.
+
+        Parameters
+        ----------
+        strategy : pylon.EGrabStrategy
+            Pylon's grab strategy.
+        """
+        self._ready_s = -math.inf
+        self.instant.StartGrabbing(strategy)
 
     def ExecuteSoftwareTrigger(self) -> None:
         """Trigger as pylon does, in the light of this moment; without effect on an unplugged camera."""
@@ -317,20 +353,30 @@ class EmulatedCamera:
     def _result(self, timeout_ms: int, handling: Any) -> Any:
         return self.instant.RetrieveResult(timeout_ms, handling)
 
-    def pulse(self) -> None:
-        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing."""
+    def pulse(self, at_s: float | None = None) -> None:
+        """Take a pulse on Line1: one frame, if the camera waits for it; without effect during closing.
+
+        Parameters
+        ----------
+        at_s : float, optional
+            When it comes, in s from any origin; one that comes before the camera is ready is ignored. Without
+            it the pulse comes when the camera is ready.
+        """
         try:
-            self._pulse()
+            if at_s is None or at_s >= self._ready_s - ROUNDING_S:
+                self._pulse(at_s)
         except genicam.GenericException:
             if self._emulator.has_open(self):
                 raise
 
-    def _pulse(self) -> None:
+    def _pulse(self, at_s: float | None) -> None:
         armed = self._features.read(TRIGGER_MODE) == "On" and self._features.read(TRIGGER_SOURCE) == "Line1"
         if self.unplugged or not armed or not self.instant.IsGrabbing():
             return
         wait_ms = READY_MS if self._emulator.policy.pulse_waits else 0
         if self.instant.WaitForFrameTriggerReady(wait_ms, pylon.TimeoutHandling_Return):
+            if at_s is not None:
+                self._ready_s = at_s + self._emulator.policy.timing.period_s(self.settings().exposure_s)
             self._emulator.expose(self)
             self.instant.TriggerSoftware.Execute()
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
 from fpplab.acquisition.synchronisation import check_synchronisation, provable, remedy
+from fpplab.acquisition.timing import pulse_timing
 from fpplab.core.conventions import Image
 from fpplab.core.errors import CapabilityError, SyncError
 from fpplab.core.progress import ignore
@@ -140,7 +141,11 @@ def _out_of_step(rig: Rig, session: Session, found: str) -> SyncError:
 
 
 def expose(
-    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, plan: Plan | None = None
+    rig: Rig,
+    patterns: Sequence[Pattern],
+    settings: CameraSettings,
+    plan: Plan | None = None,
+    gap_s: float = 0.0,
 ) -> Generator[Frame, None, None]:
     """Take one frame per pattern, in order, synchronised as the plan says.
 
@@ -157,6 +162,8 @@ def expose(
         Exposure and gain of the camera.
     plan : Plan, optional
         Says whether frames are stepped or triggered, and the settling time; by default stepped without any.
+    gap_s : float
+        Further s between triggers, beyond what the devices need.
 
     Yields
     ------
@@ -177,7 +184,7 @@ def expose(
         settings = camera.configure(settings)
         projector.load(patterns)
         if plan is not None and plan.trigger == "triggered":
-            yield from _triggered(camera, projector, patterns, settings)
+            yield from _triggered(rig, patterns, settings, gap_s)
         else:
             yield from _stepped(camera, projector, patterns, settings, plan.settle_s if plan else 0.0)
     finally:
@@ -205,12 +212,14 @@ def _stepped(
 
 
 def _triggered(
-    camera: Camera, projector: Projector, patterns: Sequence[Pattern], settings: CameraSettings
+    rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, gap_s: float
 ) -> Iterator[Frame]:
+    camera, dead_s = rig.camera, rig.file.camera.dead_time_s
+    timing = pulse_timing(camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)
     camera.arm(len(patterns), "hardware")
-    projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)
+    rig.projector.play(timing.light_s, timing.dark_s, timing.period_s)
     for pattern in patterns:
-        yield _in_step(camera, camera.read(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
+        yield _in_step(camera, camera.read(timeout_s=timing.period_s + READ_TIMEOUT_S), pattern)
 
 
 def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:

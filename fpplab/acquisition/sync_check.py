@@ -20,9 +20,11 @@ from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
+from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import DeviceError, DeviceTimeoutError
 from fpplab.core.progress import Progress
+from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
@@ -38,6 +40,12 @@ SATURATED = 0.01
 """Share of the illuminated pixels at full scale beyond which the exposure is too long."""
 MOST_DEPARTURE = 0.015
 """Greatest RMS departure of the levels from a rising curve, as a share of their range, of frames in step."""
+APART_S = 0.1
+"""Further time in s between triggers beyond an exposure, in which every camera becomes ready."""
+GAPS_S = (0.0, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
+"""Further times in s between triggers that are tried for a camera that was not ready."""
+SAME_LEVEL = 0.1
+"""Range of levels of frames that all show darkness, as a share of that of the marker."""
 SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Settling times that are tried, in s."""
 PIXELS = 20_000
@@ -86,6 +94,11 @@ class MarkerRun:
     def rise(self) -> float:
         """Difference between the brightest and the darkest level, as a share of full scale."""
         return float(np.nanmax(self.levels) - np.nanmin(self.levels))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that came."""
+        return int(np.isfinite(self.levels).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,22 +251,49 @@ class _RigInspection:
         progress(0.7)
         if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
             triggered = self._plan.model_copy(update={"trigger": "triggered"})
-            self.runs.append(run := _run(rig, triggered, shown))
-            self.findings += _of_trigger(matching_faults(shown, run.levels), run, remedy(triggered))
+            run = _run(rig, triggered, shown)
+            if run.frames:
+                self.runs.append(run)
+            self.findings += self._of_trigger(rig, triggered, shown, run)
+
+    def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
+        """Tell what is wrong with a triggered run, by a second one with more time between triggers."""
+        if _is_in_step(shown, run):
+            return []
+        if not run.frames:
+            return [_no_pulse(len(shown))]
+        apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
+        if apart.frames and np.ptp(apart.levels[: apart.frames][:-1]) < SAME_LEVEL * self.runs[0].rise:
+            return [_wrong_edge()]
+        if not _is_in_step(shown, apart):
+            return [_slipped(matching_faults(shown, run.levels), run, remedy(plan))]
+        gap_s = next((s for s in GAPS_S if _is_in_step(shown, _run(rig, plan, shown, s))), APART_S)
+        if gap_s == 0.0:
+            once = "when it was repeated, all frames were in step"
+            return [_slipped(matching_faults(shown, run.levels), run, remedy(plan), once)]
+        timing = _timing(rig, plan, shown, gap_s)
+        dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
+        return [_not_ready(run, gap_s, dead_s)]
 
 
-def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> MarkerRun:
+def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
     """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
+    if rig.camera.state is State.FAULT:  # after a run whose frames did not all come
+        rig.camera.close()
+        rig.camera.open()
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
     samples: list[NDArray[Any]] = []
-    with closing(expose(rig, patterns, rig.camera_settings(plan.exposure_s, plan.bits), plan)) as shots:
+    with closing(expose(rig, patterns, settings, plan, gap_s)) as shots:
         try:
             for shot in shots:
                 every = max(1, math.isqrt(shot.image.size // PIXELS))
                 samples.append(shot.image[::every, ::every] / full_scale(shot.settings.bits))
         except DeviceTimeoutError:
-            if plan.trigger == "stepped" or not samples:
+            if plan.trigger == "stepped":
                 raise
+    if not samples:
+        return MarkerRun(plan.trigger, np.full(len(shown), np.nan), 0.0)
     seen = np.stack(samples)
     change = np.ptp(seen, axis=0)
     illuminated = seen[:, change >= 0.5 * np.quantile(change, 0.95)]
@@ -297,14 +337,50 @@ def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: 
     )
 
 
-def _of_trigger(slipped: tuple[SyncFault, ...] | None, run: MarkerRun, advice: str) -> list[Finding]:
-    lost = int(np.isnan(run.levels).sum())
-    if slipped == () and not lost:
-        return []
+def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
+    return run.frames == len(shown) and matching_faults(shown, run.levels) == ()
+
+
+def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> PulseTiming:
+    patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
+    dead_s = rig.file.camera.dead_time_s
+    return pulse_timing(rig.camera, rig.projector, patterns, plan.exposure_s, dead_s, gap_s)
+
+
+def _slipped(slipped: tuple[SyncFault, ...] | None, run: MarkerRun, advice: str, more: str = "") -> Finding:
+    lost = len(run.levels) - run.frames
     words = ["the last triggers did not expose a frame"] if slipped == () else [_words(slipped)]
     if lost:
         words.append(f"{lost} of {len(run.levels)} frames did not come")
-    return [Finding("triggered frames are out of step", "; ".join(words), advice)]
+    if more:
+        words.append(more)
+    return Finding("triggered frames are out of step", "; ".join(words), advice)
+
+
+def _no_pulse(count: int) -> Finding:
+    return Finding(
+        "no trigger pulse reaches the camera",
+        f"none of {count} frames came",
+        "check the trigger cable, the camera's `line`, its input's voltage, and the projector's output 1",
+    )
+
+
+def _wrong_edge() -> Finding:
+    return Finding(
+        "the camera exposes at the wrong edge of the trigger pulse",
+        "with darkness between the patterns, the frames show the darkness",
+        "choose the other `edge` of the camera's trigger, or the other polarity (`inverted`) of the "
+        "projector's output 1; see to the trigger's delay",
+    )
+
+
+def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
+    return Finding(
+        "the camera is not ready yet when the next trigger comes",
+        f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
+        "come",
+        f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera",
+    )
 
 
 def _of_device(error: DeviceError) -> Finding:

@@ -58,6 +58,9 @@ class CameraCaps:
     dark_s : float
         The same, where rows begin together and only end one after another (global reset): no light may fall
         for so long after the exposure, or the later rows have more of it.
+    period_s : float or None
+        Least s from one hardware trigger to the next at the present settings: a camera ignores one that comes
+        earlier. 0 where it is always ready; None where the camera does not tell.
     """
 
     size: tuple[int, int]
@@ -67,6 +70,7 @@ class CameraCaps:
     triggers: tuple[Trigger, ...]
     readout_s: float = 0.0
     dark_s: float = 0.0
+    period_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +32,10 @@ class ProjectorCaps:
         How many outputs give a pulse with each pattern; 0 where it cannot play.
     max_patterns : int
         How many it holds at once.
+    longest_s : float
+        Longest s for which a played pattern can be shown.
+    gap_s : float
+        Where the next played pattern does not follow at once: least s until it does.
     """
 
     size: tuple[int, int]
@@ -38,6 +43,8 @@ class ProjectorCaps:
     bit_depths: dict[int, float]
     trigger_outputs: int
     max_patterns: int
+    longest_s: float = math.inf
+    gap_s: float = 0.0
 
 
 class Projector(Device):
@@ -113,7 +120,7 @@ class Projector(Device):
             self._show(i)
 
     @final
-    def play(self, exposure_s: float, dark_s: float = 0.0) -> None:
+    def play(self, exposure_s: float, dark_s: float = 0.0, period_s: float = 0.0) -> None:
         """Show every loaded pattern once, giving a trigger pulse with each; ARMED until `blank`.
 
         Parameters
@@ -122,6 +129,8 @@ class Projector(Device):
             s that each is shown.
         dark_s : float
             s of darkness that follow each, at least.
+        period_s : float
+            s from one pulse to the next, at least; the projector need not be dark in what is left of it.
 
         Raises
         ------
@@ -130,7 +139,7 @@ class Projector(Device):
         StateError
             No patterns are loaded.
         SettingError
-            The exposure is shorter than the patterns' depth allows, or the darkness is negative.
+            The exposure is shorter than the patterns' depth allows, or another time is negative.
         """
         self._need(State.IDLE, doing="play")
         caps = self.caps
@@ -143,8 +152,10 @@ class Projector(Device):
             raise SettingError(self.name, "play", f"exposure_s is {exposure_s:g} s", f"at least {least:g} s")
         if not dark_s >= 0:
             raise SettingError(self.name, "play", f"dark_s is {dark_s:g} s", "at least 0 s")
+        if not period_s >= 0:
+            raise SettingError(self.name, "play", f"period_s is {period_s:g} s", "at least 0 s")
         with self._guard("play"):
-            self._play(exposure_s, dark_s)
+            self._play(exposure_s, dark_s, period_s)
         self._state = State.ARMED
 
     @final
@@ -200,12 +211,13 @@ class Projector(Device):
         """
 
     @abstractmethod
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         """Start to show every loaded pattern once, in order, with a pulse at the beginning of each.
 
         Called by `play` in IDLE with an exposure that the depths allow; the camera is armed already. Return
-        once the sequence runs or is sure to: do not wait for its end. Both times in s; the darkness after
-        each pattern lasts `dark_s` at least. Only where `trigger_outputs` is not 0.
+        once the sequence runs or is sure to: do not wait for its end. Times in s; the darkness after each
+        pattern lasts `dark_s` at least, and pulses are `period_s` apart at least. Only where
+        `trigger_outputs` is not 0.
         """
 
     @abstractmethod

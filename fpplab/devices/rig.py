@@ -6,10 +6,10 @@
     projector: {backend: "sim.devices:SimProjector"}
 
 `backend` names the class that drives the device: `module:Class`. `bench` is what the devices
-share, where they share anything; `stage` and `fixture` are optional. `bits` and `gain_db` are
-the camera's standing settings; every other key goes to the backend, which refuses what it does
-not know. `depth_mm` may state between which distances from the camera everything lies that is seen, for plans
-that state none. A relative file name is looked for beside the rig file first.
+share, where they share anything; `stage` and `fixture` are optional. `bits`, `gain_db` and `dead_time_s` are
+the camera's standing settings; every other key goes to the backend, which refuses what it does not know.
+`depth_mm` may state between which distances from the camera everything lies that is seen, for plans that
+state none. A relative file name is looked for beside the rig file first.
 """
 
 from __future__ import annotations
@@ -58,6 +58,11 @@ class CameraSection(DeviceSection):
 
     gain_db: float = 0.0
     """Gain in dB."""
+
+    dead_time_s: Annotated[float, Field(ge=0, le=10)] | None = None
+    """Time in s after each exposure in which the camera ignores a trigger, where it is longer than the camera
+    tells; for a camera that tells nothing it is 1 ms by default. For triggered plans.
+    """
 
 
 class DepthSection(Document):

@@ -159,7 +159,7 @@ class ReplayProjector(Projector):
     def _show(self, i: int) -> None:
         self._recording.shown = self._indices[i]
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         raise CapabilityError(self.name, "play", "a recording has no clock", "use a stepped plan")
 
     def _blank(self) -> None:

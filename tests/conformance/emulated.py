@@ -37,17 +37,18 @@ class PulsingProjector(ReferenceProjector):
     _bench: PylonBench
     _player: threading.Thread | None = None
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
+        self._period_s = max(exposure_s + dark_s, period_s)
         self._playing = threading.Event()
         self._playing.set()
         self._player = threading.Thread(target=self._run)
         self._player.start()
 
     def _run(self) -> None:
-        for pattern in self._held:
+        for k, pattern in enumerate(self._held):
             if self._playing.is_set():
                 self._bench.on_show = pattern
-                self._bench.pylon.pulse()
+                self._bench.pylon.pulse(at_s=k * self._period_s)
 
     def _blank(self) -> None:
         self._end()

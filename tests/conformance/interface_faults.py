@@ -10,6 +10,7 @@ PROJECTOR_BASE = "fpplab/devices/projector.py"
 STAGE_BASE = "fpplab/devices/stage.py"
 FIXTURE_BASE = "fpplab/devices/fixture.py"
 ACQUISITION = "fpplab/acquisition/acquire.py"
+TIMING = "fpplab/acquisition/timing.py"
 SYNCHRONISATION = "fpplab/acquisition/synchronisation.py"
 MARKER = "fpplab/acquisition/sync_check.py"
 RIG = "fpplab/devices/rig.py"
@@ -385,23 +386,67 @@ IN_STEP = [
         "played before the camera listens",
         ACQUISITION,
         "_triggered",
-        "camera.arm(...)\nprojector.play(...)",
-        "projector.play(settings.exposure_s + camera.caps.readout_s, camera.caps.dark_s)\n"
+        "camera.arm(...)\nrig.projector.play(...)",
+        "rig.projector.play(timing.light_s, timing.dark_s, timing.period_s)\n"
         'camera.arm(len(patterns), "hardware")',
     ),
     Fault(
         "the next pattern before the last row is read",
-        ACQUISITION,
-        "_triggered",
-        "settings.exposure_s + camera.caps.readout_s",
-        "settings.exposure_s",
+        TIMING,
+        "pulse_timing",
+        "exposure_s + caps.readout_s",
+        "exposure_s",
     ),
     Fault(
         "lit while rows end",
         ACQUISITION,
         "_triggered",
-        "projector.play(...)",
-        "projector.play(settings.exposure_s + camera.caps.readout_s)",
+        "rig.projector.play(...)",
+        "rig.projector.play(timing.light_s, 0.0, timing.period_s)",
+    ),
+    Fault(
+        "timing: a pulse as soon as the exposure ends",
+        ACQUISITION,
+        "_triggered",
+        "rig.projector.play(...)",
+        "rig.projector.play(timing.light_s, timing.dark_s)",
+    ),
+    Fault(
+        "timing: the stated dead time is not used",
+        ACQUISITION,
+        "_triggered",
+        "pulse_timing(camera, rig.projector, patterns, settings.exposure_s, dead_s, gap_s)",
+        "pulse_timing(camera, rig.projector, patterns, settings.exposure_s, None, gap_s)",
+    ),
+    Fault("timing: clocks are equal", TIMING, "pulse_timing", "1 + CLOCK_TOLERANCE", "1"),
+    Fault("timing: a camera that tells nothing is ready", TIMING, "UNKNOWN_DEAD_S", "1e-3", "0.0"),
+    Fault(
+        "timing: the stated dead time replaces the camera's",
+        TIMING,
+        "pulse_timing",
+        "max(caps.period_s, end_s + dead_s if dead_s else 0.0)",
+        "end_s + dead_s if dead_s else caps.period_s",
+    ),
+    Fault(
+        "timing: a gap of any length",
+        TIMING,
+        "pulse_timing",
+        "max(period_s, light_s + shown.gap_s)",
+        "period_s",
+    ),
+    Fault(
+        "timing: shown too briefly",
+        TIMING,
+        "_check_light",
+        "exposure_s + readout_s < least_s",
+        "exposure_s + readout_s < 0",
+    ),
+    Fault(
+        "timing: shown for too long",
+        TIMING,
+        "_check_light",
+        "exposure_s + readout_s > caps.longest_s",
+        "exposure_s > caps.longest_s",
     ),
     Fault(
         "stepped with a global reset",
@@ -416,6 +461,13 @@ IN_STEP = [
         "Projector.play",
         "if not dark_s >= 0:",
         "if dark_s < -1e9:",
+    ),
+    Fault(
+        "a period of any length",
+        PROJECTOR_BASE,
+        "Projector.play",
+        "if not period_s >= 0:",
+        "if period_s < -1e9:",
     ),
 ]
 

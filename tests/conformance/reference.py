@@ -88,7 +88,7 @@ class ReferenceCamera(Camera):
 
     def _caps(self) -> CameraCaps:
         triggers: tuple[Trigger, ...] = ("software", "hardware")
-        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), triggers, READOUT_S)
+        return CameraCaps(CAMERA_SIZE, (8, 12), (1e-4, 1.0), (0.0, 12.0), triggers, READOUT_S, period_s=0.0)
 
     def _configure(self, settings: CameraSettings) -> CameraSettings:
         exposure = round(settings.exposure_s / EXPOSURE_TICK_S) * EXPOSURE_TICK_S
@@ -156,7 +156,7 @@ class ReferenceProjector(Projector):
     def _show(self, i: int) -> None:
         self._bench.on_show = self._held[i]
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         self._bench.pulses.extend(self._held)
 
     def _blank(self) -> None:

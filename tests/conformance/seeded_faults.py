@@ -75,6 +75,7 @@ SUITES = {
         ),
     ),
     "drivers/stage_grbl/": Suite(("rig_grbl.yaml",), ("test_stage_grbl.py",)),
+    "fpplab/acquisition/timing.py": Suite(("rig_reference.yaml",), ("../acquisition/test_timing.py",)),
     "": Suite(("rig_reference.yaml", "rig_replay.yaml")),
 }
 """By where the fault is: the first that fits."""

@@ -59,5 +59,5 @@ class SlippingProjector(ReferenceProjector):
 
     _bench: SlippingBench
 
-    def _play(self, exposure_s: float, dark_s: float) -> None:
+    def _play(self, exposure_s: float, dark_s: float, period_s: float) -> None:
         self._bench.pulses.extend(self._bench.exposed(self._held))  # type: ignore[arg-type]

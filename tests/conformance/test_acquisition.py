@@ -240,7 +240,34 @@ def test_a_triggered_pattern_stays_up_until_the_last_row_is_read(
     settings = rig.camera_settings(session.plan.exposure_s)
     exposure_s = rig.camera.configure(settings).exposure_s
     caps = rig.camera.caps
-    assert played == [pytest.approx((exposure_s + caps.readout_s, caps.dark_s))]
+    ((light_s, dark_s, period_s),) = played
+    assert (light_s, dark_s) == pytest.approx((exposure_s + caps.readout_s, caps.dark_s))
+    assert period_s >= max(light_s + dark_s, caps.period_s or 0.0)
+
+
+@pytest.mark.parametrize("dead_s", [None, 0.01])
+def test_triggers_are_as_far_apart_as_the_camera_needs(
+    rig: Rig, session: Session, monkeypatch: pytest.MonkeyPatch, dead_s: float | None
+) -> None:
+    """By what the camera tells, or by what is stated in the rig file."""
+    if not rig.projector.caps.trigger_outputs or "hardware" not in rig.camera.caps.triggers:
+        assert rig.camera.caps.period_s is None or rig.camera.caps.period_s >= 0
+        return
+    caps = replace(rig.camera.caps, period_s=0.0 if dead_s else 0.06)
+    section = rig.file.camera.model_copy(update={"dead_time_s": dead_s})
+    played: list[float] = []
+
+    def note(light_s: float, dark_s: float, period_s: float) -> None:
+        played.append(period_s - (light_s if dead_s else 0.0))
+        raise CapabilityError("projector", "play", "not now")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.camera, "_caps", lambda: caps)
+        patch.setattr(rig, "file", rig.file.model_copy(update={"camera": section}))
+        patch.setattr(rig.projector, "_play", note)
+        with pytest.raises(CapabilityError, match="not now"):
+            acquire(rig, session.plan.model_copy(update={"trigger": "triggered"}), session)
+    assert played == [pytest.approx(dead_s or 0.06, rel=1e-2)]
 
 
 def test_it_is_dark_while_rows_end_one_after_another(
@@ -258,17 +285,18 @@ def test_it_is_dark_while_rows_end_one_after_another(
             with suppress(CapabilityError):  # not every projector has it dark between patterns
                 acquire(rig, session.plan.model_copy(update={"trigger": "triggered"}), session)
             settings = rig.camera_settings(session.plan.exposure_s)
-            assert played == [pytest.approx((rig.camera.configure(settings).exposure_s, 0.05))]
+            exposure_s = rig.camera.configure(settings).exposure_s
+            assert [times[:2] for times in played] == [pytest.approx((exposure_s, 0.05))]
     assert dark_now(rig, *levels)
 
 
-def times_played(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
-    """Of whatever is played from now on: exposure and darkness."""
+def times_played(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float, float]]:
+    """Of whatever is played from now on: exposure, darkness and period."""
     really_play, played = rig.projector._play, []
 
-    def noted(exposure_s: float, dark_s: float) -> None:
-        played.append((exposure_s, dark_s))
-        really_play(exposure_s, dark_s)
+    def noted(exposure_s: float, dark_s: float, period_s: float) -> None:
+        played.append((exposure_s, dark_s, period_s))
+        really_play(exposure_s, dark_s, period_s)
 
     monkeypatch.setattr(rig.projector, "_play", noted)
     return played

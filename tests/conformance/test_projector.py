@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fpplab.acquisition.timing import pulse_timing
 from fpplab.core.errors import CapabilityError, SettingError, StateError
 from fpplab.devices import Camera, Projector, State
 from fpplab.devices.rig import Rig
@@ -200,6 +201,8 @@ def test_playing_needs_patterns_and_time(rig: Rig, projector: Projector) -> None
     for dark_s in (-1e-9, math.nan):
         with pytest.raises((SettingError, CapabilityError), match="play"):
             projector.play(least, dark_s)
+        with pytest.raises((SettingError, CapabilityError), match="play"):
+            projector.play(least, 0.0, dark_s)
     assert projector.state is State.IDLE
 
 
@@ -213,7 +216,7 @@ def test_played_patterns_come_one_by_one_and_in_order(rig: Rig, camera: Camera, 
     still = [picture(rig, i) for i in range(4)]
     projector.load(patterns_for(rig)[:4])
     camera.arm(4, "hardware")
-    projector.play(exposure_s)
+    projector.play(exposure_s, 0.0, pulse_timing(camera, projector, patterns_for(rig), exposure_s).period_s)
     for refused in (lambda: projector.show(0), lambda: projector.load([]), lambda: projector.play(1.0)):
         with pytest.raises(StateError, match="armed"):
             refused()

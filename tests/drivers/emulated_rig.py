@@ -34,12 +34,13 @@ def patterns() -> tuple[Pattern, ...]:
     return make_patterns(PLAN, SIZE, Lattice.DIAMOND)
 
 
-def burn(folder: Path) -> None:
-    """Write the patterns as firmware and index."""
+def burn(folder: Path, held: Sequence[Pattern] | None = None) -> None:
+    """Write patterns as firmware and index, by default those of the plan."""
+    held = held or patterns()
     base = folder / "base.bin"
     base.write_bytes(maker_firmware())
-    (folder / "patterns.bin").write_bytes(Firmware.load(base).with_patterns(patterns(), base).content)
-    index = FlashIndex.of(patterns(), arrange_patterns(patterns()))
+    (folder / "patterns.bin").write_bytes(Firmware.load(base).with_patterns(held, base).content)
+    index = FlashIndex.of(held, arrange_patterns(held))
     (folder / "patterns.yaml").write_text(config.dump(index), encoding="utf-8")
 
 
@@ -73,9 +74,10 @@ def rig_file(
     return Rig(file, folder, "rig.yaml")
 
 
-def on_video(folder: Path, camera: dict[str, Any] | None = None) -> Rig:
+def on_video(folder: Path, bench: dict[str, Any] | None = None, camera: dict[str, Any] | None = None) -> Rig:
     """Make the rig with its patterns from the video port, not open yet."""
-    return rig_file(folder, {"firmware": None}, camera, {"flash": None, "video": {"display": 0}})
+    video = {"flash": None, "video": {"display": 0}}
+    return rig_file(folder, {"firmware": None, **(bench or {})}, camera, video)
 
 
 def bench_of(rig: Rig) -> EmulatedBench:

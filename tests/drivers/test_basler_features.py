@@ -126,6 +126,23 @@ def test_a_clock_with_its_own_ticks(made: Make) -> None:
     assert camera.snap().device_time_s == 2.0
 
 
+@pytest.mark.parametrize(
+    "name", ["ResultingFrameRate", "BslResultingAcquisitionFrameRate", "ResultingFrameRateAbs"]
+)
+def test_the_resulting_frame_rate_tells_how_soon_a_trigger_is_taken(made: Make, name: str) -> None:
+    end = but(**{name: number(name, 16.0, 0.0, 1e5)})
+    camera = made(end)
+    assert camera.caps.period_s == 1 / 16
+    end.map.GetNode(name).SetValue(12.5)
+    camera.configure(CameraSettings(0.01))
+    assert camera.caps.period_s == 0.08
+
+
+@pytest.mark.parametrize("end", [NodeCamera(), but(ResultingFrameRate=number("ResultingFrameRate", 0, 0, 9))])
+def test_a_camera_that_does_not_tell_its_frame_rate(made: Make, end: NodeCamera) -> None:
+    assert made(end).caps.period_s is None
+
+
 def grey(block_id: int, width: int = 64, ticks: int = 0) -> Result:
     return Result(np.zeros((8, width), np.uint8), width, 8, pylon.PixelType_Mono8, block_id, ticks)
 

@@ -194,6 +194,20 @@ def test_darkness_follows_each_pattern(
     assert [pulse.fall_s - pulse.rise_s for pulse in pulses] == pytest.approx([EXPOSURE_S] * 6)
 
 
+@pytest.mark.parametrize(("period_s", "found_s"), [(0.0001, 0.0), (1e-6, 231e-6), (0.03, 0.03)])
+def test_pulses_are_as_far_apart_as_asked_for(
+    bench: Bench, projector: Dlp4500, period_s: float, found_s: float
+) -> None:
+    """Beyond the exposure, or at the least distance that the controller can keep."""
+    projector.load(bench.patterns)
+    bench.pulses.clear()
+    projector.play(EXPOSURE_S, 0.0, period_s if period_s == 0.0001 else EXPOSURE_S + period_s)
+    bench.clock.sleep(1.0)
+    bench.controller.advance()
+    rises = [pulse.rise_s for pulse in bench.pulses if pulse.output == 1]
+    assert np.diff(rises) == pytest.approx(EXPOSURE_S + found_s)
+
+
 @pytest.mark.parametrize("order", [(0, 5), (5, 0), (4, 1, 3), (2, 2, 2)])
 def test_any_order_of_two_images(bench: Bench, projector: Dlp4500, order: tuple[int, ...]) -> None:
     """Among them a table of two images, which the controller reads from its end."""

@@ -143,7 +143,7 @@ def test_unplugged_during_the_set_up_nothing_is_lit(bench: Bench) -> None:
             with pytest.raises(DisconnectedError):
                 trial.projector.play(EXPOSURE_S)
             lit += [(at, fault)] if trial.grey() is not None else []
-    start_and_status = 1 + 2 * 3  # after the order to start, and before or after each of three questions
+    start_and_status = 1 + 2 + 2 * 3  # from the first of two orders on, and at each of three questions
     assert len(lit) == start_and_status
 
 

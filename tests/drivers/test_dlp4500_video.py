@@ -17,7 +17,7 @@ from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.packing import assign_slots, pack_images
 from drivers.dlp4500.protocol import Run
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US
-from drivers.emulators.dlpc350 import EmulatedDisplay, UsbFault
+from drivers.emulators.dlpc350 import Dlpc350Policy, EmulatedDisplay, UsbFault
 from drivers.emulators.dlpc350.light import grey_levels
 from fpplab.core.errors import (
     CapabilityError,
@@ -233,6 +233,40 @@ def test_flat_patterns_of_fewer_bits_share_frames(bench: VideoBench, projector: 
     before = bench.frames
     assert played(bench, projector, 300e-6) == [int(p.image[0, 0]) for p in shown] == [0, 255, 255, 0, 255]
     assert bench.frames - before == 1
+
+
+@pytest.mark.parametrize("period_s", [0.0101, 0.05, 0.3])
+def test_where_pulses_have_to_be_farther_apart_every_pattern_has_its_own_frame(
+    bench: VideoBench, projector: Dlp4500, period_s: float
+) -> None:
+    projector.load(bench.patterns)
+    before = bench.frames
+    bench.pulses.clear()
+    projector.play(0.01, 0.0, period_s)
+    rises = bench.pulsed()
+    assert len(rises) == 7
+    assert np.diff(rises).min() >= period_s
+    assert bench.frames - before == 7
+
+
+def test_patterns_share_frames_where_pulses_may_follow_at_once(bench: VideoBench, projector: Dlp4500) -> None:
+    projector.load(bench.patterns)
+    before = bench.frames
+    projector.play(0.008333, 0.0, 0.008333)
+    assert bench.frames - before == 4
+
+
+@pytest.mark.parametrize("ignored", [0, 1])
+@pytest.mark.parametrize("late_s", [0.0, 0.02])
+def test_frames_whose_start_is_ignored_once_or_shown_late(
+    tmp_path: Path, ignored: int, late_s: float
+) -> None:
+    """A frame may be over before the controller shows that it runs; no pulse is lost or doubled."""
+    policy = Dlpc350Policy(ignored_starts=ignored, running_shown_late_s=late_s)
+    bench = VideoBench(greys(5), tmp_path, policy)
+    with bench.projector() as projector:
+        projector.load(bench.patterns)
+        assert played(bench, projector, 0.01) == [p.image[0, 0] for p in bench.patterns]
 
 
 def test_after_playing_a_pattern_can_be_shown(bench: VideoBench, projector: Dlp4500) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from drivers.emulators.bench import BenchFaults, EmulatedFixture
 from drivers.emulators.dlpc350 import UsbFault
+from drivers.emulators.sensor_timing import ALWAYS_READY
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DeviceTimeoutError, DisconnectedError, SettingError
 from fpplab.devices import CameraSettings, Frame, State
@@ -32,6 +33,8 @@ from tests.drivers.emulated_rig import (
 
 TRIGGERED = PLAN.model_copy(update={"trigger": "triggered"})
 SOON_S = 0.05
+AT_ONCE = {"sensor": ALWAYS_READY.model_dump()}
+"""A camera that takes a pulse as soon as an exposure has ended, for what patterns in sequence look like."""
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +118,7 @@ def test_a_part_of_the_picture(folder: Path) -> None:
 
 def test_a_pattern_that_ends_in_an_exposure_is_mixed_with_the_next(folder: Path) -> None:
     wanted = expected(*(mixed((i, 0.75), (i + 1, 0.25)) for i in range(7)))
-    with rig_file(folder, camera={"trigger": {"delay_us": 5000.0}}) as rig:
+    with rig_file(folder, AT_ONCE, {"trigger": {"delay_us": 5000.0}}) as rig:
         for frame, image in zip(played(rig, 7), wanted, strict=True):
             assert_within_rounding(frame, image)
 
@@ -132,24 +135,22 @@ def test_dark_between_patterns_dims_them(folder: Path) -> None:
 
 def test_an_inverted_output_shows_each_pattern_one_too_late(folder: Path) -> None:
     wanted = expected(*(patterns()[i].image for i in range(1, 8)))
-    with rig_file(folder, projector={"trigger_out_1": {"inverted": True}}) as rig:
+    with rig_file(folder, AT_ONCE, projector={"trigger_out_1": {"inverted": True}}) as rig:
         for frame, image in zip(played(rig, 7), wanted, strict=True):
             np.testing.assert_array_equal(frame, image)
-    with (
-        rig_file(folder, {"faults": {}}, {"trigger": {"edge": "falling"}}) as rig,
-    ):
+    with rig_file(folder, AT_ONCE, {"trigger": {"edge": "falling"}}) as rig:
         np.testing.assert_array_equal(played(rig, 1)[0], wanted[0])
 
 
 def test_pulses_at_an_open_shutter_are_lost(folder: Path) -> None:
     wanted = expected(*(mixed((i, 2 / 3), (i + 1, 1 / 3)) for i in (0, 2, 4)), exposure_s=0.03)
-    with rig_file(folder) as rig:
+    with rig_file(folder, AT_ONCE) as rig:
         for frame, image in zip(played(rig, 3, exposure_s=0.03), wanted, strict=True):
             assert_within_rounding(frame, image)
 
 
 def test_a_shutter_is_not_kept_open_by_rounding(folder: Path) -> None:
-    with rig_file(folder) as rig:
+    with rig_file(folder, AT_ONCE) as rig:
         shutter = bench_of(rig).shutter
         for k in range(20):
             shutter.open(CameraSettings(0.1), 0.1 * k)
@@ -166,7 +167,7 @@ def test_a_missed_pulse_shifts_what_follows(folder: Path) -> None:
 
 
 def test_after_a_missed_pulse_the_last_frame_never_comes(folder: Path) -> None:
-    with rig_file(folder, {"faults": {"missed": [3]}}) as rig:
+    with rig_file(folder, AT_ONCE | {"faults": {"missed": [3]}}) as rig:
         assert len(played(rig, 7)) == 7
         rig.projector.blank()
         with pytest.raises(DeviceTimeoutError, match="check the trigger cable"):
@@ -189,7 +190,7 @@ def test_a_pulse_too_many_shifts_all(folder: Path) -> None:
 
 
 def test_each_run_begins_anew(folder: Path) -> None:
-    with rig_file(folder) as rig:
+    with rig_file(folder, AT_ONCE) as rig:
         bench = bench_of(rig)
         for faults, count in (
             (BenchFaults(missed=(0,)), 7),
@@ -199,6 +200,37 @@ def test_each_run_begins_anew(folder: Path) -> None:
             bench.faults = faults
             assert len(played(rig, count)) == count
             rig.make_dark()
+
+
+# When the camera is ready
+
+
+@pytest.mark.parametrize("rig_on", [rig_file, on_video])
+@pytest.mark.parametrize("dead_us", [0.0, 30.0, 100.0, 231.0, 300.0])
+def test_no_pulse_comes_before_the_camera_is_ready(
+    folder: Path, dead_us: float, rig_on: Callable[..., Rig]
+) -> None:
+    plan = TRIGGERED.model_copy(update={"exposure_s": 0.016})
+    wanted = expected(*(pattern.image for pattern in patterns()), exposure_s=plan.exposure_s)
+    with rig_on(folder, {"sensor": {"dead_us": dead_us}}) as rig:
+        for frame, image in zip(taken(rig, plan), wanted, strict=True):
+            np.testing.assert_array_equal(frame, image)
+        assert bench_of(rig).shutter.ignored == 0
+
+
+@pytest.mark.parametrize("rig_on", [rig_file, on_video])
+def test_a_readout_longer_than_the_exposure(folder: Path, rig_on: Callable[..., Rig]) -> None:
+    with rig_on(folder, {"sensor": {"readout_us": 58e3}}) as rig:
+        assert len(list(taken(rig, TRIGGERED.model_copy(update={"exposure_s": 0.016})))) == 8
+        assert bench_of(rig).shutter.ignored == 0
+
+
+def test_without_time_between_exposures_every_other_pulse_is_ignored(folder: Path) -> None:
+    """Of eight patterns that follow each other at once, four frames come."""
+    with rig_file(folder, {"sensor": {"dead_us": 30.0}}) as rig:
+        with pytest.raises(DeviceTimeoutError):
+            played(rig, 5)
+        assert bench_of(rig).shutter.ignored == 4
 
 
 # Time

@@ -1,0 +1,71 @@
+"""How soon an emulated camera is ready for the next trigger pulse.
+
+A pulse that comes earlier is ignored, as real cameras do. An exposure may overlap with the readout of the
+previous frame, but must not end before that readout does, and the sensor needs a dead time between two
+exposures.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from fpplab.core.config import Document
+
+S_PER_US = 1e-6
+RATE_STEPS_PER_HZ = 100
+"""Steps per Hz of the frame rate that pylon's emulator can tell."""
+
+Microseconds = Annotated[float, Field(ge=0)]
+
+
+class SensorTiming(Document):
+    """Times of an emulated sensor; without options it is `STRICT`."""
+
+    readout_us: Microseconds = 8000.0
+    """Time in µs in which a frame is read out."""
+    dead_us: Microseconds = 100.0
+    """Time in µs between the end of an exposure, or of a readout, and the next."""
+    untold_us: Microseconds = 0.0
+    """Further dead time in µs, which the camera's resulting frame rate leaves out."""
+    clock_ppm: Annotated[float, Field(ge=0, le=1000)] = 100.0
+    """By how many millionths the camera's times are longer than it tells."""
+
+    def told_rate_hz(self, exposure_s: float) -> float:
+        """Compute the resulting frame rate that the camera tells.
+
+        Parameters
+        ----------
+        exposure_s : float
+            The exposure in s.
+
+        Returns
+        -------
+        float
+            Frame rate in Hz, rounded down to what pylon's emulator can tell.
+        """
+        rate_hz = 1.0 / (max(exposure_s, self.readout_us * S_PER_US) + self.dead_us * S_PER_US)
+        return max(int(rate_hz * RATE_STEPS_PER_HZ), 1) / RATE_STEPS_PER_HZ
+
+    def period_s(self, exposure_s: float) -> float:
+        """Compute the time from the beginning of an exposure until the camera takes the next pulse.
+
+        Parameters
+        ----------
+        exposure_s : float
+            The exposure in s.
+
+        Returns
+        -------
+        float
+            Time in s, by a clock that is right.
+        """
+        dead_s = (self.dead_us + self.untold_us) * S_PER_US
+        return (max(exposure_s, self.readout_us * S_PER_US) + dead_s) * (1 + 1e-6 * self.clock_ppm)
+
+
+STRICT = SensorTiming()
+"""A sensor that needs time for readout and between exposures, more by a slow clock than it tells."""
+ALWAYS_READY = SensorTiming(readout_us=0.0, dead_us=0.0, clock_ppm=0.0)
+"""A sensor that takes the next pulse as soon as an exposure has ended; no camera does."""

@@ -1,0 +1,112 @@
+"""Times of triggered runs, by hand for cameras and projectors of all kinds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fpplab.acquisition.timing import PulseTiming, pulse_timing
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import SettingError
+from fpplab.devices import CameraCaps, ProjectorCaps
+from fpplab.patterns.fringes import Pattern
+
+EXPOSURE_S = 0.02
+CAMERA = CameraCaps((8, 8), (8,), (1e-4, 1.0), (0.0, 0.0), ("hardware",), period_s=0.0)
+FLASH = ProjectorCaps((8, 8), Lattice.DIAMOND, {1: 235e-6, 8: 8333e-6}, 1, 99, 200.0, 231e-6)
+VIDEO = replace(FLASH, longest_s=1 / 60, gap_s=0.0)
+
+
+def timing(
+    camera: CameraCaps = CAMERA,
+    projector: ProjectorCaps = FLASH,
+    bits: tuple[int, ...] = (8,),
+    exposure_s: float = EXPOSURE_S,
+    **more: float,
+) -> PulseTiming:
+    ends: list[Any] = [
+        SimpleNamespace(name=n, caps=c) for n, c in (("camera", camera), ("projector", projector))
+    ]
+    patterns = [Pattern(f"p{b}", np.zeros((8, 8), np.uint8), b) for b in bits]
+    return pulse_timing(*ends, patterns, exposure_s, **more)
+
+
+def test_a_camera_that_is_always_ready_waits_for_nothing() -> None:
+    assert timing() == PulseTiming(EXPOSURE_S, 0.0, EXPOSURE_S)
+
+
+@pytest.mark.parametrize(("told_s", "period_s"), [(0.025, 0.025), (0.1, 0.1), (0.0201, 0.020231)])
+def test_pulses_are_as_far_apart_as_the_camera_tells(told_s: float, period_s: float) -> None:
+    """And no nearer than the projector's shortest gap; clocks may differ by 0.2 per mille."""
+    found = timing(replace(CAMERA, period_s=told_s))
+    assert max(told_s * 1.0002, period_s) == pytest.approx(found.period_s, abs=1e-12)
+    assert (found.light_s, found.dark_s) == (EXPOSURE_S, 0.0)
+
+
+def test_without_a_least_gap_the_cameras_period_alone_counts() -> None:
+    found = timing(replace(CAMERA, period_s=0.01605), VIDEO, exposure_s=0.016)
+    assert found.period_s == pytest.approx(0.01605 * 1.0002, abs=1e-12)
+
+
+def test_a_period_that_is_not_told_is_allowed_for() -> None:
+    found = timing(replace(CAMERA, period_s=None))
+    assert found.period_s == pytest.approx((EXPOSURE_S + 1e-3) * 1.0002, abs=1e-12)
+
+
+@pytest.mark.parametrize("told_s", [None, 0.0, 0.0201])
+def test_a_dead_time_that_is_stated(told_s: float | None) -> None:
+    found = timing(replace(CAMERA, period_s=told_s), dead_s=0.004)
+    assert found.period_s == pytest.approx(0.024 * 1.0002, abs=1e-12)
+
+
+def test_a_stated_dead_time_does_not_shorten_what_the_camera_tells() -> None:
+    assert timing(replace(CAMERA, period_s=0.05), dead_s=0.004).period_s >= 0.05
+
+
+def test_a_stated_dead_time_of_none_counts_where_the_camera_tells_nothing() -> None:
+    assert timing(replace(CAMERA, period_s=None), dead_s=0.0).period_s == pytest.approx(EXPOSURE_S + 231e-6)
+
+
+def test_rows_that_begin_one_after_another_see_the_pattern_to_their_end() -> None:
+    found = timing(replace(CAMERA, readout_s=0.005))
+    assert (found.light_s, found.period_s) == (0.025, 0.025)
+
+
+def test_rows_that_end_one_after_another_see_darkness() -> None:
+    found = timing(replace(CAMERA, dark_s=0.005))
+    assert (found.light_s, found.dark_s, found.period_s) == (EXPOSURE_S, 0.005, 0.025)
+
+
+def test_a_further_gap_comes_on_top() -> None:
+    assert timing(replace(CAMERA, period_s=0.05), gap_s=0.1).period_s == pytest.approx(0.15, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("bits", "exposure_s", "readout_s", "found"),
+    [
+        ((8,), 0.008, 0.0, r"exposure 8 ms; with 8 bits at least 8\.333 ms: lengthen the plan's exposure_s"),
+        ((1, 8, 1), 0.001, 0.002, r"exposure 1 ms and readout 2 ms; with 8 bits at least 8\.333 ms"),
+        ((1,), 0.0002, 0.0, r"with 1 bits at least 0\.235 ms"),
+    ],
+)
+def test_patterns_that_would_be_shown_too_briefly(
+    bits: tuple[int, ...], exposure_s: float, readout_s: float, found: str
+) -> None:
+    with pytest.raises(SettingError, match=found):
+        timing(replace(CAMERA, readout_s=readout_s), bits=bits, exposure_s=exposure_s)
+
+
+def test_patterns_that_would_be_shown_for_too_long() -> None:
+    with pytest.raises(SettingError, match=r"exposure 16 ms and readout 5 ms; at most 16\.6667 ms: shorten"):
+        timing(replace(CAMERA, readout_s=0.005), VIDEO, exposure_s=0.016)
+
+
+def test_the_shortest_and_the_longest_are_accepted() -> None:
+    assert timing(exposure_s=8333e-6).light_s == 8333e-6
+    assert timing(projector=VIDEO, exposure_s=1 / 60).light_s == 1 / 60
+    assert timing(projector=replace(FLASH, longest_s=math.inf), exposure_s=1e3).light_s == 1e3

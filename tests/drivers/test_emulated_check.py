@@ -1,0 +1,113 @@
+"""What `fpplab check` tells of the trigger, with the real drivers on an emulated bench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.dlp4500.sequence import SIZE
+from drivers.emulators.bench import BenchFaults
+from fpplab.acquisition import acquire, sync_check
+from fpplab.acquisition.sync_check import MarkerRun, SyncCheck, check_rig, marker
+from fpplab.acquisition.synchronisation import Cause, SyncFault
+from fpplab.core.progress import ignore
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import uniform_patterns
+from fpplab.patterns.plan import Plan
+from tests.drivers.emulated_rig import PLAN, bench_of, burn, on_video, rig_file
+
+DIM = PLAN.model_copy(update={"exposure_s": 0.016})
+SLOW = pytest.mark.slow
+OUT_OF_STEP = "triggered frames are out of step"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("checked")
+    burn(folder, uniform_patterns(marker().tolist(), SIZE))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame that does not come is waited for briefly; on this bench time is the computer's only then."""
+    monkeypatch.setattr(acquire, "READ_TIMEOUT_S", 0.1)
+
+
+def checked(rig: Rig) -> SyncCheck:
+    return check_rig(rig, DIM, "white", ignore)
+
+
+@pytest.mark.parametrize("rig_on", [rig_file, pytest.param(on_video, marks=SLOW)])
+def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
+    assert checked(rig_on(folder)).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("faults", "fault"),
+    [
+        ({"doubled": [4]}, SyncFault(Cause.DOUBLED, 5)),
+        pytest.param({"extra": True}, SyncFault(Cause.LATE), marks=SLOW),
+        pytest.param({"missed": [0]}, SyncFault(Cause.EARLY), marks=SLOW),
+        pytest.param({"missed": [6]}, SyncFault(Cause.MISSED, 6), marks=SLOW),
+    ],
+)
+def test_pulses_that_slip(folder: Path, faults: dict[str, Any], fault: SyncFault) -> None:
+    (finding,) = checked(rig_file(folder, {"faults": faults})).findings
+    assert finding.cause == OUT_OF_STEP
+    assert finding.evidence.startswith(fault.describe())
+
+
+def test_no_pulse(folder: Path) -> None:
+    (finding,) = checked(rig_file(folder, {"faults": {"cut": True}})).findings
+    assert finding.cause == "no trigger pulse reaches the camera"
+    assert finding.evidence == "none of 12 frames came"
+    assert "trigger cable" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [{"camera": {"trigger": {"edge": "falling"}}}, {"projector": {"trigger_out_1": {"inverted": True}}}],
+)
+def test_the_wrong_edge(folder: Path, sections: dict[str, Any]) -> None:
+    (finding,) = checked(rig_file(folder, **sections)).findings
+    assert finding.cause == "the camera exposes at the wrong edge of the trigger pulse"
+    assert "`edge`" in finding.remedy
+
+
+@SLOW
+def test_both_edges_the_other_way_round_are_right(folder: Path) -> None:
+    sections: dict[str, Any] = {
+        "camera": {"trigger": {"edge": "falling"}},
+        "projector": {"trigger_out_1": {"inverted": True}},
+    }
+    assert checked(rig_file(folder, **sections)).findings == ()
+
+
+@pytest.mark.parametrize(("untold_us", "dead_s"), [(300.0, 0.0007), pytest.param(4000.0, 0.0052, marks=SLOW)])
+def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: float) -> None:
+    """It needs more time than it tells; with the time that the check finds it is ready."""
+    sensor = {"sensor": {"untold_us": untold_us}}
+    (finding,) = checked(rig_file(folder, sensor)).findings
+    assert finding.cause == "the camera is not ready yet when the next trigger comes"
+    assert finding.evidence.startswith("6 of 12 frames came")
+    assert finding.remedy == f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera"
+    assert checked(rig_file(folder, sensor, {"dead_time_s": dead_s})).findings == ()
+
+
+@SLOW
+def test_a_slip_that_does_not_happen_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    really_run = sync_check._run
+
+    def once(rig: Rig, plan: Plan, *more: Any) -> MarkerRun:
+        bench_of(rig).faults = BenchFaults(missed=missed.pop() if plan.trigger == "triggered" else ())
+        return really_run(rig, plan, *more)
+
+    missed: list[tuple[int, ...]] = [(), (), (3,)]
+    monkeypatch.setattr(sync_check, "_run", once)
+    (finding,) = checked(rig_file(folder)).findings
+    assert (finding.cause, missed) == (OUT_OF_STEP, [])
+    assert finding.evidence.endswith("when it was repeated, all frames were in step")
