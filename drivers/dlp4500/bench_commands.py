@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.dlp4500.program import NAME, ProjectorSerialOption, connect_projector, dlp4500
+from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Json
 
@@ -31,23 +31,27 @@ class Power(StrEnum):
 
 
 @contextmanager
-def _board(serial: str | None) -> Iterator[Controller]:
+def _board(serial: str | None, echo: bool) -> Iterator[Controller]:
     """Open the controller for the duration of a command."""
     from drivers.clock import RealClock
     from drivers.dlp4500.controller import Controller
 
-    with closing(connect_projector(serial)) as link:
+    with closing(connect_projector(serial, echo)) as link:
         link.drain()
         yield Controller(link, RealClock(), NAME)
 
 
 @dlp4500.command()
-def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
+def status(
+    serial: ProjectorSerialOption = None,
+    echo: EchoOption = True,
+    json: Json = False,
+) -> None:
     """Show what the projector is doing and its faults.
 
     Example: `fpplab dlp4500 status`
     """
-    with _board(serial) as board:
+    with _board(serial, echo) as board:
         found = board.status()
         result = {
             "firmware": board.version(),
@@ -64,13 +68,14 @@ def status(serial: ProjectorSerialOption = None, json: Json = False) -> None:
 def power(
     state: Annotated[Power, typer.Argument(help="Wake it, put it to standby, or restart it.")],
     serial: ProjectorSerialOption = None,
+    echo: EchoOption = True,
     json: Json = False,
 ) -> None:
     """Wake the projector, put it in standby, or restart it; its light is off in each case.
 
     Example: `fpplab dlp4500 power off`
     """
-    with _board(serial) as board:
+    with _board(serial, echo) as board:
         if state is Power.ON:
             board.wake()
             board.go_dark()
@@ -91,6 +96,7 @@ def led(
         typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off."),
     ] = True,
     serial: ProjectorSerialOption = None,
+    echo: EchoOption = True,
     json: Json = False,
 ) -> None:
     """Switch the LEDs on by hand; LEDs that are not given are switched off.
@@ -98,7 +104,7 @@ def led(
     Example: `fpplab dlp4500 led --green 100`
     """
     levels = {"red": red, "green": green, "blue": blue}
-    with _board(serial) as board:
+    with _board(serial, echo) as board:
         board.switch_on_leds(levels, inverted)
     console.answer(levels, json)
 
@@ -107,6 +113,7 @@ def led(
 def show_test_pattern(
     name: Annotated[str, typer.Argument(help="solid, grid, checker …, or off.")],
     serial: ProjectorSerialOption = None,
+    echo: EchoOption = True,
     json: Json = False,
 ) -> None:
     """Show one of the projector's own test patterns in white, or none with `off`.
@@ -118,7 +125,7 @@ def show_test_pattern(
 
     if name != "off" and name not in TEST_PATTERNS:
         raise ConfigError(f"there is no test pattern '{name}'; there are {', '.join(TEST_PATTERNS)} and off")
-    with _board(serial) as board:
+    with _board(serial, echo) as board:
         if name == "off":
             board.go_dark()
         else:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drivers.dlp4500.program import NAME, ProjectorSerialOption, connect_projector, dlp4500
+from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
 from fpplab.core.errors import Cancelled
@@ -77,6 +77,7 @@ def build(
 def upload(
     firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
     serial: ProjectorSerialOption = None,
+    echo: EchoOption = True,
     yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
     json: Json = False,
 ) -> None:
@@ -98,7 +99,7 @@ def upload(
     built = Firmware.load(firmware)
     check_firmware(built)
     with console.stopwatch() as seconds:
-        with boot_loader_session(lambda: connect_projector(serial), RealClock(), NAME) as loader:
+        with boot_loader_session(lambda: connect_projector(serial, echo), RealClock(), NAME) as loader:
             work = plan_upload(built, loader)
             for sentence in work.summary:
                 console.say(sentence)
@@ -106,7 +107,7 @@ def upload(
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
                 perform_upload(built, loader, work, report)
-        with closing(connect_projector(serial)) as link:
+        with closing(connect_projector(serial, echo)) as link:
             verify_image_count(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
 

@@ -3,7 +3,8 @@
 A message is a header (flags, sequence number, length as u16 little-endian) and a payload. The first report
 holds the header and up to 60 bytes of payload, every further one 64 bytes of payload and no header. Bytes
 after the payload in the last report are padding. A request's payload is the command, u16 little-endian, and
-its data; a reply's payload is data alone: the command is not echoed.
+its data; the payload of a reply to a read is data alone: the command is not echoed. A reply to a write may
+carry the command, as clients written for the board expect it; nothing depends on it.
 
 Source: TI's DLPC350 client (API 4.0) and its recorded packets. Not yet tested on a board.
 """

@@ -105,6 +105,7 @@ class InFlash:
         slots = [self._find(pattern) for pattern in patterns]
         changes = 1 + sum(a.image != b.image for a, b in pairwise(slots))
         if changes > PRELOADED_IMAGES:
+            board.go_dark()  # the measurement is forbidden while patterns from flash are shown
             with board.dark_on_failure():
                 for image in {slot.image for slot in slots} - set(self._load_us):
                     self._load_us[image] = board.image_load_us(image)

@@ -26,14 +26,24 @@ ProjectorSerialOption = Annotated[
     str | None, typer.Option("--serial", help="Serial number, where several projectors are connected.")
 ]
 
+EchoOption = Annotated[
+    bool,
+    typer.Option(
+        "--echo/--no-echo",
+        help="Whether replies return number and flags of their request; not all boards may do so.",
+    ),
+]
 
-def connect_projector(serial: str | None) -> Link:
+
+def connect_projector(serial: str | None, checks_echo: bool = True) -> Link:
     """Begin a conversation with a projector.
 
     Parameters
     ----------
     serial : str or None
         Its serial number; None for the only one that is connected.
+    checks_echo : bool
+        Whether replies must return number and flags of their request.
 
     Returns
     -------
@@ -48,4 +58,4 @@ def connect_projector(serial: str | None) -> Link:
     from drivers.clock import RealClock
     from drivers.dlp4500.transport import Link, connect, load_hidapi
 
-    return Link(connect(load_hidapi(NAME), NAME, serial)[0], RealClock(), NAME)
+    return Link(connect(load_hidapi(NAME), NAME, serial)[0], RealClock(), NAME, checks_echo)

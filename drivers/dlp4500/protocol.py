@@ -357,6 +357,8 @@ POWER = _declare(
     )
 )
 SOFTWARE_RESET = _declare(Command("software reset", 0x0802, RegisterLayout(), acknowledged=False))
+DMD_PARK = _register("DMD park", 0x0609, _flag("on"))
+"""Not in TI's client, but sent by others; the number is that of the sibling controller DLPC900."""
 MEMORY = _declare(
     Command(
         "memory",

@@ -362,25 +362,47 @@ class Link:
 
     def _reply(self, operation: str, flags: int, sequence: int) -> UsbMessage:
         deadline = self._clock.now() + self._timeout_s
+        other: Header | None = None
         for _ in range(MOST_STALE):
-            report = self._next_report(operation, deadline)
             try:
+                report = self._next_report(operation, deadline)
                 head = framing.parse_header(report)
-                message = self._complete_reply(operation, head, report, deadline)
+                message = self._complete_reply(operation, head, flags, report, deadline)
             except ValueError as error:
                 raise self._protocol_error(operation, str(error)) from error
+            except DeviceTimeoutError as error:
+                if other is None:
+                    raise
+                raise self._unmatched(operation, other, flags, sequence) from error
             if self._answers(head, flags, sequence):
                 return message
+            other = head
         raise self._protocol_error(operation, "only replies to other requests arrived")
+
+    def _unmatched(self, operation: str, other: Header, flags: int, sequence: int) -> ProtocolError:
+        """Tell of replies that came, but do not belong to the request."""
+        return ProtocolError(
+            self.name,
+            operation,
+            f"no reply to the request arrived, but one with the sequence number {other.sequence} and flags "
+            f"{other.flags:#04x} instead of {sequence} and {flags:#04x}",
+            "a board that does not return them needs 'checks_echo: false' in the rig file, or --no-echo",
+        )
 
     def _answers(self, head: Header, flags: int, sequence: int) -> bool:
         if not self._checks_echo:
             return True
         return head.sequence == sequence and head.flags & ~framing.ERROR == flags
 
-    def _complete_reply(self, operation: str, head: Header, first: bytes, deadline: float) -> UsbMessage:
-        """Receive the rest of a reply; acknowledgements and refusals are always one report."""
-        if not head.flags & READ or head.flags & framing.ERROR:
+    def _complete_reply(
+        self, operation: str, head: Header, flags: int, first: bytes, deadline: float
+    ) -> UsbMessage:
+        """Receive the rest of a reply; acknowledgements and refusals are always one report.
+
+        Without echo the request alone says whether it is the reply to a read.
+        """
+        reads = (head.flags if self._checks_echo else flags) & READ
+        if not reads or head.flags & framing.ERROR:
             return UsbMessage(head.flags, head.sequence)
         rest = [
             self._next_report(operation, deadline) for _ in range(framing.continuation_reports(head.length))

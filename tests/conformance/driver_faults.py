@@ -350,6 +350,20 @@ DRIVER_OF_DLP4500 = [
         "head.sequence == sequence and head.flags & ~framing.ERROR == flags",
         "head.flags & ~framing.ERROR == flags",
     ),
+    Fault(
+        "dlp4500: a reply to another request is silence",
+        DLP_LINK,
+        "Link._reply",
+        "if other is None:",
+        "if deadline:",
+    ),
+    Fault(
+        "dlp4500: without echo the reply says what it is",
+        DLP_LINK,
+        "Link._complete_reply",
+        "head.flags if self._checks_echo else flags",
+        "head.flags",
+    ),
     Fault("dlp4500: all requests are alike", DLP_LINK, "Link._exchange", "self.requests % 256", "0"),
     Fault("dlp4500: what is gone is silent", DLP_LINK, "Link._send", "if sent < 0:\n    ...", ""),
     Fault(
@@ -488,6 +502,13 @@ DRIVER_OF_DLP4500 = [
         "FlashIndex.find",
         "(p.bits, p.sha256) == (bits, sha256)",
         "p.id == name",
+    ),
+    Fault(
+        "dlp4500: load times are measured while patterns are shown",
+        "drivers/dlp4500/in_flash.py",
+        "InFlash.load",
+        "board.go_dark()",
+        "",
     ),
     Fault("dlp4500: opens as it was left", DLP_DEVICE, "Dlp4500._open", "controller.go_dark()", ""),
     Fault(

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from drivers.clock import SteppedClock
 from drivers.dlp4500 import protocol
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedHid
+from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
 from fpplab.cli import app
-from fpplab.core.errors import ConfigError, DisconnectedError
+from fpplab.core.errors import ConfigError, DisconnectedError, ProtocolError
 from tests.drivers.dlpc350_host import FLASH
 
 
@@ -47,6 +47,14 @@ def test_status(hid: EmulatedHid) -> None:
         "state": ["mirrors not parked", "sequence stopped", "frame buffer free", "gamma correction off"],
         "faults": [],
     }
+
+
+def test_a_board_that_does_not_echo(hid: EmulatedHid) -> None:
+    hid.controller.policy = Dlpc350Policy(echoes_sequence=False)
+    refused = run("status")
+    assert isinstance(refused.exception, ProtocolError)
+    assert "--no-echo" in str(refused.exception)
+    assert said("status", "--no-echo")["firmware"] == "4.4.0"
 
 
 def test_status_of_one_that_sleeps(hid: EmulatedHid) -> None:

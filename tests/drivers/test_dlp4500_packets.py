@@ -68,6 +68,7 @@ WRITTEN: dict[int, tuple[dict[str, int], str]] = {
         "ff03 0100 0200 0300 0400 0002",
     ),
     0x1A39: ({"index": 7}, "07"),
+    0x0609: ({"on": 1}, "01"),
     0x1A3A: ({"first": 2, "count": 3}, "02 03"),
     0x1A0E: ({"table": 1, "on": 1}, "81"),
     0x1A07: ({"red": 1, "green": 0, "blue": 1, "sequenced": 1}, "0d"),

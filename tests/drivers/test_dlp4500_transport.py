@@ -109,11 +109,33 @@ def test_every_request_has_another_number_and_they_come_round() -> None:
 
 
 def test_silence_is_no_success() -> None:
-    for far in (lambda r: [], lambda r: [UsbMessage(r.flags, (r.sequence + 1) % 256)]):
-        link, wire = link_to(far)
-        with pytest.raises(DeviceTimeoutError, match="projector: sequence: no complete reply within 2 s"):
-            link.write(protocol.SEQUENCE, run=2)
-        assert wire.clock.now() == pytest.approx(2.0)
+    link, wire = link_to(lambda r: [])
+    with pytest.raises(DeviceTimeoutError, match="projector: sequence: no complete reply within 2 s"):
+        link.write(protocol.SEQUENCE, run=2)
+    assert wire.clock.now() == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("reply", "found"),
+    [
+        (UsbMessage(0xC0, 77, b"\x02"), "number 77 and flags 0xc0 instead of 0 and 0xc0"),
+        (UsbMessage(0x00, 0, b"\x02"), "number 0 and flags 0x00 instead of 0 and 0xc0"),
+    ],
+)
+def test_a_reply_that_does_not_return_the_requests_number_is_told(reply: UsbMessage, found: str) -> None:
+    """And not as silence: the cable is all right."""
+    link, wire = link_to(lambda r: [reply])
+    with pytest.raises(ProtocolError, match=f"main status: .*{found}.*checks_echo: false.*--no-echo"):
+        link.read(protocol.MAIN_STATUS)
+    assert wire.clock.now() == pytest.approx(2.0)
+
+
+def test_without_echo_a_reply_may_have_any_flags() -> None:
+    for flags in (0x00, 0x40, 0x80, 0xC0):
+        far = lambda r, f=flags: [UsbMessage(f, 0, bytes(range(100)))]  # noqa: E731
+        link, _ = link_to(far, checks_echo=False)
+        assert link.read_bytes(protocol.MAILBOX_DATA) == bytes(range(100))
+        link.write(protocol.SEQUENCE, run=2)
 
 
 def test_a_missing_continuation_is_silence() -> None:

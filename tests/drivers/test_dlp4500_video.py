@@ -235,14 +235,14 @@ def test_flat_patterns_of_fewer_bits_share_frames(bench: VideoBench, projector: 
     assert bench.frames - before == 1
 
 
-@pytest.mark.parametrize("period_s", [0.0101, 0.05, 0.3])
+@pytest.mark.parametrize("period_s", [0.0084, 0.05, 0.3])
 def test_where_pulses_have_to_be_farther_apart_every_pattern_has_its_own_frame(
     bench: VideoBench, projector: Dlp4500, period_s: float
 ) -> None:
     projector.load(bench.patterns)
     before = bench.frames
     bench.pulses.clear()
-    projector.play(0.01, 0.0, period_s)
+    projector.play(0.008333, 0.0, period_s)
     rises = bench.pulsed()
     assert len(rises) == 7
     assert np.diff(rises).min() >= period_s

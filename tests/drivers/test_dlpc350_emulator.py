@@ -49,7 +49,7 @@ def test_registers_are_read_back_as_written(host: Host, words: str) -> None:
 
 
 def test_one_reply_if_asked_for_and_none_else(host: Host) -> None:
-    assert host.send("1008 01", 0x40) == bytes.fromhex("40070000")
+    assert host.send("1008 01", 0x40) == bytes.fromhex("40070200 0810")
     assert host.send("1008 00", 0x00) == b""
     assert host.read("1008") == b"\x00", "and yet it was done"
     assert host.device.read(64, 1) == []
@@ -64,6 +64,40 @@ def test_a_wrong_write_is_refused_and_changes_nothing(host: Host, words: str) ->
     before = [host.read(number) for number in known]
     assert host.write(words) == ERROR
     assert [host.read(number) for number in known] == before
+
+
+def test_an_acknowledgement_carries_the_command() -> None:
+    """Bytes 4 and 5, low byte first, whether it is carried out or refused; clients check them."""
+    for words, flags in (("1a24 00", OK), ("1a24 03", ERROR)):
+        assert Host(Dlpc350Policy()).send(words)[:6] == bytes([flags, 7, 2, 0, 0x24, 0x1A])
+        assert Host(Dlpc350Policy(acknowledges_with_command=False)).send(words) == bytes([flags, 7, 0, 0])
+
+
+def test_a_client_that_checks_every_acknowledgement_runs_its_sequence() -> None:
+    """That bytes 4 and 5 are those of its request."""
+
+    class Checking(Host):
+        def write(self, words: str) -> int:
+            reply = self.send(words)
+            assert reply[4:6] == bytes.fromhex(words)[1::-1]
+            return reply[0]
+
+    host = Checking(Dlpc350Policy())
+    host.run()
+    assert host.greys(3) == [1, 2, 3]
+
+
+def test_memory_can_be_read(host: Host) -> None:
+    assert host.read("1a16 003409f9") == bytes(4)
+
+
+def test_parked_mirrors_are_dark(host: Host) -> None:
+    host.run()
+    assert host.grey() == 1
+    assert host.write("0609 01") == OK
+    assert (host.grey(), host.read("1a0c"), host.read("0609")) == (-1, b"\x03", b"\x01")
+    assert host.write("0609 00") == OK
+    assert (host.grey(), host.read("1a0c")) == (1, b"\x02")
 
 
 @pytest.mark.parametrize("words", ["0300", "0802", "1a0a 00", "1a16 00"])

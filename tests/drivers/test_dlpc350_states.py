@@ -197,8 +197,28 @@ def test_leaving_pattern_mode_stops_and_forgets_the_validation(host: Host) -> No
     assert host.read("1a0a") == b"\x41"
 
 
-def test_standby_refuses_all_but_questions_after_its_state() -> None:
+def test_load_times_are_not_measured_while_patterns_are_shown_from_flash(host: Host) -> None:
+    host.run()
+    assert host.write("1a3a 00 01") == ERROR
+    host.write("1a24 00")
+    assert host.write("1a3a 00 01") == OK
+
+
+def test_standby_from_pattern_mode_ends_what_runs() -> None:
+    """Clients order it there; TI's GUI enters video mode first."""
     host = Host(Dlpc350Policy())
+    host.run()
+    assert host.grey() == 1
+    assert host.write("0200 01") == OK
+    assert (host.grey(), host.read("1a0c")) == (-1, b"\x01")
+    pulses = len(host.pulses)
+    host.clock.sleep(1.0)
+    assert host.read("0200") == b"\x01"
+    assert len(host.pulses) == pulses
+
+
+def test_standby_refuses_all_but_questions_after_its_state() -> None:
+    host = Host(Dlpc350Policy(sleeps_in_pattern_mode=False))
     host.pattern_mode()
     assert host.write("0200 01") == ERROR, "only from video mode"
     host.write("1a1b 00")
@@ -217,7 +237,7 @@ def test_standby_refuses_all_but_questions_after_its_state() -> None:
 
 
 def test_policies_of_standby() -> None:
-    host = Host(Dlpc350Policy(sleeps_in_pattern_mode=True, loses_wake_acknowledgement=True, wake_s=0.5))
+    host = Host(Dlpc350Policy(loses_wake_acknowledgement=True, wake_s=0.5))
     host.pattern_mode()
     assert host.write("0200 01") == OK
     assert host.send("0200 00") == b""
@@ -333,7 +353,7 @@ def test_faults_of_replies() -> None:
     assert host.send("100a 01", sequence=2)[1] == 2
     assert host.device.read(64, 1)[1] == 2
     assert host.write("1a36 01") == ERROR
-    assert len(host.send("1a0e 80")) == 4
+    assert len(host.send("1a0e 80")) == 6
     assert [host.read(number) for number in ("1008", "1009", "100a", "1a0e")] == [
         b"\1",
         b"\1",

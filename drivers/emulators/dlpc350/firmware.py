@@ -160,7 +160,7 @@ class Dlpc350:
         ProjectedLight or None
             None when it is dark.
         """
-        if self.asleep:
+        if self.asleep or self._is_parked():
             return None
         enabled = self._registers[protocol.LED_ENABLE.number]
         if self._mode is DisplayMode.VIDEO:
@@ -193,6 +193,9 @@ class Dlpc350:
             Whether the edge is a rising one.
         """
         self.sequencer.trigger_in(number, rising, self.clock.now())
+
+    def _is_parked(self) -> bool:
+        return bool(self._registers[protocol.DMD_PARK.number]["on"])
 
     def _levels(self, enabled: Values, sequenced: tuple[str, ...]) -> dict[str, float]:
         """Return the levels of the LEDs that are on, by their own switches or as the sequencer sets them."""
@@ -281,13 +284,15 @@ class Dlpc350:
         flags : int
             Flags of the reply.
         data : bytes
-            Its payload.
+            Its payload; that of an acknowledgement is added.
 
         Returns
         -------
         UsbMessage
             The reply, with the sequence number that the policy prescribes.
         """
+        if not flags & READ and self.policy.acknowledges_with_command:
+            data = message.payload[:2]
         return UsbMessage(flags, message.sequence if self.policy.echoes_sequence else 0, data)
 
     def _execute(self, message: UsbMessage, number: int) -> bytes:
@@ -314,7 +319,9 @@ class Dlpc350:
     # --- reading
 
     def _read(self, command: Command, data: bytes) -> bytes:
-        command.selector.unpack(data)
+        selected = command.selector.unpack(data)
+        if command is protocol.MEMORY:
+            return self.peek(selected["address"]).to_bytes(4, "little")
         if command is protocol.MAILBOX_DATA:
             return self._table_bytes()
         if command is protocol.VARIABLE_DATA:
@@ -364,7 +371,7 @@ class Dlpc350:
         frozen = self._registers[protocol.FREEZE.number]["on"]
         gamma = self._registers[protocol.GAMMA.number]["on"]
         return {
-            "parked": int(self.asleep),
+            "parked": int(self.asleep or self._is_parked()),
             "running": int(self.sequencer.running and self._is_shown_running()),
             "frozen": frozen,
             "gamma": gamma,
@@ -410,6 +417,21 @@ class Dlpc350:
         assert isinstance(protocol.VARIABLE_DATA.returned, RegisterLayout)
         return protocol.VARIABLE_DATA.returned.pack(self._tables.variable[address])
 
+    def peek(self, address: int) -> int:
+        """Read a word of the controller's memory.
+
+        Parameters
+        ----------
+        address : int
+            Its address.
+
+        Returns
+        -------
+        int
+            The word, 32 bits; 0, as nothing is known of the memory.
+        """
+        return 0
+
     # --- writing
 
     def _write(self, command: Command, data: bytes) -> None:
@@ -448,6 +470,7 @@ class Dlpc350:
         if values["standby"]:
             if self._mode is DisplayMode.PATTERN and not self.policy.sleeps_in_pattern_mode:
                 raise CommandRejected
+            self.sequencer.stop()
             self.asleep, self._awake_at_s = True, 0.0
         elif self.asleep:
             self.asleep, self._awake_at_s = False, self.clock.now() + self.policy.wake_s
@@ -491,7 +514,8 @@ class Dlpc350:
 
     def _time_images(self, values: Values) -> None:
         first, count = values["first"], values["count"]
-        if not count or first + count > len(self.images):
+        busy = self.sequencer.running and self._is_from_flash()
+        if busy or not count or first + count > len(self.images):
             raise CommandRejected
         self._timing = round(sum(self.load_s[first : first + count]) * 1e3 * protocol.TICKS_PER_MS)
 

@@ -13,7 +13,7 @@ from typing import NoReturn
 from drivers.clock import Clock
 from drivers.dlp4500.framing import ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.emulators.dlpc350.firmware import CommandRejected, Dlpc350
-from drivers.emulators.dlpc350.flash import SECTOR, Flash, stored_images
+from drivers.emulators.dlpc350.flash import BASE_ADDRESS, SECTOR, SIZE, Flash, stored_images
 from drivers.emulators.dlpc350.policy import Dlpc350Policy
 from drivers.emulators.dlpc350.sequencer import Pulse
 
@@ -73,6 +73,8 @@ class BootLoader:
             flags |= ERROR
         if not message.flags & REPLY_WANTED:
             return None
+        if not message.flags & READ and self._policy.acknowledges_with_command:
+            data_out = message.payload[:2]
         return UsbMessage(flags, message.sequence if self._policy.echoes_sequence else 0, data_out)
 
     def lose_power(self) -> None:
@@ -209,6 +211,24 @@ class FlashedDlpc350(Dlpc350):
         if self.loader is not None:
             self.loader.lose_power()
         self.switch_on()
+
+    def peek(self, address: int) -> int:
+        """Read a word of the controller's memory.
+
+        Parameters
+        ----------
+        address : int
+            Its address.
+
+        Returns
+        -------
+        int
+            The word, 32 bits, of the flash memory; 0 elsewhere, as nothing is known of it.
+        """
+        offset = address - BASE_ADDRESS
+        if not 0 <= offset <= SIZE - 4:
+            return 0
+        return int.from_bytes(self.flash.content[offset : offset + 4], "little")
 
     def answer(self, message: UsbMessage) -> UsbMessage | None:
         """Carry out a message, as the application or as the boot loader.

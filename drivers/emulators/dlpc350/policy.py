@@ -18,6 +18,9 @@ class Dlpc350Policy:
     ----------
     echoes_sequence : bool
         A reply carries the sequence number of its request, as that of a DLPC900 does; otherwise 0.
+    acknowledges_with_command : bool
+        The reply to a write carries the number of its command, as clients written for the board expect;
+        otherwise it is empty.
     answers_other_destinations : bool
         A message for another destination than the projector's control is refused; otherwise it is ignored.
     refuses_changes_while_running : bool
@@ -63,6 +66,7 @@ class Dlpc350Policy:
     """
 
     echoes_sequence: bool = True
+    acknowledges_with_command: bool = True
     answers_other_destinations: bool = False
     refuses_changes_while_running: bool = True
     needs_validation: bool = True
@@ -75,7 +79,7 @@ class Dlpc350Policy:
     mode_change_s: float = 0.2
     wake_s: float = 2.0
     loses_wake_acknowledgement: bool = False
-    sleeps_in_pattern_mode: bool = False
+    sleeps_in_pattern_mode: bool = True
     reset_s: float = 2.0
     keeps_last_pattern: bool = True
     image_load_s: float = 0.02
