@@ -30,6 +30,8 @@ from fpplab.core.config import Document
 from fpplab.core.errors import ConfigError, DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
 from fpplab.devices import DeviceInfo, Stage, StageCaps
 
+FORCES_ORIGIN = "Z"
+"""Build option of a controller whose machine position is 0 where homing ends."""
 POLL_S = 0.05
 HOME, AFTER_MOTION = "$H", "G4P0"
 """Lines to home, and to wait for the end of all motion.
@@ -73,6 +75,8 @@ class Mechanics:
         Unit of reported positions in mm: 1 or 25.4.
     rounding_mm : float
         Half the last digit of a reported position, in mm.
+    home_mm : float
+        Machine position in mm at the end of homing, unless the controller forces the origin there.
     """
 
     step_mm: float
@@ -82,6 +86,7 @@ class Mechanics:
     homing_s: float
     unit_mm: float
     rounding_mm: float
+    home_mm: float
 
     @classmethod
     def of(cls, settings: dict[int, float], axis: int) -> Mechanics:
@@ -111,15 +116,17 @@ class Mechanics:
         seek_mm_s, slow_mm_s, pause_s = settings[25] / 60, settings[24] / 60, settings[26] / 1000
         search_s = 1.5 * sum(settings[130 + i] for i in range(len(AXES))) / seek_mm_s
         pull_offs_s = len(AXES) * (3 * pull_off_mm / slow_mm_s + 4 * pause_s)
+        switch_low = bool(int(settings[23]) >> axis & 1)
         return cls(
             step_mm=step_mm,
             # Homing ends at a whole step; one step less keeps the far end inside GRBL's own limit.
             usable_mm=settings[130 + axis] - pull_off_mm - step_mm,
-            direction=1 if int(settings[23]) >> axis & 1 else -1,
+            direction=1 if switch_low else -1,
             braking_s=settings[110 + axis] / 60 / settings[120 + axis],
             homing_s=2 * (search_s + pull_offs_s) + ANSWER_S,  # twice, for speeding up and slowing down
             unit_mm=unit_mm,
             rounding_mm=unit_mm * digit / 2,
+            home_mm=pull_off_mm - settings[130 + axis] if switch_low else -pull_off_mm,
         )
 
     @property
@@ -216,7 +223,24 @@ class GrblStage(Stage):
         self._moving = False
         report = self._at_rest("home")
         self._check_switch("home", report)
+        self._check_homed(self._machine_mm("home", report))
         self._home_mm = self._rest_mm = self._machine_mm("home", report)
+
+    def _check_homed(self, here_mm: float) -> None:
+        """Refuse an axis that homing has left where it was: the cycle is compiled for other axes."""
+        options, mechanics = self._open_wire.build_options("home"), self._open_mechanics
+        forced = options is None or FORCES_ORIGIN in options
+        ends_mm = [0.0] if forced else []
+        if options is None or not forced:
+            ends_mm.append(mechanics.home_mm)
+        if min(abs(here_mm - end_mm) for end_mm in ends_mm) > mechanics.tolerance_mm:
+            raise DeviceError(
+                self.name,
+                "home",
+                f"homing ended with axis {self._options.axis} at {here_mm:.3f} mm of the machine, not at "
+                f"{ends_mm[-1]:.3f} mm: the controller's homing cycle does not home this axis",
+                "name another 'axis' in the rig file, or compile GRBL's homing cycle for this one",
+            )
 
     def _move_to(self, mm: float, deadline_s: float) -> None:
         wire, mechanics = self._open_wire, self._open_mechanics

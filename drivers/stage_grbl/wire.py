@@ -19,6 +19,7 @@ from drivers.stage_grbl.lines import (
     GrblError,
     GrblMessage,
     Ok,
+    OtherLine,
     Setting,
     StatusReport,
     Welcome,
@@ -36,6 +37,8 @@ ANSWER_S = 2.0
 
 GRBL reports within 20 ms, but pauses for 0.5 s after an alarm and while it stores a setting.
 """
+BUILD_INFO, BUILD_OPTIONS = "$I", "[OPT:"
+"""Command for the build's version and options, and the beginning of the line that names the options."""
 LONGEST_LINE = 256
 """Bytes without a line end at which the input is taken to be noise."""
 
@@ -66,6 +69,7 @@ class GrblWire:
         self._answers: deque[Ok | GrblError] = deque()
         self._report: StatusReport | None = None
         self._settings: dict[int, float] = {}
+        self._build_options: str | None = None
         try:
             self._serial = serial.Serial(port, BAUD, timeout=0, write_timeout=ANSWER_S, exclusive=True)
         except (OSError, ValueError) as error:
@@ -248,6 +252,24 @@ class GrblWire:
         self.await_ok(operation, "$$", ANSWER_S)
         return dict(self._settings)
 
+    def build_options(self, operation: str) -> str | None:
+        """Read the letters of the options that the controller was compiled with (`$I`).
+
+        Parameters
+        ----------
+        operation : str
+            What the device is doing, for errors.
+
+        Returns
+        -------
+        str or None
+            One letter for each option, such as "VZ"; None where the controller does not tell.
+        """
+        self._build_options = None
+        self.send(operation, BUILD_INFO)
+        self.await_ok(operation, BUILD_INFO, ANSWER_S)
+        return self._build_options
+
     def realtime(self, operation: str, byte: bytes) -> None:
         """Send a real-time command, which is executed at once and has no answer.
 
@@ -285,6 +307,8 @@ class GrblWire:
                 self._report = message
             case Setting(number, value):
                 self._settings[number] = value
+            case OtherLine(text) if text.startswith(BUILD_OPTIONS):
+                self._build_options = text.removeprefix(BUILD_OPTIONS).rstrip("]").split(",")[0]
             case Alarm(code):
                 raise DeviceError(
                     self._name,

@@ -318,6 +318,20 @@ DRIVER_OF_GRBL = [
         "settings[130 + axis]",
     ),
     Fault(
+        "grbl: any axis is homed",
+        STAGE,
+        "GrblStage._home",
+        'self._check_homed(self._machine_mm("home", report))',
+        "",
+    ),
+    Fault(
+        "grbl: the origin is never forced",
+        STAGE,
+        "GrblStage._check_homed",
+        "options is None or FORCES_ORIGIN in options",
+        "False",
+    ),
+    Fault(
         "grbl: home is not zero",
         STAGE,
         "GrblStage._home",

@@ -96,6 +96,25 @@ def test_another_axis_is_driven() -> None:
         assert bench.controller.drive.carriage_mm == pytest.approx(25.0 + PULL_OFF_MM, abs=HALF_STEP)
 
 
+@pytest.mark.parametrize("axis", ["Y", "Z"])
+@pytest.mark.parametrize("settings", [{}, {23: 7}])
+def test_an_axis_that_is_not_homed_is_refused(axis: str, settings: dict[int, float]) -> None:
+    """The controller answers `ok`, but its homing cycle has moved another axis."""
+    with Bench(settings, rail=Rail(axis=0)) as bench:
+        bench.stage = GrblStage("stage", {"port": bench.terminal.port, "axis": axis})
+        bench.stage.open()
+        with pytest.raises(DeviceError, match=f"axis {axis} at 0.000 mm.*does not home this axis"):
+            bench.stage.home()
+        assert bench.stage.state is State.FAULT
+
+
+@pytest.mark.parametrize("policy", [GrblPolicy(), GrblPolicy(forces_origin=True)])
+def test_a_controller_that_does_not_tell_its_build_options(policy: GrblPolicy) -> None:
+    with Bench(policy=policy) as bench:
+        bench.alter_line("[OPT:", "[TPO:")
+        assert bench.homed().position_mm == 0.0
+
+
 def test_nothing_is_sent_for_a_target_outside_the_travel(bench: Bench) -> None:
     stage = bench.homed()
     bench.heard.clear()
