@@ -4,10 +4,15 @@
 
 Each fault is one of the mistakes that are made when devices are driven. The suite must fail on
 every copy that holds one, and pass on the copy that holds none.
+
+The test that failed first when the suite was last run whole is tried by itself before the others: it is
+listed in `first_to_fail.json`, which a run without words writes anew. A list that is out of date only costs
+time.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -27,6 +32,8 @@ from tests.conformance.fragments import replace
 ROOT = Path(__file__).parents[2]
 COPIED = ("fpplab", "drivers", "sim", "configs", "tests", "pyproject.toml")
 SECONDS = 240
+FIRST_TO_FAIL = Path(__file__).with_name("first_to_fail.json")
+"""By fault, the test that failed first."""
 
 
 class Verdict(StrEnum):
@@ -108,10 +115,10 @@ def seeded(fault: Fault, source: str) -> str:
         raise LookupError(f"the fault '{fault.name}' in {fault.file}: {error}") from error
 
 
-def run_suite(tree: Path, suite: Suite) -> tuple[Verdict, str]:
-    """The suite on the copy, up to its first failure."""
-    command = [sys.executable, "-m", "pytest", *(f"tests/drivers/{test}" for test in suite.tests)]
-    command += ["tests/conformance", "-x", "-q", "-m", "not slow"]
+def run_suite(tree: Path, suite: Suite, only: str | None = None) -> tuple[Verdict, str]:
+    """The suite, or one test of it, on the copy, up to its first failure."""
+    tests = [only] if only else [*(f"tests/drivers/{test}" for test in suite.tests), "tests/conformance"]
+    command = [sys.executable, "-m", "pytest", *tests, "-x", "-q", "-m", "not slow"]
     command += ["-p", "no:cacheprovider", "--no-header", "--tb=no"]
     command += [word for rig in suite.rigs for word in ("--rig", f"tests/conformance/rigs/{rig}")]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -134,7 +141,18 @@ def try_fault(fault: Fault) -> Trial:
     """Seed one fault and let the suite judge."""
     with copy_of_the_tree() as tree:
         seed(tree, fault)
-        return Trial(fault.name, *run_suite(tree, suite_for(fault)))
+        suite, likely = suite_for(fault), first_to_fail().get(fault.name)
+        if likely:
+            verdict, evidence = run_suite(tree, suite, likely)
+            if verdict is Verdict.KILLED:
+                return Trial(fault.name, verdict, evidence)
+        return Trial(fault.name, *run_suite(tree, suite))
+
+
+def first_to_fail() -> dict[str, str]:
+    """By fault, the test that failed first when the suite was last run whole."""
+    found: dict[str, str] = json.loads(FIRST_TO_FAIL.read_text(encoding="utf-8"))
+    return found
 
 
 def try_none(place: str) -> Trial:
@@ -146,7 +164,7 @@ def try_none(place: str) -> Trial:
 def main(words: list[str]) -> int:
     """Try the faults whose names hold every word, and unharmed copies by the same suites."""
     chosen = [f for f in FAULTS if all(word in f.name for word in words)]
-    killed, sound = 0, True
+    killed, sound, first = 0, True, dict[str, str]()
     judges = [suite_for(fault) for fault in chosen]
     for place in (place for place, suite in SUITES.items() if suite in judges):
         unharmed = try_none(place)
@@ -156,8 +174,11 @@ def main(words: list[str]) -> int:
     with ThreadPoolExecutor(max_workers=2) as pool:
         for trial in pool.map(try_fault, chosen):
             killed += trial.verdict is Verdict.KILLED
+            first[trial.name] = trial.evidence.partition(" ")[2]
             print(f"{trial.verdict:8}  {trial.name}\n{'':10}{trial.evidence}", flush=True)
     print(f"{killed} of {len(chosen)} faults killed")
+    if not words and killed == len(chosen):
+        FIRST_TO_FAIL.write_text(json.dumps(first, indent=1) + "\n", encoding="utf-8")
     return 0 if killed == len(chosen) and sound else 1
 
 
