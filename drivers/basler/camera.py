@@ -17,7 +17,8 @@ from pypylon import genicam, pylon
 from drivers.basler import features as named
 from drivers.basler.features import US_PER_S, Features
 from drivers.basler.frames import SPARE, BufferPool
-from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions
+from drivers.basler.gain import Gain
+from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions, TriggerLine
 from drivers.basler.transport import Pylon
 from fpplab.core import config
 from fpplab.core.errors import (
@@ -124,6 +125,7 @@ class BaslerCamera(Camera):
         self._camera = self._transport.attach(connected[serial])
         self._camera.Open()
         self._features = Features(self.name, self._camera)
+        self._gain = Gain(self._features, self._options.raw_gain)
         self._first_block = FIRST_BLOCK.get(self._camera.GetDeviceInfo().GetDeviceClass(), 0)
         self._ticks_per_s = float(self._features.read(named.TICKS_PER_S) or NS_PER_S)
         if self._options.features is not None:
@@ -156,9 +158,7 @@ class BaslerCamera(Camera):
         exposure_us = round(settings.exposure_s * US_PER_S, 6)
         self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
         back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
-        gain_db = 0.0
-        if self._features.has(named.GAIN_DB):
-            gain_db = self._features.write(named.GAIN_DB, settings.gain_db, "configure", tolerance=1.0)
+        gain_db = self._gain.set_db(settings.gain_db)
         self._known = self._read_caps()
         return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
 
@@ -229,8 +229,12 @@ class BaslerCamera(Camera):
             raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_words(error)}") from error
 
     def _make_raw(self) -> None:
+        features = self._features
+        for channels in named.ALL_CHANNELS:
+            features.write_if_possible(channels, "All")
         for feature, value in named.RAW:
-            self._features.write_if_possible(feature, value)
+            if feature != named.GAMMA or features.read(named.GAMMA_ENABLE) is not False:
+                features.ensure(feature, value, "open")
         for selector in self._features.choices(named.TRIGGER_SELECTOR):
             self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
             self._features.write_if_possible(named.TRIGGER_MODE, "Off")
@@ -262,7 +266,7 @@ class BaslerCamera(Camera):
             (features.read(named.WIDTH), features.read(named.HEIGHT)),
             tuple(bits for bits in FORMATS if self._formats(bits)),
             (shortest / US_PER_S, longest / US_PER_S),
-            features.limits(named.GAIN_DB) if features.has(named.GAIN_DB) else (0.0, 0.0),
+            self._gain.limits_db(),
             self._triggers(),
             *self._row_times_s(),
             self._period_s(),
@@ -321,11 +325,21 @@ class BaslerCamera(Camera):
         features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
         if hardware:
             features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
-            features.write_if_possible(named.LINE_SELECTOR, line.line)
-            features.write_if_possible(named.LINE_MODE, "Input")
+            self._set_up_line(line)
         delay_us = line.delay_us if hardware else 0.0
         if delay_us or features.has(named.TRIGGER_DELAY_US):
             features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
+
+    def _set_up_line(self, line: TriggerLine) -> None:
+        """Make the line an input that is neither inverted nor slower than stated."""
+        features = self._features
+        if not features.has(named.LINE_SELECTOR):
+            return
+        features.write(named.LINE_SELECTOR, line.line, "arm")
+        features.ensure(named.LINE_MODE, "Input", "arm")
+        features.ensure(named.LINE_INVERTER, False, "arm")
+        if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):
+            features.write(named.LINE_DEBOUNCER_US, line.debounce_us, "arm", tolerance=1.0)
 
     def _await_ready(self, deadline: float, operation: str) -> None:
         """Wait until the camera is ready for a trigger; it drops an earlier one without an error."""

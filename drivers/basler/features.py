@@ -20,7 +20,8 @@ PIXEL_FORMAT: FeatureNames = ("PixelFormat",)
 PAYLOAD_BYTES: FeatureNames = ("PayloadSize",)
 EXPOSURE_US: FeatureNames = ("ExposureTime", "ExposureTimeAbs")
 GAIN_DB: FeatureNames = ("Gain",)
-BLACK_LEVEL: FeatureNames = ("BlackLevel",)
+GAIN_RAW: FeatureNames = ("GainRaw",)
+BLACK_LEVEL: FeatureNames = ("BlackLevel", "BlackLevelRaw")
 SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
 READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
 RESULTING_HZ: FeatureNames = (
@@ -36,6 +37,13 @@ TRIGGER_EDGE: FeatureNames = ("TriggerActivation",)
 TRIGGER_DELAY_US: FeatureNames = ("TriggerDelay", "TriggerDelayAbs")
 LINE_SELECTOR: FeatureNames = ("LineSelector",)
 LINE_MODE: FeatureNames = ("LineMode",)
+LINE_INVERTER: FeatureNames = ("LineInverter",)
+LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
+GAMMA: FeatureNames = ("Gamma",)
+GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
+
+ALL_CHANNELS: tuple[FeatureNames, ...] = (("GainSelector",), ("BlackLevelSelector",))
+"""Selectors of what gain and black level apply to; "All" where the camera has it."""
 
 RAW: tuple[tuple[FeatureNames, object], ...] = (
     (("AcquisitionMode",), "Continuous"),
@@ -43,13 +51,29 @@ RAW: tuple[tuple[FeatureNames, object], ...] = (
     (("ExposureMode",), "Timed"),
     (("ExposureAuto",), "Off"),
     (("GainAuto",), "Off"),
-    (("GammaEnable",), False),
-    (("Gamma",), 1.0),
+    (GAMMA_ENABLE, False),
+    (GAMMA, 1.0),
     (("LUTEnable",), False),
     (("DigitalShift",), 0),
+    (("PgiMode",), "Off"),
+    (("BslBrightness",), 0.0),
+    (("BslContrast",), 0.0),
+    (("BslSharpnessEnhancement",), 0.0),
+    (("BslNoiseReduction",), 0.0),
+    (("BinningHorizontal",), 1),
+    (("BinningVertical",), 1),
+    (("DecimationHorizontal",), 1),
+    (("DecimationVertical",), 1),
+    (("ReverseX",), False),
+    (("ReverseY",), False),
+    (("TestImageSelector",), "Off"),
+    (("TestPattern",), "Off"),
     (("ChunkModeActive",), False),
 )
-"""Settings for raw sensor values, exposed at the times of their triggers; a camera may lack any of them."""
+"""Settings for raw values of every sensor pixel, exposed at the times of their triggers.
+
+A camera may lack any of them; those that it has must have these values.
+"""
 
 
 class Features:
@@ -166,6 +190,8 @@ class Features:
             The camera does not take the value, or another value is read back.
         """
         node = self._node(feature)
+        if isinstance(node, pylon.IntegerParameter) and float(value).is_integer():
+            value = int(value)
         if not node.IsWritable():
             if node.IsReadable() and node.GetValue() == value:
                 return value
@@ -189,6 +215,33 @@ class Features:
                 f"the camera reads {_shown(back)}",
             )
         return back
+
+    def ensure(self, feature: FeatureNames, value: Any, operation: str) -> None:
+        """Set a feature where the camera has it, and verify it.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+        value : int or float or bool or str
+            The value to set.
+        operation : str
+            What the device is doing, for errors.
+
+        Raises
+        ------
+        SettingError
+            The camera has the feature with another value, and keeps it.
+        """
+        self.write_if_possible(feature, value)
+        found = self.read(feature)
+        if found is not None and found != value:
+            raise SettingError(
+                self._device,
+                operation,
+                f"{feature[0]} is {_shown(found)} and cannot be set to {_shown(value)}",
+                "frames would not be the sensor's own values; correct it in pylon Viewer",
+            )
 
     def write_if_possible(self, feature: FeatureNames, value: Any) -> None:
         """Set a feature where the camera takes the value; otherwise leave it unchanged.
@@ -219,6 +272,8 @@ def _refusal(node: Any, value: Any) -> str:
         return ""
     least, most = node.GetMin(), node.GetMax()
     step = node.GetInc() if isinstance(node, pylon.IntegerParameter) else 0
+    if step and value != int(value):
+        return f"whole numbers from {least:g} to {most:g}"
     if least <= value <= most and not (step and (value - least) % step):
         return ""
     return f"{least:g} to {most:g}" + (f" in steps of {step}" if step > 1 else "")

@@ -8,15 +8,16 @@ camera:
   black_level: 4.0                                  # in the camera's numbers; as it is without it
   packed: true                                      # 12 bits as Mono12p: three quarters of the data
   shutter: rolling                                  # or global_reset, global
-  trigger: {line: Line1, edge: rising, delay_us: 0}
+  raw_gain: {db_per_step: 0.0359}                   # of a camera with GainRaw only, see its manual
+  trigger: {line: Line1, edge: rising, delay_us: 0, debounce_us: 0}
   features: camera.pfs                              # loaded first, as pylon's viewer saves it
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fpplab.core.config import Document
 
@@ -40,6 +41,23 @@ class TriggerLine(Document):
     """Edge of the pulse that starts an exposure."""
     delay_us: Annotated[float, Field(ge=0)] = 0.0
     """Delay from the edge to the start of the exposure, in µs."""
+    debounce_us: Annotated[float, Field(ge=0)] = 0.0
+    """Time in µs for which the line must keep its level to count; it delays the exposure by as much."""
+
+
+class RawGain(Document):
+    """How the integer `GainRaw` of a camera without gain in dB is converted: one of both, by its manual."""
+
+    db_per_step: Annotated[float, Field(gt=0)] | None = None
+    """dB for each step of GainRaw, where the gain in dB is proportional to it; 0.0359 for many models."""
+    unity: Annotated[float, Field(gt=0)] | None = None
+    """GainRaw at 0 dB, where the gain as a factor is proportional to it; 32 for some models."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.db_per_step is None) == (self.unity is None):
+            raise ValueError("'raw_gain' needs either 'db_per_step' or 'unity'")
+        return self
 
 
 class BaslerOptions(Document):
@@ -54,6 +72,10 @@ class BaslerOptions(Document):
     """Region of interest: offset x, offset y, width and height in px; the whole sensor without it."""
     black_level: float | None = None
     """Black level in the camera's own units; left as it is without it."""
+    raw_gain: RawGain | None = None
+    """Conversion of GainRaw, for a camera that has no gain in dB; without it such a camera has its least gain
+    only, which counts as 0 dB.
+    """
     packed: bool = False
     """Whether 12-bit frames are transferred as Mono12p, three quarters of the data of Mono12."""
     shutter: Literal["rolling", "global_reset", "global"] | None = None

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from pypylon import genicam, pylon
 
-from drivers.basler.features import TRIGGER_DELAY_US, TRIGGER_EDGE, TRIGGER_MODE, TRIGGER_SOURCE, US_PER_S
+from drivers.basler.features import (
+    LINE_INVERTER,
+    TRIGGER_DELAY_US,
+    TRIGGER_EDGE,
+    TRIGGER_MODE,
+    TRIGGER_SOURCE,
+    US_PER_S,
+)
 from drivers.basler.options import EDGES
 from drivers.emulators.exposure import CollectedLight, EmulatedShutter
 from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
@@ -154,7 +161,7 @@ class BenchCamera(EmulatedCamera):
         return False
 
     def exposure_start_s(self, rise_s: float, fall_s: float) -> float:
-        """Return when a trigger pulse opens the shutter, by the trigger edge and delay that are set.
+        """Return when a trigger pulse opens the shutter, by the edge, inverter and delay that are set.
 
         Parameters
         ----------
@@ -168,7 +175,8 @@ class BenchCamera(EmulatedCamera):
         float
             Time in s.
         """
-        edge_s = rise_s if self._features.read(TRIGGER_EDGE) == EDGES["rising"] else fall_s
+        begins_high = self._features.read(TRIGGER_EDGE) == EDGES["rising"]
+        edge_s = rise_s if begins_high != bool(self._features.read(LINE_INVERTER)) else fall_s
         return edge_s + float(self._features.read(TRIGGER_DELAY_US) or 0.0) / US_PER_S
 
     def _result(self, timeout_ms: int, handling: Any) -> Any:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.conformance.fault import Fault
 
-BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS = (
-    f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options")
+BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS, BASLER_GAIN = (
+    f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options", "gain")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
 DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO, DLP_DISPLAY, DLP_SCREEN = (
@@ -134,6 +134,69 @@ DRIVER_OF_BASLER = [
         "RAW",
         '(("ExposureAuto",), "Off")',
         '(("GainAuto",), "Off")',
+    ),
+    Fault(
+        "basler: raw is hoped for",
+        BASLER_FEATURES,
+        "Features.ensure",
+        "if found is not None and found != value:",
+        "if found is None:",
+    ),
+    Fault(
+        "basler: pixels stay binned",
+        BASLER_FEATURES,
+        "RAW",
+        '(("BinningVertical",), 1)',
+        '(("BinningHorizontal",), 1)',
+    ),
+    Fault(
+        "basler: the image stays mirrored",
+        BASLER_FEATURES,
+        "RAW",
+        '(("ReverseY",), False)',
+        '(("ReverseX",), False)',
+    ),
+    Fault(
+        "basler: a test image is measured",
+        BASLER_FEATURES,
+        "RAW",
+        '(("TestImageSelector",), "Off")',
+        '(("TestPattern",), "Off")',
+    ),
+    Fault(
+        "basler: the line stays inverted",
+        BASLER,
+        "BaslerCamera._set_up_line",
+        'features.ensure(named.LINE_INVERTER, False, "arm")',
+        "",
+    ),
+    Fault(
+        "basler: the line stays debounced",
+        BASLER,
+        "BaslerCamera._set_up_line",
+        "if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):",
+        "if line.debounce_us:",
+    ),
+    Fault(
+        "basler: a raw gain stays as it is",
+        BASLER_GAIN,
+        "Gain.set_db",
+        'self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")',
+        "",
+    ),
+    Fault(
+        "basler: a raw gain is reported as asked for",
+        BASLER_GAIN,
+        "Gain.set_db",
+        'return self._db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)',
+        "return gain_db",
+    ),
+    Fault(
+        "basler: every raw gain is in steps of dB",
+        BASLER_GAIN,
+        "Gain._db",
+        "20.0 * math.log10(raw / conversion.unity)",
+        "raw / conversion.unity",
     ),
     Fault(
         "basler: old names first",

@@ -41,6 +41,19 @@ def number(name: str, value: float, least: float, most: float) -> Node:
     return "Float", f'<Float Name="{name}">{inside}</Float>'
 
 
+def fixed(name: str, value: int) -> Node:
+    """Make an integer that can be read only."""
+    return (
+        "Integer",
+        f'<Integer Name="{name}"><ImposedAccessMode>RO</ImposedAccessMode><Value>{value}</Value></Integer>',
+    )
+
+
+def switch(name: str, on: bool) -> Node:
+    inside = f"<Value>{int(on)}</Value><OnValue>1</OnValue><OffValue>0</OffValue>"
+    return "Boolean", f'<Boolean Name="{name}">{inside}</Boolean>'
+
+
 def choice(name: str, *names: str) -> Node:
     entries = "".join(
         f'<EnumEntry Name="{entry}"><Value>{i}</Value></EnumEntry>' for i, entry in enumerate(names)

@@ -303,6 +303,7 @@ def test_a_file_is_loaded_first_and_frames_stay_raw(
 ) -> None:
     file = tmp_path / "camera.pfs"
     nodes = end(camera).instant
+    nodes.BlackLevel.SetValue(7.0)
     nodes.ReverseX.SetValue(True)
     nodes.Gamma.SetValue(2.0)
     nodes.ExposureAuto.SetValue("Continuous")
@@ -311,7 +312,8 @@ def test_a_file_is_loaded_first_and_frames_stay_raw(
     camera.close()
     with driver(bench, features=str(file)) as other:
         nodes = end(other).instant
-        assert nodes.ReverseX.GetValue()
+        assert nodes.BlackLevel.GetValue() == 7.0
+        assert not nodes.ReverseX.GetValue()
         assert (nodes.Gamma.GetValue(), nodes.ExposureAuto.GetValue()) == (1.0, "Off")
         assert nodes.TriggerMode.GetValue() == "Off"
         assert other.caps.size == SIZE

@@ -17,7 +17,18 @@ from drivers.basler import BaslerCamera
 from drivers.basler.frames import unpack12
 from fpplab.core.errors import CapabilityError, ConfigError, FrameLossError, SettingError
 from fpplab.devices import CameraSettings, State
-from tests.drivers.node_camera import ACE, SERIAL, NodeCamera, Result, choice, integer, number
+from tests.drivers.node_camera import (
+    ACE,
+    SERIAL,
+    Node,
+    NodeCamera,
+    Result,
+    choice,
+    fixed,
+    integer,
+    number,
+    switch,
+)
 
 Make = Callable[..., BaslerCamera]
 
@@ -288,6 +299,143 @@ def test_what_a_frame_must_not_contain_is_switched_off(made: Make) -> None:
     )
     made(end)
     assert (value(end, "ExposureAuto"), value(end, "GainAuto"), value(end, "Gamma")) == ("Off", "Off", 1.0)
+
+
+NOT_RAW: dict[str, tuple[Node, Any]] = {
+    "AcquisitionFrameRateEnable": (switch("AcquisitionFrameRateEnable", True), False),
+    "LUTEnable": (switch("LUTEnable", True), False),
+    "DigitalShift": (integer("DigitalShift", 2, 0, 4), 0),
+    "PgiMode": (choice("PgiMode", "On", "Off"), "Off"),
+    "BslContrast": (number("BslContrast", 0.3, -1.0, 1.0), 0.0),
+    "BinningHorizontal": (integer("BinningHorizontal", 2, 1, 4), 1),
+    "BinningVertical": (integer("BinningVertical", 2, 1, 4), 1),
+    "DecimationHorizontal": (integer("DecimationHorizontal", 2, 1, 4), 1),
+    "DecimationVertical": (integer("DecimationVertical", 2, 1, 4), 1),
+    "ReverseX": (switch("ReverseX", True), False),
+    "ReverseY": (switch("ReverseY", True), False),
+    "TestImageSelector": (choice("TestImageSelector", "Testimage1", "Off"), "Off"),
+    "TestPattern": (choice("TestPattern", "Grey", "Off"), "Off"),
+}
+
+
+def test_every_sensor_pixel_comes_as_it_is(made: Make) -> None:
+    end = but(**{name: node for name, (node, _) in NOT_RAW.items()})
+    made(end)
+    assert {name: value(end, name) for name in NOT_RAW} == {name: raw for name, (_, raw) in NOT_RAW.items()}
+
+
+def test_what_cannot_be_made_raw_is_refused(made: Make) -> None:
+    with pytest.raises(SettingError, match="BinningVertical is 2 and cannot be set to 1; frames would not"):
+        made(but(BinningVertical=fixed("BinningVertical", 2)))
+    made(but(BinningVertical=fixed("BinningVertical", 1)))
+
+
+def test_a_gamma_that_is_switched_off_may_have_any_value(made: Make) -> None:
+    end = but(GammaEnable=switch("GammaEnable", True), Gamma=number("Gamma", 0.45, 0.4, 0.5))
+    made(end)
+    assert value(end, "GammaEnable") is False
+    with pytest.raises(SettingError, match=r"Gamma is 0\.45 and cannot be set to 1"):
+        made(but(Gamma=number("Gamma", 0.45, 0.4, 0.5)))
+
+
+def raw_gain(value: int = 400, least: int = 200) -> NodeCamera:
+    """A camera of the ace classic GigE series: no gain in dB."""
+    nodes = {name: node for name, node in ACE.items() if name not in ("Gain", "BlackLevel")}
+    return NodeCamera(
+        {
+            **nodes,
+            "GainSelector": choice("GainSelector", "DigitalAll", "All"),
+            "GainRaw": integer("GainRaw", value, least, 1023),
+            "BlackLevelRaw": integer("BlackLevelRaw", 32, 0, 255),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("conversion", "limits_db", "gain_db", "raw"),
+    [
+        ({"db_per_step": 0.0359}, (7.18, 36.7257), 10.0, 279),
+        ({"unity": 32}, (15.9176, 30.0946), 20.0, 320),
+    ],
+)
+def test_a_raw_gain_is_set_and_read_back_in_db(
+    made: Make, conversion: dict[str, float], limits_db: tuple[float, float], gain_db: float, raw: int
+) -> None:
+    end = raw_gain()
+    camera = made(end, raw_gain=conversion)
+    assert camera.caps.gain_db == pytest.approx(limits_db, abs=1e-4)
+    back = camera.configure(CameraSettings(0.02, gain_db))
+    assert (value(end, "GainSelector"), value(end, "GainRaw")) == ("All", raw)
+    assert back.gain_db == pytest.approx(gain_db, abs=0.02)
+    with pytest.raises(SettingError, match="gain_db is 0 dB"):
+        camera.configure(CameraSettings(0.02))
+
+
+def test_a_raw_gain_whose_conversion_is_unknown_is_the_least(made: Make) -> None:
+    end = raw_gain()
+    camera = made(end)
+    assert camera.caps.gain_db == (0.0, 0.0)
+    assert camera.configure(CameraSettings(0.02)).gain_db == 0.0
+    assert value(end, "GainRaw") == 200
+    with pytest.raises(SettingError, match="gain_db is 6 dB"):
+        camera.configure(CameraSettings(0.02, 6.0))
+
+
+def test_a_raw_gain_of_0_has_no_db(made: Make) -> None:
+    assert made(raw_gain(least=0), raw_gain={"unity": 32}).caps.gain_db[0] == pytest.approx(-30.103)
+
+
+def test_a_gain_in_db_is_not_converted(made: Make) -> None:
+    end = but(GainRaw=integer("GainRaw", 400, 200, 1023))
+    assert made(end, raw_gain={"unity": 32}).configure(CameraSettings(0.02, 6.0)).gain_db == 6.0
+    assert value(end, "GainRaw") == 400
+
+
+@pytest.mark.parametrize("conversion", [{}, {"db_per_step": 0.0359, "unity": 32}])
+def test_a_conversion_is_stated_in_one_way(made: Make, conversion: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="either 'db_per_step' or 'unity'"):
+        made(raw_gain(), raw_gain=conversion)
+
+
+def test_a_raw_black_level(made: Make) -> None:
+    end = raw_gain()
+    made(end, black_level=64.0)
+    assert value(end, "BlackLevelRaw") == 64
+    with pytest.raises(SettingError, match=r"the camera takes whole numbers from 0 to 255"):
+        made(raw_gain(), black_level=4.5)
+
+
+LINE: dict[str, Node] = {
+    "LineSelector": choice("LineSelector", "Line3", "Line1"),
+    "LineMode": choice("LineMode", "Output", "Input"),
+    "LineInverter": switch("LineInverter", True),
+    "LineDebouncerTime": number("LineDebouncerTime", 500.0, 0.0, 20e3),
+}
+
+
+@pytest.mark.parametrize("debounce_us", [0.0, 12.0])
+def test_the_line_is_an_input_that_is_neither_inverted_nor_slow(made: Make, debounce_us: float) -> None:
+    end = but(**LINE)
+    camera = made(end, trigger={"debounce_us": debounce_us})
+    camera.configure(CameraSettings(0.01))
+    camera.arm(1, "hardware")
+    assert [value(end, name) for name in LINE] == ["Line1", "Input", False, debounce_us]
+
+
+def test_a_line_that_cannot_be_an_input_or_be_debounced(made: Make) -> None:
+    nodes = LINE | {"LineMode": choice("LineMode", "Output")}
+    for end, found in (
+        (but(**nodes), "LineMode is Output"),
+        (without_debouncer(), "LineDebouncerTime cannot"),
+    ):
+        camera = made(end, trigger={"debounce_us": 12.0})
+        camera.configure(CameraSettings(0.01))
+        with pytest.raises((SettingError, CapabilityError), match=found):
+            camera.arm(1, "hardware")
+
+
+def without_debouncer() -> NodeCamera:
+    return but(**{name: node for name, node in LINE.items() if name != "LineDebouncerTime"})
 
 
 def test_the_black_level_is_set_or_refused(made: Make) -> None:

@@ -19,6 +19,7 @@ from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE
+from tests.drivers.basler_bench import end
 from tests.drivers.emulated_rig import (
     PLAN,
     bench_of,
@@ -140,6 +141,16 @@ def test_an_inverted_output_shows_each_pattern_one_too_late(folder: Path) -> Non
             np.testing.assert_array_equal(frame, image)
     with rig_file(folder, AT_ONCE, {"trigger": {"edge": "falling"}}) as rig:
         np.testing.assert_array_equal(played(rig, 1)[0], wanted[0])
+
+
+def test_a_line_that_was_left_inverted_is_mended(folder: Path) -> None:
+    """Another program has inverted the camera's input: left so, frames would show the next pattern."""
+    (wanted,) = expected(patterns()[0].image)
+    with rig_file(folder) as rig:
+        camera = end(rig.camera)
+        camera.instant.LineSelector.SetValue("Line1")
+        camera.instant.LineInverter.SetValue(True)
+        np.testing.assert_array_equal(next(iter(taken(rig, TRIGGERED))), wanted)
 
 
 def test_pulses_at_an_open_shutter_are_lost(folder: Path) -> None:

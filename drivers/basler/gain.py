@@ -1,0 +1,86 @@
+"""The gain of a camera in dB, also where the camera knows only the integer `GainRaw`.
+
+How `GainRaw` relates to dB depends on the model, and the camera does not tell: for most models of the ace
+classic GigE series Basler's manual gives 0.0359 dB for each step, for others 20 log10(GainRaw / 32). So the
+rig file states it; without it only the least gain can be used, and it counts as 0 dB.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.basler.features import GAIN_DB, GAIN_RAW, Features
+from drivers.basler.options import RawGain
+
+
+class Gain:
+    """The gain of one open camera.
+
+    Parameters
+    ----------
+    features : Features
+        The camera's features.
+    conversion : RawGain or None
+        How GainRaw is converted, where it is known.
+    """
+
+    def __init__(self, features: Features, conversion: RawGain | None) -> None:
+        self._features, self._conversion = features, conversion
+
+    def limits_db(self) -> tuple[float, float]:
+        """Read the range of gains at present.
+
+        Returns
+        -------
+        tuple of float
+            Least and greatest gain in dB; both 0 for a camera without gain, or whose conversion is unknown.
+        """
+        if self._features.has(GAIN_DB):
+            return self._features.limits(GAIN_DB)
+        if self._conversion is None or not self._features.has(GAIN_RAW):
+            return 0.0, 0.0
+        least, most = self._features.limits(GAIN_RAW)
+        # Where a factor is proportional to it, 0 would be no gain in dB.
+        return self._db(max(least, 1.0), self._conversion), self._db(most, self._conversion)
+
+    def set_db(self, gain_db: float) -> float:
+        """Set the gain.
+
+        Parameters
+        ----------
+        gain_db : float
+            Gain in dB, within `limits_db`.
+
+        Returns
+        -------
+        float
+            The gain that is read back, in dB.
+
+        Raises
+        ------
+        SettingError
+            The camera does not take it, or another one is read back.
+        """
+        if self._features.has(GAIN_DB):
+            return float(self._features.write(GAIN_DB, gain_db, "configure", tolerance=1.0))
+        if not self._features.has(GAIN_RAW):
+            return 0.0
+        if self._conversion is None:
+            self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")
+            return 0.0
+        raw = round(self._raw(gain_db, self._conversion))
+        return self._db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)
+
+    @staticmethod
+    def _db(raw: float, conversion: RawGain) -> float:
+        if conversion.unity is not None:
+            return 20.0 * math.log10(raw / conversion.unity)
+        assert conversion.db_per_step is not None
+        return raw * conversion.db_per_step
+
+    @staticmethod
+    def _raw(gain_db: float, conversion: RawGain) -> float:
+        if conversion.unity is not None:
+            return float(conversion.unity * 10.0 ** (gain_db / 20.0))
+        assert conversion.db_per_step is not None
+        return gain_db / conversion.db_per_step
