@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import cv2
 import numpy as np
@@ -28,8 +29,8 @@ distortion k1, k2, k3 compensate them, and without the prior all would grow toge
 model, cancelled at the points by a zero of the numerator, lies in the image."""
 
 DISTORTION_SHARES = {"k1": (0.3, 2), "k2": (0.1, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.05, 6)}
-"""Prior standard deviation of each term's distortion about zero, as a share of the radius of the outermost
-point, and the power of that radius in it. They are several times the distortion of camera and projector
+"""Prior standard deviation of each term's distortion about zero, as a share of the radius at the image's
+corner, and the power of that radius in it. They are several times the distortion of camera and projector
 lenses, and only limit combinations of terms that the points do not determine."""
 
 CARRIED_SIGMA = 1.0
@@ -91,9 +92,12 @@ class Problem:
     def _lens_priors(self) -> list[float]:
         """Standard deviations of the distortion coefficients of camera and projector."""
         sigmas = []
-        for device in ("camera", "projector"):
+        for device, size in zip(("camera", "projector"), self.model.image_sizes or (None, None), strict=True):
             lens = getattr(self.near, device)
             pixels = np.concatenate([getattr(o, f"{device}_px") for o in self.observations])
+            if size is not None:
+                corners = np.array(list(product((0.0, size[0] - 1.0), (0.0, size[1] - 1.0))))
+                pixels = np.concatenate([pixels, corners])
             radius = float(np.hypot(*((pixels - lens[2:4]) / lens[:2]).T).max())
             for term in self.model.level.terms[4:]:
                 share, power = DISTORTION_SHARES.get(term, (RATIONAL_SIGMA, 0))
