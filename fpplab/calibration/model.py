@@ -210,7 +210,7 @@ def _check(what: str, found: tuple[int, int], expected: tuple[int, int], source:
 PixelCount = Annotated[int, Field(ge=2, le=100_000)]
 Focal = Annotated[float, Field(gt=0, le=1e6)]
 Centre = Annotated[float, Field(ge=-1e5, le=1e5)]
-Coefficient = Annotated[float, Field(ge=-100, le=100)]
+Coefficient = Annotated[float, Field(ge=-1e9, le=1e9)]  # k3 of a lens that is 3 degrees wide can be millions
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from fpplab.characterisation.descriptions import described_otherwise
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.zhang import ImageSize, rms, zhang
+from fpplab.characterisation.parameters import ImageSize
+from fpplab.characterisation.zhang import rms, zhang
 from fpplab.core.errors import CalibrationError
 from fpplab.targets import Target
 from fpplab.targets.views import Detection, apply_homography, homography

@@ -359,10 +359,10 @@ def inverse_of(problem: Problem, normal: Floats) -> Floats:
     rational = np.concatenate([rational, len(problem.model.level.terms) + rational])
     # k4, k5, k6 of a lens may be undetermined by any poses; all other parameters must be determined.
     others = np.delete(np.arange(len(normal)), rational)
-    values = np.linalg.eigvalsh(scaled[np.ix_(others, others)])
-    if values[0] < LEAST_EIGENVALUE * values[-1]:
-        raise CalibrationError(UNDETERMINED)
     values, vectors = np.linalg.eigh(scaled)
+    judged = np.linalg.eigvalsh(scaled[np.ix_(others, others)]) if len(rational) else values
+    if judged[0] < LEAST_EIGENVALUE * judged[-1]:
+        raise CalibrationError(UNDETERMINED)
     inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
     return np.asarray(inverse / np.outer(scale, scale))
 

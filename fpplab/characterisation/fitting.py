@@ -29,6 +29,7 @@ from fpplab.characterisation.parameters import (
     DEFAULT_SCALE_TOLERANCE,
     DistortionModel,
     ErrorSizes,
+    ImageSize,
     Model,
     Solution,
 )
@@ -36,7 +37,6 @@ from fpplab.characterisation.problem import without_poses
 from fpplab.characterisation.result import Characterisation, ModelTrial, Rejected
 from fpplab.characterisation.validation import compare_with_fewer_poses
 from fpplab.characterisation.zhang import (
-    ImageSize,
     calibrate_separately,
     check_not_mirrored,
     matrix_of,
@@ -144,7 +144,8 @@ def _characterised(
     refine_board: bool | None,
 ) -> Characterisation:  # fmt: skip
     chosen = DEFAULT_LEVEL if level == "auto" else level
-    model = Model(chosen, target.points(), refine_board is not False, target.tolerance_mm, _scale(target))
+    refined = refine_board is not False
+    model = Model(chosen, target.points(), refined, target.tolerance_mm, _scale(target), image_sizes)
     kept, fit, separate_px = _settled(observations, target, model, image_sizes, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
     solution, sizes = fit

@@ -14,24 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.characterisation.descriptions import why_not_found
+from fpplab.characterisation.local_fits import LEAST_PIXELS, WINDOW, coordinates_at_points
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import CalibrationError
 from fpplab.patterns.plan import Plan
 from fpplab.targets import Target, UnclearPart
 from fpplab.targets.partial import detect_part
-from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, window
+from fpplab.targets.views import LEAST_POINTS, Detection, homography
 
 if TYPE_CHECKING:
     from fpplab.phase import Decoded
 
-WINDOW = 0.8
-"""Half the side of the local fit's window, in pitches of the board."""
-
 MOST_SLOPE = 0.12
 """Greatest relative gradient of the modulation in 1/px; steeper pixels mix the phases of two surfaces."""
-
-LEAST_PIXELS = 40
-"""Pixels that a local fit of six coefficients needs to reject outliers."""
 
 PLANE_SHARE = 0.5
 """Least share of the pixels whose fringe orders must fit one plane."""
@@ -130,18 +125,14 @@ def observe(
     detection = target.detect(image) or _part(name, image, target)
     maps = np.stack([decoded.u, decoded.v], axis=-1).astype(np.float64)
     maps[_steep(decoded.modulation)] = np.nan
-    corrected = maps
+    repaired = 0.0
     if periods_px is not None:
-        corrected = _correct_orders(name, maps, target, detection, np.array(periods_px))
-    found = _local_fits(corrected, decoded.modulation.astype(np.float64), target, detection)
+        maps, repaired = _with_corrected_orders(name, maps, target, detection, np.array(periods_px))
+    found = coordinates_at_points(maps, decoded.modulation, target, detection)
     kept = np.isfinite(found).all(axis=1)
     if kept.sum() < LEAST_POINTS:
         raise CalibrationError(f"{name}: only {kept.sum()} points of the board are illuminated well enough")
-    changed = np.abs(corrected - maps).max(axis=-1)
-    changed = changed[np.isfinite(changed)]
-    return Observation(
-        name, detection.ids[kept], detection.pixels[kept], found[kept], float(np.mean(changed > 0))
-    )
+    return Observation(name, detection.ids[kept], detection.pixels[kept], found[kept], repaired)
 
 
 def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
@@ -160,33 +151,37 @@ def _part(name: str, image: NDArray[Any], target: Target) -> Detection:
 
 def _steep(modulation: Map) -> NDArray[np.bool_]:
     """Tell which pixels lie on an edge: blur shifts the phase by its square times the relative gradient."""
-    smooth = cv2.GaussianBlur(np.nan_to_num(modulation.astype(np.float64)), (0, 0), 1.0)
+    smooth = cv2.GaussianBlur(np.nan_to_num(modulation), (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, -1, 1, 0, scale=0.125), cv2.Sobel(smooth, -1, 0, 1, scale=0.125))
     return np.asarray(slope > MOST_SLOPE * smooth)
 
 
-def _correct_orders(name: str, maps: Floats, target: Target, detection: Detection, periods: Floats) -> Floats:
+def _with_corrected_orders(
+    name: str, maps: Floats, target: Target, detection: Detection, periods: Floats
+) -> tuple[Floats, float]:
     """Correct the fringe orders on the board by the whole periods that bring every pixel onto its plane.
 
-    A plane maps camera to projector pixels by a homography, up to distortion, which is far less
-    than half a period. Ambiguous pixels become NaN; so does everything off the board.
+    The corrected maps are returned, and the share of the board's pixels that had to be corrected. A plane
+    maps camera to projector pixels by a homography, up to distortion, which is far less than half a period.
+    Ambiguous pixels become NaN; so does everything off the board.
     Raises `CalibrationError` when fewer than `PLANE_SHARE` of the pixels agree on a plane.
     """
     corrected = np.full_like(maps, np.nan)
-    v, u = np.nonzero(np.isfinite(maps).all(axis=-1) & _board_area(maps.shape[:2], target, detection))
+    lit = np.isfinite(maps[..., 0]) & np.isfinite(maps[..., 1])
+    v, u = np.nonzero(lit & _board_area(maps.shape[:2], target, detection))
     if len(u) < LEAST_PIXELS * LEAST_POINTS:
         raise CalibrationError(f"{name}: too little of the board is illuminated by the projector")
-    pixels = np.stack([u, v], axis=-1).astype(np.float64)
+    pixels, seen = np.stack([u, v], axis=-1).astype(np.float64), maps[v, u] / periods
     step = max(len(u) // 4000, 1)
-    plane, inliers = cv2.findHomography(pixels[::step], maps[v, u][::step] / periods, cv2.RANSAC, 0.25)
+    plane, inliers = cv2.findHomography(pixels[::step], seen[::step], cv2.RANSAC, 0.25)
     if plane is None or inliers.mean() < PLANE_SHARE:
         raise CalibrationError(f"{name}: the projector's coordinates on the board do not fit a plane")
     expected = cv2.perspectiveTransform(pixels[None], plane)[0]
-    excess = maps[v, u] / periods - expected
-    orders = np.rint(excess)
-    unambiguous = (np.abs(excess - orders) < 0.4).all(axis=1)
-    corrected[v[unambiguous], u[unambiguous]] = (maps[v, u] - orders * periods)[unambiguous]
-    return corrected
+    orders = np.rint(seen - expected)
+    off = np.abs(seen - expected - orders)
+    clear = (off[:, 0] < 0.4) & (off[:, 1] < 0.4)
+    corrected[v[clear], u[clear]] = ((seen - orders) * periods)[clear]
+    return corrected, float(np.any(orders[clear], axis=1).mean())
 
 
 def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) -> NDArray[np.bool_]:
@@ -199,40 +194,3 @@ def _board_area(shape: tuple[int, ...], target: Target, detection: Detection) ->
     seen = cv2.perspectiveTransform(corners, homography(target, detection))
     cv2.fillConvexPoly(area, np.asarray(np.rint(seen[0]), np.int32), (1,))
     return np.asarray(area, np.bool_)
-
-
-def _local_fits(maps: Floats, modulation: Floats, target: Target, detection: Detection) -> Floats:
-    """Fit the projector coordinates (K, 2) of the points found; NaN where too little of the map is valid."""
-    board = target.points()[detection.ids, :2]
-    frames = local_frames(homography(target, detection), board)
-    half_mm = WINDOW * min(target.spacing_mm)
-    found = np.full((len(board), 2), np.nan)
-    for row, (pixel, frame) in enumerate(zip(detection.pixels, frames, strict=True)):
-        x, y, seen = window(maps, pixel, frame, half_mm)
-        _, _, weight = window(modulation, pixel, frame, half_mm)
-        reach = half_mm * np.abs(frame).sum(axis=1).max()
-        found[row] = _value_at_centre(x / reach, y / reach, seen, weight)
-    return found
-
-
-def _value_at_centre(x: Floats, y: Floats, seen: Floats, weight: Floats) -> Floats:
-    """Fit a quadric to samples (n, 2) without outliers, and return its value (2,) at the origin.
-
-    x, y: (n,) scaled to about ±1. weight: (n,) inversely proportional to the samples' noise.
-    """
-    used = np.isfinite(seen).all(axis=1) & (weight > 0)
-    nothing = np.full(2, np.nan)
-    for _ in range(4):
-        if used.sum() < LEAST_PIXELS or np.hypot(x[used].mean(), y[used].mean()) > 0.35:
-            return nothing
-        basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-        weighted = (basis[used] * weight[used, None] ** 2).T
-        coefficients = np.linalg.solve(weighted @ basis[used], weighted @ seen[used])
-        misfit = np.abs(seen - basis @ coefficients) * weight[:, None]
-        limit = 4 * 1.4826 * np.median(misfit[used], axis=0) + 1e-9
-        agree = np.isfinite(misfit).all(axis=1) & (weight > 0)
-        agree[agree] = (misfit[agree] <= limit).all(axis=1)
-        if np.array_equal(agree, used):
-            break
-        used = agree
-    return np.asarray(coefficients[0])

@@ -13,6 +13,9 @@ from fpplab.characterisation.observation import Observation
 from fpplab.core.conventions import Floats
 from fpplab.core.geometry import RigidTransform
 
+ImageSize = tuple[int, int]
+"""(width, height) in px."""
+
 DEFAULT_SCALE_TOLERANCE = 2e-4
 """Relative standard uncertainty of a board's scale where its target file gives none: what a calliper that
 reads 0.02 mm verifies over 100 mm."""
@@ -146,6 +149,9 @@ class Model:
         From which the estimate of the errors of the board's points starts, in mm.
     scale_tolerance : float
         Relative standard uncertainty of the board's scale, which no image tells.
+    image_sizes : tuple of ImageSize or None
+        (width, height) in px of camera and projector, to whose corners a lens's distortion is known to be
+        moderate; None if it is only to the outermost point.
     """
 
     level: DistortionModel
@@ -153,6 +159,7 @@ class Model:
     refined: bool = False
     tolerance_mm: float | None = None
     scale_tolerance: float = 0.0
+    image_sizes: tuple[ImageSize, ImageSize] | None = None
 
 
 def vectors_of(transform: RigidTransform) -> Floats:

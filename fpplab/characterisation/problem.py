@@ -11,14 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.calibration.model import INTRINSICS
+from fpplab.characterisation.linearisation import add_points, pose_slopes
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, chain, view
+from fpplab.characterisation.parameters import ErrorSizes, Model, Solution
 from fpplab.core.conventions import Floats
 from fpplab.core.robust import huber_weights
 
@@ -28,8 +29,8 @@ distortion k1, k2, k3 compensate them, and without the prior all would grow toge
 model, cancelled at the points by a zero of the numerator, lies in the image."""
 
 DISTORTION_SHARES = {"k1": (0.3, 2), "k2": (0.1, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.05, 6)}
-"""Prior standard deviation of each term's distortion about zero, as a share of the radius of the outermost
-point, and the power of that radius in it. They are several times the distortion of camera and projector
+"""Prior standard deviation of each term's distortion about zero, as a share of the radius at the image's
+corner, and the power of that radius in it. They are several times the distortion of camera and projector
 lenses, and only limit combinations of terms that the points do not determine."""
 
 CARRIED_SIGMA = 1.0
@@ -91,9 +92,12 @@ class Problem:
     def _lens_priors(self) -> list[float]:
         """Standard deviations of the distortion coefficients of camera and projector."""
         sigmas = []
-        for device in ("camera", "projector"):
+        for device, size in zip(("camera", "projector"), self.model.image_sizes or (None, None), strict=True):
             lens = getattr(self.near, device)
             pixels = np.concatenate([getattr(o, f"{device}_px") for o in self.observations])
+            if size is not None:
+                corners = np.array(list(product((0.0, size[0] - 1.0), (0.0, size[1] - 1.0))))
+                pixels = np.concatenate([pixels, corners])
             radius = float(np.hypot(*((pixels - lens[2:4]) / lens[:2]).T).max())
             for term in self.model.level.terms[4:]:
                 share, power = DISTORTION_SHARES.get(term, (RATIONAL_SIGMA, 0))
@@ -105,7 +109,7 @@ class Problem:
         """By pose: A (K, 2, 2)."""
         found = []
         for index, observation in enumerate(self.observations):
-            _, _, by_point = _pose_slopes(self.near, index, observation, self._free)
+            *_, by_point = pose_slopes(self.near, index, observation, self._free)
             camera, projector = by_point.reshape(2, -1, 2, 3)
             (a, b), (c, d) = np.moveaxis(camera[..., :2], 0, -1)
             adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
@@ -411,8 +415,9 @@ class Problem:
         self, matrix: Floats, gradient: Floats, index: int, solution: Solution, limit: float,
         camera_alone: bool,
     ) -> None:  # fmt: skip
-        residuals, weight = self.weighted_residuals(index, solution, limit)
-        columns, slopes, by_point = self.slopes(index, solution)
+        raw, columns, slopes, by_point = self._linearised(index, solution)
+        residuals = self.whitened(index, raw, solution.carried)
+        weight = huber_weights(residuals, 1.0, limit)
         if camera_alone:
             weight[len(weight) // 2 :] = 0.0
         weighted = slopes * weight[:, None]
@@ -420,16 +425,7 @@ class Problem:
         gradient[columns] += weighted.T @ residuals
         if not self.model.refined:
             return
-        # Rows lie by device, point and coordinate; every point has its own three columns.
-        shape = (2, len(weight) // 4, 2)
-        points = by_point.reshape(*shape, 3)
-        heavy = (by_point * weight[:, None]).reshape(*shape, 3)
-        own = self._own(index)
-        shared = np.einsum("dkui,dkuc->kic", heavy, slopes.reshape(*shape, -1))
-        matrix[own[:, :, None], own[:, None, :]] += np.einsum("dkui,dkuj->kij", heavy, points)
-        matrix[own[:, :, None], columns[None, None, :]] += shared
-        matrix[columns[None, :, None], own[:, None, :]] += shared.transpose(0, 2, 1)
-        gradient[own] += np.einsum("dkui,dku->ki", heavy, residuals.reshape(shape))
+        add_points(matrix, gradient, columns, self._own(index), slopes, by_point, weight, residuals)
 
     def slopes(self, index: int, solution: Solution) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Differentiate the whitened residuals of one pose.
@@ -450,9 +446,12 @@ class Problem:
         by_point : Floats
             (4 K, 3) derivatives by the board's points, each residual by its own point.
         """
+        return self._linearised(index, solution)[1:]
+
+    def _linearised(self, index: int, solution: Solution) -> tuple[Floats, NDArray[np.intp], Floats, Floats]:
+        """Residuals (4 K,) of one pose in px, and what `slopes` returns."""
         _, _, carried, poses, _ = self.heads
-        raw = self._raw(index, solution)
-        pose, shared, by_point = _pose_slopes(solution, index, self.observations[index], self._free)
+        raw, pose, shared, by_point = pose_slopes(solution, index, self.observations[index], self._free)
         through = self._carry[index]
         by_carried = np.zeros((len(raw), 1))
         half = len(raw) // 2
@@ -464,30 +463,7 @@ class Problem:
             by_carried,
         ]
         by_point = self.whitened(index, by_point, solution.carried)
-        return np.concatenate(columns).astype(np.intp), np.hstack(parts), by_point
-
-
-def _pose_slopes(
-    solution: Solution, index: int, observation: Observation, free: int
-) -> tuple[Floats, Floats, Floats]:
-    """Differentiate the residuals (4 K,) of one pose in px.
-
-    By the pose (4 K, 6), by `free` intrinsics of both devices and T_projector_camera (4 K, 2 free + 6), and
-    by the board's points, each by its own (4 K, 3).
-    """
-    points, pose = solution.board[observation.ids], solution.poses[index]
-    chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
-    _, seen = view(points, pose, solution.camera)
-    _, projected = view(points, chained, solution.projector)
-    rows, n = len(seen), free
-    shared = np.zeros((2 * rows, 2 * n + 6))
-    shared[:rows, :n] = seen[:, 6 : 6 + n]
-    shared[rows:, n : 2 * n] = projected[:, 6 : 6 + n]
-    shared[rows:, 2 * n :] = projected[:, :6] @ by_pair
-    own = np.concatenate([seen[:, :6], projected[:, :6] @ by_pose])
-    # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
-    by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))]
-    return own, shared, np.concatenate(by_point)
+        return raw, np.concatenate(columns).astype(np.intp), np.hstack(parts), by_point
 
 
 def without_poses(solution: Solution, held: Sequence[int] | int) -> Solution:

@@ -14,13 +14,10 @@ import numpy as np
 
 from fpplab.calibration.model import INTRINSICS
 from fpplab.characterisation.observation import Observation
-from fpplab.characterisation.parameters import Solution, vectors_of
+from fpplab.characterisation.parameters import ImageSize, Solution, vectors_of
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import RigidTransform
-
-ImageSize = tuple[int, int]
-"""(width, height) in px."""
 
 BoardPixels = list[Floats]
 """Points of each pose, (K, 2) or (K, 3)."""

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.targets.layout import BoardLayout
-from fpplab.targets.profiles import PointModel
-from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, stretched, window
+from fpplab.targets.point_fits import fit_centres
+from fpplab.targets.views import LEAST_POINTS, Detection, homography, local_frames, stretched
 
 
 def detect(layout: BoardLayout, image: NDArray[Any]) -> Detection | None:
@@ -69,31 +68,8 @@ def refined(layout: BoardLayout, coarse: Detection, level: Floats) -> Detection 
     """
     board = layout.points()[coarse.ids, :2]
     frames = local_frames(homography(layout, coarse), board)
-    model = layout.point_model()
-    kept = []
-    for index, (pixel, frame) in enumerate(zip(coarse.pixels, frames, strict=True)):
-        centre = _fit_centre(level, pixel, frame, model)
-        if centre is not None:
-            kept.append((index, centre))
-    if len(kept) < LEAST_POINTS:
+    centres = fit_centres(level, coarse.pixels, frames, layout.point_model())
+    fitted = np.isfinite(centres).all(axis=1)
+    if fitted.sum() < LEAST_POINTS:
         return None
-    return layout.corrected(Detection(coarse.ids[[i for i, _ in kept]], np.array([c for _, c in kept])))
-
-
-def _fit_centre(level: Floats, pixel: Floats, frame: Floats, model: PointModel) -> Floats | None:
-    """Centre in px of the model that fits best around `pixel`; None when there is none."""
-    x, y, seen = window(level, pixel, frame, model.half_mm)
-    if len(seen) < 25:
-        return None
-
-    def misfit(theta: Floats) -> Floats:
-        # The background's plane and the model's gain are linear parameters: they are solved for within.
-        basis = np.stack([np.ones_like(x), x, y, model.shape(theta, x, y)], axis=1)
-        normal = basis.T @ basis + 1e-9 * len(x) * np.eye(4)
-        return np.asarray(seen - basis @ np.linalg.solve(normal, basis.T @ seen))
-
-    fit = least_squares(misfit, model.start(frame), method="lm", max_nfev=400)
-    shift = np.linalg.solve(frame, fit.x[:2])
-    if not fit.success or not np.all(np.isfinite(fit.x)) or np.abs(shift).max() > 0.5 * model.half_mm:
-        return None
-    return np.asarray(pixel + fit.x[:2])
+    return layout.corrected(Detection(coarse.ids[fitted], centres[fitted]))

@@ -169,7 +169,7 @@ def _appearances(
     pixels, frames = apply_homography(matrix, board), local_frames(matrix, board)
     for pixel, frame in zip(pixels, frames, strict=True):
         x, y, values = window(level, pixel, frame, model.half_mm)
-        expected = model.shape(model.start(frame), x, y)
+        expected = model.brightness(model.start(frame), x, y)
         if len(values) < LEAST_PIXELS or np.ptp(values) == 0 or np.ptp(np.sign(expected)) == 0:
             yield 0.0, 0.0, 0.0
             continue

@@ -1,21 +1,36 @@
 """Brightness models of what surrounds a point of a board: two crossing edges, or a disc.
 
 A model has parameters θ of which θ[:2] is the offset of its centre in px. Its level, its linear
-gradient and its gain are fitted separately.
+gradient and its gain are fitted with them. Away from its blurred edges a model is ±1, and no parameter
+changes that: those pixels need no error function.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
-from scipy.special import erf
+from numba import njit
 
 from fpplab.core.conventions import Floats
 
-BrightnessProfile = Callable[[Floats, Floats, Floats], Floats]
-"""Brightness of a model with parameters θ at offsets (x, y) in px; -1 to 1."""
+EDGE_BLURS = 4.5
+"""Distance from an edge, in parameters of its blur, beyond which the model is ±1 to within 2e-10."""
+
+PER_SQRT_PI = 2.0 / math.sqrt(math.pi)
+
+
+class Surroundings(IntEnum):
+    """What surrounds a point."""
+
+    EDGES = 0
+    DISC = 1
+
+
+_DISC = int(Surroundings.DISC)
 
 
 @dataclass(frozen=True)
@@ -24,17 +39,38 @@ class PointModel:
 
     Attributes
     ----------
-    shape : BrightnessProfile
-        Brightness of the model, positive where the board is bright for a dark foreground.
+    surroundings : Surroundings
+        Which of the models.
     start : Callable[[Floats], Floats]
         Initial parameters θ from the Jacobian (2, 2) of the board's homography in px per mm.
     half_mm : float
         Half the side in mm of the square around the point that shows nothing else.
     """
 
-    shape: BrightnessProfile
+    surroundings: Surroundings
     start: Callable[[Floats], Floats]
     half_mm: float
+
+    def brightness(self, theta: Floats, x: Floats, y: Floats) -> Floats:
+        """Compute the model's brightness.
+
+        Parameters
+        ----------
+        theta : Floats
+            Its parameters.
+        x : Floats
+            (n,) offsets along u from the point in px.
+        y : Floats
+            (n,) offsets along v from the point in px.
+
+        Returns
+        -------
+        Floats
+            (n,) from -1 to 1, positive where the board is bright for a dark foreground.
+        """
+        values = np.empty(len(x))
+        _brightness(int(self.surroundings), theta, x, y, values)
+        return values
 
 
 def crossing_edges(half_mm: float) -> PointModel:
@@ -50,7 +86,7 @@ def crossing_edges(half_mm: float) -> PointModel:
     PointModel
         θ = (x, y, directions of the two edges in rad, blur in px).
     """
-    return PointModel(_crossing, _crossing_start, half_mm)
+    return PointModel(Surroundings.EDGES, _edges_start, half_mm)
 
 
 def disc(radius_mm: float, half_mm: float) -> PointModel:
@@ -68,19 +104,12 @@ def disc(radius_mm: float, half_mm: float) -> PointModel:
     PointModel
         θ = (x, y, the ellipse's form (a, b, c), blur in px): the rim is a x² + 2 b x y + c y² = 1.
     """
-    return PointModel(_disc, lambda frame: _disc_start(frame, radius_mm), half_mm)
+    return PointModel(Surroundings.DISC, lambda frame: _disc_start(frame, radius_mm), half_mm)
 
 
-def _crossing_start(frame: Floats) -> Floats:
+def _edges_start(frame: Floats) -> Floats:
     along_x, along_y = np.arctan2(frame[1], frame[0])
     return np.array([0.0, 0.0, along_x, along_y, 1.0])
-
-
-def _crossing(theta: Floats, x: Floats, y: Floats) -> Floats:
-    u, v = x - theta[0], y - theta[1]
-    first = (np.cos(theta[2]) * v - np.sin(theta[2]) * u) / theta[4]
-    second = (np.cos(theta[3]) * v - np.sin(theta[3]) * u) / theta[4]
-    return np.asarray(erf(first) * erf(second))
 
 
 def _disc_start(frame: Floats, radius_mm: float) -> Floats:
@@ -89,10 +118,90 @@ def _disc_start(frame: Floats, radius_mm: float) -> Floats:
     return np.array([0.0, 0.0, form[0, 0], form[0, 1], form[1, 1], 1.0])
 
 
-def _disc(theta: Floats, x: Floats, y: Floats) -> Floats:
-    u, v = x - theta[0], y - theta[1]
-    along_u, along_v = theta[2] * u + theta[3] * v, theta[3] * u + theta[4] * v
-    radius = np.sqrt(np.maximum(u * along_u + v * along_v, 1e-12))
+@njit(cache=True, error_model="numpy")
+def _brightness(kind: int, theta: Floats, x: Floats, y: Floats, values: Floats) -> None:
+    slopes = np.empty(len(theta))
+    for i in range(len(x)):
+        values[i], _ = profile(kind, theta, x[i], y[i], slopes)
+
+
+@njit(cache=True, error_model="numpy")
+def profile(kind: int, theta: Floats, x: float, y: float, slopes: Floats) -> tuple[float, bool]:
+    """Compute a model's brightness at one pixel, with derivatives. Compiled.
+
+    Parameters
+    ----------
+    kind : int
+        Of `Surroundings`.
+    theta : Floats
+        (5,) or (6,) parameters.
+    x : float
+        Offset along u from the point in px.
+    y : float
+        Offset along v from the point in px.
+    slopes : Floats
+        As many; derivatives are written here if there are any.
+
+    Returns
+    -------
+    value : float
+        From -1 to 1.
+    varies : bool
+        Whether derivatives were written; otherwise they are zero.
+    """
+    if kind == _DISC:
+        return _disc(theta, x - theta[0], y - theta[1], slopes)
+    return _edges(theta, x - theta[0], y - theta[1], slopes)
+
+
+@njit(cache=True, error_model="numpy")
+def _edges(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bool]:
+    blur = theta[4]
+    cosines, sines = (math.cos(theta[2]), math.cos(theta[3])), (math.sin(theta[2]), math.sin(theta[3]))
+    distances = (cosines[0] * v - sines[0] * u) / blur, (cosines[1] * v - sines[1] * u) / blur
+    values = _blurred(distances[0]), _blurred(distances[1])
+    varies = min(abs(distances[0]), abs(distances[1])) <= EDGE_BLURS
+    if varies:
+        slopes[:] = 0.0
+        for k in range(2):
+            steep = values[1 - k] * PER_SQRT_PI * math.exp(-distances[k] * distances[k]) / blur
+            slopes[0] += steep * sines[k]
+            slopes[1] -= steep * cosines[k]
+            slopes[2 + k] = -steep * (sines[k] * v + cosines[k] * u)
+            slopes[4] -= steep * distances[k]
+    return values[0] * values[1], varies
+
+
+@njit(cache=True, error_model="numpy")
+def _disc(theta: Floats, u: float, v: float, slopes: Floats) -> tuple[float, bool]:
+    a, b, c, blur = theta[2], theta[3], theta[4], theta[5]
+    along_u, along_v = a * u + b * v, b * u + c * v
+    square = max(u * along_u + v * along_v, 1e-12)
+    radius, gradient = math.sqrt(square), max(math.hypot(along_u, along_v), 1e-12)
     # First-order distance from the rim; only pixels near the rim carry information.
-    distance = (radius - 1) * radius / np.maximum(np.hypot(along_u, along_v), 1e-12)
-    return np.asarray(erf(distance / theta[5]))
+    distance = (square - radius) / gradient
+    if abs(distance) > EDGE_BLURS * abs(blur):
+        return math.copysign(1.0, distance / blur), False
+    steep = PER_SQRT_PI * math.exp(-((distance / blur) ** 2)) / blur
+    # By u, v, a, b, c: of the radius's square, and of half the gradient's square.
+    by_square = 1.0 - 0.5 / radius
+    squares = 2 * along_u, 2 * along_v, u * u, 2 * u * v, v * v
+    gradients = (
+        along_u * a + along_v * b,
+        along_u * b + along_v * c,
+        along_u * u,
+        along_u * v + along_v * u,
+        along_v * v,
+    )
+    for k in range(5):
+        slope = (by_square * squares[k] - distance * gradients[k] / gradient) / gradient
+        slopes[k] = steep * slope * (-1.0 if k < 2 else 1.0)
+    slopes[5] = -steep * distance / blur
+    return math.erf(distance / blur), True
+
+
+@njit(inline="always")
+def _blurred(distance: float) -> float:
+    if abs(distance) > EDGE_BLURS:
+        return math.copysign(1.0, distance)
+    return math.erf(distance)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats
@@ -171,13 +173,45 @@ def window(level: Floats, pixel: Floats, frame: Floats, half_mm: float) -> tuple
     values : Floats
         (n,) or (n, channels) of the image.
     """
-    height, width = level.shape[:2]
-    reach = half_mm * np.abs(frame).sum(axis=1)
-    (left, top), (right, bottom) = np.ceil(pixel - reach).astype(int), np.floor(pixel + reach).astype(int)
-    rows = slice(max(top, 0), min(bottom + 1, height))
-    columns = slice(max(left, 0), min(right + 1, width))
-    v, u = np.mgrid[rows, columns].astype(np.float64)
-    offset = np.stack([u - pixel[0], v - pixel[1]], axis=-1)
-    inside = np.abs(offset @ np.linalg.inv(frame).T).max(axis=-1) <= half_mm
-    x, y = offset[inside].T
-    return x, y, level[rows, columns][inside]
+    rows, columns = window_pixels(level, pixel, np.linalg.inv(frame), half_mm)
+    return columns - pixel[0], rows - pixel[1], level[rows, columns]
+
+
+@njit(cache=True, error_model="numpy")
+def window_pixels(
+    image: NDArray[Any], pixel: Floats, inverse: Floats, half_mm: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """List the pixels of a square of the board around a point. Compiled.
+
+    Parameters
+    ----------
+    image : ndarray, (height, width) or (height, width, channels)
+        Of which only the size matters.
+    pixel : Floats
+        (2,) the point (u, v) in px.
+    inverse : Floats
+        (2, 2) inverse of the homography's Jacobian there, in mm per px.
+    half_mm : float
+        Half the side of the square in mm.
+
+    Returns
+    -------
+    rows : ndarray of intp
+        (n,) of the pixels in the square.
+    columns : ndarray of intp
+        (n,) of the pixels in the square.
+    """
+    per_mm = half_mm / abs(inverse[0, 0] * inverse[1, 1] - inverse[0, 1] * inverse[1, 0])
+    across = per_mm * (abs(inverse[1, 1]) + abs(inverse[0, 1]))
+    down = per_mm * (abs(inverse[1, 0]) + abs(inverse[0, 0]))
+    left, right = max(math.ceil(pixel[0] - across), 0), min(math.floor(pixel[0] + across) + 1, image.shape[1])
+    top, bottom = max(math.ceil(pixel[1] - down), 0), min(math.floor(pixel[1] + down) + 1, image.shape[0])
+    most = max(right - left, 0) * max(bottom - top, 0)
+    rows, columns, n = np.empty(most, np.intp), np.empty(most, np.intp), 0
+    for v in range(top, bottom):
+        for u in range(left, right):
+            x = inverse[0, 0] * (u - pixel[0]) + inverse[0, 1] * (v - pixel[1])
+            y = inverse[1, 0] * (u - pixel[0]) + inverse[1, 1] * (v - pixel[1])
+            if abs(x) <= half_mm and abs(y) <= half_mm:
+                rows[n], columns[n], n = v, u, n + 1
+    return rows[:n], columns[:n]

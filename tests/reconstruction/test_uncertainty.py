@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm
 
 from fpplab.calibration.model import INTRINSICS, PARAMETERS, Calibration, Uncertainty
 from fpplab.characterisation import characterise
-from fpplab.characterisation.parameters import DistortionModel, vectors_of
+from fpplab.characterisation.parameters import DEFAULT_SCALE_TOLERANCE, DistortionModel, vectors_of
 from fpplab.cli.warmup import frames_of_plane, small_rig
 from fpplab.clouds import Cloud
 from fpplab.core.errors import CalibrationError
@@ -267,7 +268,12 @@ def test_progress_ends_with_all() -> None:
 
 @pytest.mark.slow
 def test_characterisations_repeated_spread_the_points_as_each_predicts() -> None:
-    """From noisy pictures of a board to points: what one characterisation says is what forty do."""
+    """From noisy pictures of a board to points: what one characterisation says is what forty do.
+
+    No picture tells the board's scale, so each of the forty has a board of its own: their scales are spread
+    as `DEFAULT_SCALE_TOLERANCE` says, exactly, for forty drawn ones would be by a tenth more or less.
+    """
+    scales = 1.0 + DEFAULT_SCALE_TOLERANCE * norm.ppf((np.arange(40) + 0.5) / 40)
     held, size = rigs.poses(8), rigs.CAMERA.size
     tall = (rigs.SQUARE.size[0], 2250)  # the board lies below the rig's own picture
     u, v = np.meshgrid(np.arange(20.0, size[0], 40), np.arange(20.0, size[1], 40))
@@ -281,7 +287,8 @@ def test_characterisations_repeated_spread_the_points_as_each_predicts() -> None
     decoded = Decoded(*maps, np.zeros_like(maps[0]), np.where(np.isnan(maps[0]), maps[0], 0.0))
 
     def measured(seed: int) -> Cloud:
-        observations = rigs.observed(held, noise_px=0.05, seed=seed)
+        made = scales[seed] * rigs.BOARD.points()
+        observations = rigs.observed(held, noise_px=0.05, points=made, seed=seed)
         found = characterise(
             observations, rigs.BOARD, size, tall, level=DistortionModel.TANGENTIAL
         ).calibration

@@ -234,6 +234,17 @@ def test_a_checkerboard_before_a_black_ground_with_noise_is_found() -> None:
     np.testing.assert_allclose(found.pixels, truth(target, matrix), atol=0.08)
 
 
+def test_a_board_too_small_for_a_picture_of_half_the_size_is_found_in_the_whole() -> None:
+    """Squares of 8 px, of which half the size leaves 4."""
+    target, size = board(CORNERS), (960, 720)
+    camera = Pinhole.from_focal(size, (900.0, 900.0), (480.0, 360.0))
+    matrix = plane_homography(camera, pose((5, -10, 3), (0, 0, 1120)))
+    found = target.detect(noisy(render(target, matrix, size, blur_px=0.5), 1.0))
+    assert found is not None
+    assert len(found.ids) == 35
+    assert np.abs(found.pixels - truth(target, matrix)).max() < 0.1
+
+
 @KINDS
 def test_a_board_that_is_not_there_is_not_found(fields: dict) -> None:
     target = board(fields)

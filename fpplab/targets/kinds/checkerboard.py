@@ -17,6 +17,9 @@ from fpplab.targets.views import Detection
 FINDER_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 """Without equalisation, which would amplify the noise of a black background."""
 
+LEAST_HALVED = 600
+"""Smaller pictures, in px, are searched as they are."""
+
 
 class Checkerboard(SquareLayout):
     """A checkerboard; it is detected as a whole, or in part where its edge shows which part."""
@@ -93,11 +96,21 @@ class Checkerboard(SquareLayout):
         Detection or None
             All corners; None when they are not there.
         """
-        found, pixels = cv2.findChessboardCornersSB(grey, self.counts, flags=FINDER_FLAGS)
-        if not found:
+        pixels = self._corners(grey)
+        if pixels is None:
             return None
-        grid = np.asarray(pixels, np.float64).reshape(self.counts[1], self.counts[0], 2)
+        grid = pixels.reshape(self.counts[1], self.counts[0], 2)
         return in_order(self, grid, None if self.symmetric else lambda turn: self._colours_agree(turn, level))
+
+    def _corners(self, grey: NDArray[np.uint8]) -> Floats | None:
+        """Find the corners, in a picture of half the size where that suffices, four times as fast."""
+        for scale in (2, 1) if min(grey.shape) >= LEAST_HALVED else (1,):
+            size = grey.shape[1] // scale, grey.shape[0] // scale
+            image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+            found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
+            if found:
+                return scale * (np.asarray(pixels, np.float64) + 0.5) - 0.5
+        return None
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
         """Find the largest grid of corners that OpenCV detects.

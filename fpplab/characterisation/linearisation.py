@@ -1,0 +1,101 @@
+"""Derivatives of one pose's residuals, and what they add to the normal equations."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import Solution, chain, view
+from fpplab.core.conventions import Floats
+
+
+@njit(cache=True, error_model="numpy")
+def add_points(
+    matrix: Floats,
+    gradient: Floats,
+    columns: NDArray[np.intp],
+    own: NDArray[np.intp],
+    slopes: Floats,
+    by_point: Floats,
+    weight: Floats,
+    residuals: Floats,
+) -> None:
+    """Add to normal equations what the board's points of one pose contribute. Compiled.
+
+    Parameters
+    ----------
+    matrix : Floats
+        (n, n) normal equations, added to in place.
+    gradient : Floats
+        (n,) their right-hand side, added to in place.
+    columns : NDArray[np.intp]
+        (C,) the parameters that all residuals of the pose depend on.
+    own : NDArray[np.intp]
+        (K, 3) the parameters of each point.
+    slopes : Floats
+        (4 K, C) derivatives by `columns`; rows lie by device, point and coordinate.
+    by_point : Floats
+        (4 K, 3) derivatives of each residual by its own point.
+    weight : Floats
+        (4 K,) of each residual.
+    residuals : Floats
+        (4 K,) in standard deviations.
+    """
+    half = len(weight) // 2
+    for k in range(len(own)):
+        for row in (2 * k, 2 * k + 1, half + 2 * k, half + 2 * k + 1):
+            for i in range(3):
+                heavy = weight[row] * by_point[row, i]
+                gradient[own[k, i]] += heavy * residuals[row]
+                for j in range(3):
+                    matrix[own[k, i], own[k, j]] += heavy * by_point[row, j]
+                for c in range(len(columns)):
+                    shared = heavy * slopes[row, c]
+                    matrix[own[k, i], columns[c]] += shared
+                    matrix[columns[c], own[k, i]] += shared
+
+
+def pose_slopes(
+    solution: Solution, index: int, observation: Observation, free: int
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Compute the residuals of one pose in px, and differentiate them.
+
+    Parameters
+    ----------
+    solution : Solution
+        Where.
+    index : int
+        Of the pose.
+    observation : Observation
+        What was measured in it.
+    free : int
+        How many intrinsics of each device are estimated.
+
+    Returns
+    -------
+    residuals : Floats
+        (4 K,) model minus observation in px: of the camera's points, then of the projector's.
+    by_pose : Floats
+        (4 K, 6) derivatives by the pose.
+    shared : Floats
+        (4 K, 2 free + 6) derivatives by the intrinsics of both devices and by T_projector_camera.
+    by_point : Floats
+        (4 K, 3) derivatives by the board's points, each residual by its own.
+    """
+    points, pose = solution.board[observation.ids], solution.poses[index]
+    chained, (by_pose, by_pair) = chain(pose, solution.T_projector_camera)
+    at_camera, seen = view(points, pose, solution.camera)
+    at_projector, projected = view(points, chained, solution.projector)
+    raw = np.concatenate([at_camera - observation.camera_px, at_projector - observation.projector_px])
+    rows, n = len(seen), free
+    shared = np.zeros((2 * rows, 2 * n + 6))
+    shared[:rows, :n] = seen[:, 6 : 6 + n]
+    shared[rows:, n : 2 * n] = projected[:, 6 : 6 + n]
+    shared[rows:, 2 * n :] = projected[:, :6] @ by_pair
+    own = np.concatenate([seen[:, :6], projected[:, :6] @ by_pose])
+    # Moving a point by δ moves it by R δ in the device's frame, as a translation would.
+    by_point = [part[:, 3:6] @ cv2.Rodrigues(at[:3])[0] for part, at in ((seen, pose), (projected, chained))]
+    return raw.ravel(), own, shared, np.concatenate(by_point)

@@ -1,0 +1,120 @@
+"""Projector coordinates at a board's points: a quadric fitted to the pixels around each, without outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from fpplab.core.cholesky import solve_positive
+from fpplab.core.conventions import Floats, Map
+from fpplab.targets import Target
+from fpplab.targets.views import Detection, homography, local_frames, window_pixels
+
+WINDOW = 0.8
+"""Half the side of the local fit's window, in pitches of the board."""
+
+LEAST_PIXELS = 40
+"""Pixels that a local fit of six coefficients needs to reject outliers."""
+
+OFF_CENTRE = 0.35
+"""How far the middle of the valid pixels may be from the point, in half sides of the square."""
+
+OUTLIER = 4 * 1.4826
+"""Residual beyond which a pixel is left out, in medians of the absolute residuals: 4 standard deviations."""
+
+ROUNDS = 4
+"""How often outliers are left out at most."""
+
+
+def coordinates_at_points(maps: Floats, modulation: Map, target: Target, detection: Detection) -> Floats:
+    """Fit the projector coordinates of the points found.
+
+    Parameters
+    ----------
+    maps : Floats
+        (height, width, 2) projector coordinates (u, v) in px, NaN where invalid.
+    modulation : Map
+        (height, width), to which the noise of the coordinates is inversely proportional.
+    target : Target
+        The board.
+    detection : Detection
+        The points.
+
+    Returns
+    -------
+    Floats
+        (K, 2) in projector px; NaN where too little of the map is valid.
+    """
+    board = target.points()[detection.ids, :2]
+    frames = local_frames(homography(target, detection), board)
+    found = np.full((len(board), 2), np.nan)
+    inverses = np.ascontiguousarray(np.linalg.inv(frames))
+    half_mm = WINDOW * min(target.spacing_mm)
+    reaches = half_mm * np.abs(frames).sum(axis=2).max(axis=1)
+    _fit_all(maps, modulation, np.ascontiguousarray(detection.pixels), inverses, half_mm, reaches, found)
+    return found
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _fit_all(
+    maps: Floats,
+    modulation: Map,
+    pixels: Floats,
+    inverses: Floats,
+    half: float,
+    reaches: Floats,
+    found: Floats,
+) -> None:
+    for i in prange(len(pixels)):
+        rows, columns = window_pixels(modulation, pixels[i], inverses[i], half)
+        basis, seen, weight, n = np.empty((len(rows), 6)), np.empty((len(rows), 2)), np.empty(len(rows)), 0
+        for j in range(len(rows)):
+            values, sure = maps[rows[j], columns[j]], float(modulation[rows[j], columns[j]])
+            if not (np.isfinite(values[0]) and np.isfinite(values[1]) and sure > 0.0):
+                continue
+            x, y = (columns[j] - pixels[i, 0]) / reaches[i], (rows[j] - pixels[i, 1]) / reaches[i]
+            row = basis[n]
+            row[0], row[1], row[2], row[3], row[4], row[5] = 1.0, x, y, x * x, x * y, y * y
+            seen[n, 0], seen[n, 1], weight[n], n = values[0], values[1], sure, n + 1
+        _value_at_centre(basis[:n], seen[:n], weight[:n], found[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _value_at_centre(basis: Floats, seen: Floats, weight: Floats, found: Floats) -> None:
+    """Fit a quadric without outliers; its value at the origin is written, or NaN."""
+    used, coefficients = np.ones(len(basis), np.bool_), np.empty((2, 6))
+    misfit = np.empty(seen.shape)
+    for _ in range(ROUNDS):
+        middle = np.hypot(basis[used, 1].mean(), basis[used, 2].mean()) if used.any() else np.inf
+        if (
+            used.sum() < LEAST_PIXELS
+            or middle > OFF_CENTRE
+            or not _fit(basis, seen, weight, used, coefficients)
+        ):
+            found[:] = np.nan
+            return
+        agree = np.ones(len(basis), np.bool_)
+        for k in range(2):
+            misfit[:, k] = np.abs(seen[:, k] - basis @ coefficients[k]) * weight
+            agree &= misfit[:, k] <= OUTLIER * np.median(misfit[used, k]) + 1e-9
+        if np.array_equal(agree, used):
+            break
+        used = agree
+    found[:] = coefficients[:, 0]
+
+
+@njit(cache=True, error_model="numpy")
+def _fit(basis: Floats, seen: Floats, weight: Floats, used: NDArray[np.bool_], coefficients: Floats) -> bool:
+    """Weighted least squares over the pixels used, into `coefficients` (2, 6); whether they determine it."""
+    normal, right = np.zeros((6, 6)), np.zeros((2, 6))
+    for j in range(len(basis)):
+        if used[j]:
+            sure = weight[j] * weight[j]
+            for p in range(6):
+                for q in range(p + 1):
+                    normal[p, q] += sure * basis[j, p] * basis[j, q]
+                right[0, p] += sure * basis[j, p] * seen[j, 0]
+                right[1, p] += sure * basis[j, p] * seen[j, 1]
+    first = solve_positive(normal, right[0], 0.0, coefficients[0])
+    return first and solve_positive(normal, right[1], 0.0, coefficients[1])

@@ -1,0 +1,54 @@
+"""Small symmetric systems solved within compiled loops, where raising an exception is not possible."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fpplab.core.conventions import Floats
+
+
+@njit(cache=True, error_model="numpy")
+def solve_positive(matrix: Floats, right: Floats, damping: float, found: Floats) -> bool:
+    """Solve normal equations by Cholesky's method.
+
+    Parameters
+    ----------
+    matrix : Floats
+        (n, n), symmetric; its lower triangle is read.
+    right : Floats
+        (n,) right-hand side.
+    damping : float
+        By which share the diagonal is increased, as Levenberg and Marquardt do; 0 for none.
+    found : Floats
+        (n,) the solution is written here.
+
+    Returns
+    -------
+    bool
+        False when the matrix is not positive definite; `found` is then undefined.
+    """
+    n = len(right)
+    lower = np.zeros((n, n))
+    for k in range(n):
+        for q in range(k + 1):
+            rest = matrix[k, q] * (1.0 + damping if q == k else 1.0)
+            for r in range(q):
+                rest -= lower[k, r] * lower[q, r]
+            if q < k:
+                lower[k, q] = rest / lower[q, q]
+            elif rest > 1e-14 * matrix[k, k]:
+                lower[k, k] = np.sqrt(rest)
+            else:
+                return False
+    for k in range(n):
+        rest = right[k]
+        for q in range(k):
+            rest -= lower[k, q] * found[q]
+        found[k] = rest / lower[k, k]
+    for k in range(n - 1, -1, -1):
+        rest = found[k]
+        for q in range(k + 1, n):
+            rest -= lower[q, k] * found[q]
+        found[k] = rest / lower[k, k]
+    return True

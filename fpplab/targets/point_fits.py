@@ -1,0 +1,130 @@
+"""Points of a board located by least squares: a brightness model fitted to the pixels around each.
+
+Levenberg-Marquardt with the model's derivatives, over all points in one compiled call. Level, linear
+gradient and gain are parameters like the others, and start from the values that fit the model's start best.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from fpplab.core.cholesky import solve_positive
+from fpplab.core.conventions import Floats
+from fpplab.targets.profiles import PointModel, profile
+from fpplab.targets.views import window_pixels
+
+LEAST_PIXELS = 25
+"""Fewer pixels do not tell the model's parameters."""
+
+ITERATIONS = 100
+FINEST_STEP_PX = 1e-6
+"""The centre has converged when it moves by less."""
+
+
+def fit_centres(level: Floats, pixels: Floats, frames: Floats, model: PointModel) -> Floats:
+    """Fit the model around every point.
+
+    Parameters
+    ----------
+    level : Floats
+        Grey image (height, width).
+    pixels : Floats
+        (K, 2) points (u, v) to about a pixel.
+    frames : Floats
+        (K, 2, 2) Jacobian of the board's homography there in px per mm.
+    model : PointModel
+        What surrounds a point.
+
+    Returns
+    -------
+    Floats
+        (K, 2) centres in px; NaN where there are fewer than `LEAST_PIXELS` pixels, the fit does not
+        converge, or it moves the point by more than half its window.
+    """
+    if not len(pixels):
+        return np.empty((0, 2))
+    starts = np.array([model.start(frame) for frame in frames])
+    inverses, found = np.ascontiguousarray(np.linalg.inv(frames)), np.full((len(pixels), 2), np.nan)
+    near = np.ascontiguousarray(pixels)
+    _fit_all(level, near, inverses, model.half_mm, int(model.surroundings), starts, found)
+    return found
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _fit_all(
+    level: Floats, pixels: Floats, inverses: Floats, half: float, kind: int, starts: Floats, found: Floats
+) -> None:
+    for i in prange(len(pixels)):
+        rows, columns = window_pixels(level, pixels[i], inverses[i], half)
+        if len(rows) < LEAST_PIXELS:
+            continue
+        values = np.empty(len(rows))
+        for j in range(len(rows)):
+            values[j] = level[rows[j], columns[j]]
+        x, y = columns - pixels[i, 0], rows - pixels[i, 1]
+        theta = np.zeros(starts.shape[1] + 4)
+        theta[:-4] = starts[i]
+        converged = _fit(kind, theta, x, y, values)
+        shift = inverses[i] @ theta[:2]
+        if converged and np.abs(shift).max() <= 0.5 * half:
+            found[i] = pixels[i] + theta[:2]
+
+
+@njit(cache=True, error_model="numpy")
+def _fit(kind: int, theta: Floats, x: Floats, y: Floats, values: Floats) -> bool:
+    """Fit θ in place; whether it converged."""
+    n = len(theta)
+    normal, gradient, step = np.empty((n, n)), np.empty(n), np.zeros(n)
+    _equations(kind, theta, x, y, values, normal, gradient)
+    if not solve_positive(normal[-4:, -4:].copy(), gradient[-4:].copy(), 0.0, step[-4:]):
+        return False
+    theta += step
+    cost, damping = _equations(kind, theta, x, y, values, normal, gradient), 1e-3
+    trial_normal, trial_gradient = np.empty((n, n)), np.empty(n)
+    for _ in range(ITERATIONS):
+        if not solve_positive(normal, gradient, damping, step):
+            return False
+        trial = theta + step
+        trial_cost = _equations(kind, trial, x, y, values, trial_normal, trial_gradient)
+        ended = abs(step[0]) < FINEST_STEP_PX and abs(step[1]) < FINEST_STEP_PX
+        if trial_cost <= cost:
+            ended = ended and cost - trial_cost <= 1e-6 * cost
+            theta[:], cost = trial, trial_cost
+            normal[:], gradient[:] = trial_normal, trial_gradient
+            damping = max(0.1 * damping, 1e-12)
+        else:
+            damping *= 10.0
+        if ended:
+            return bool(np.isfinite(cost))
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _equations(
+    kind: int, theta: Floats, x: Floats, y: Floats, values: Floats, normal: Floats, gradient: Floats
+) -> float:
+    """Compute the normal equations; the sum of squares is returned."""
+    n = len(theta)
+    m = n - 4
+    row, cost = np.empty(n), 0.0
+    normal[:], gradient[:] = 0.0, 0.0
+    for i in range(len(x)):
+        shape, varies = profile(kind, theta[:m], x[i], y[i], row[:m])
+        row[m], row[m + 1], row[m + 2], row[m + 3] = 1.0, x[i], y[i], shape
+        misfit = values[i] - theta[n - 1] * shape
+        misfit -= theta[m] + theta[m + 1] * x[i] + theta[m + 2] * y[i]
+        cost += misfit * misfit
+        first = m
+        if varies:
+            first = 0
+            for k in range(m):
+                row[k] *= theta[n - 1]
+        for k in range(first, n):
+            gradient[k] += row[k] * misfit
+            for q in range(first, k + 1):
+                normal[k, q] += row[k] * row[q]
+    for k in range(n):
+        for q in range(k):
+            normal[q, k] = normal[k, q]
+    return cost
