@@ -72,14 +72,14 @@ def characterisation_figures(kind: str, poses: int = POSES) -> list[Result]:
     target = Target.load(name)
     with tempfile.TemporaryDirectory(prefix="fpplab-bench-") as folder:
         sessions = [
-            recorded(Path(folder) / f"pose_{k:02d}", target, pose)
+            record_pose(Path(folder) / f"pose_{k:02d}", target, pose)
             for k, pose in enumerate(tilted(poses, distance_mm))
         ]
         characterise_sessions(sessions[:4], target)  # compiles, and fills the page cache
         begin = time.perf_counter()
         characterise_sessions(sessions, target)
         between = time.perf_counter()
-        straightforward(sessions, target)
+        opencv_characterisation(sessions, target)
         end = time.perf_counter()
     ours, theirs = (between - begin) / poses, (end - between) / poses
     beside = Result(f"characterise_pose_{kind}", ours, "s", theirs, theirs / ours)
@@ -122,7 +122,7 @@ def tilted(count: int, distance_mm: float) -> list[RigidTransform]:
     return [RigidTransform.from_vectors(t, p) for t, p in zip(tilts, places, strict=True)]
 
 
-def recorded(path: Path, target: Target, pose: RigidTransform) -> Session:
+def record_pose(path: Path, target: Target, pose: RigidTransform) -> Session:
     """Record what the camera sees of a board, blurred, with noise of about one grey level.
 
     Parameters
@@ -166,7 +166,7 @@ def recorded(path: Path, target: Target, pose: RigidTransform) -> Session:
     return session
 
 
-def straightforward(sessions: Sequence[Session], target: Target) -> Floats:
+def opencv_characterisation(sessions: Sequence[Session], target: Target) -> Floats:
     """Read, decode, find the board and calibrate as one writes it down: the baseline.
 
     Parameters

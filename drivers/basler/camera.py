@@ -17,7 +17,7 @@ from pypylon import genicam, pylon
 from drivers.basler import features as named
 from drivers.basler.features import US_PER_S, Features
 from drivers.basler.frames import SPARE, BufferPool
-from drivers.basler.gain import Gain
+from drivers.basler.gain import CameraGain
 from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions, TriggerLine
 from drivers.basler.transport import Pylon
 from fpplab.core import config
@@ -125,7 +125,7 @@ class BaslerCamera(Camera):
         self._camera = self._transport.attach(connected[serial])
         self._camera.Open()
         self._features = Features(self.name, self._camera)
-        self._gain = Gain(self._features, self._options.raw_gain)
+        self._gain = CameraGain(self._features, self._options.raw_gain)
         self._first_block = FIRST_BLOCK.get(self._camera.GetDeviceInfo().GetDeviceClass(), 0)
         self._ticks_per_s = float(self._features.read(named.TICKS_PER_S) or NS_PER_S)
         if self._options.features is not None:

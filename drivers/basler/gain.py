@@ -13,7 +13,7 @@ from drivers.basler.features import GAIN_DB, GAIN_RAW, Features
 from drivers.basler.options import RawGain
 
 
-class Gain:
+class CameraGain:
     """The gain of one open camera.
 
     Parameters
