@@ -36,6 +36,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import DepthSection, Mounted, Rig
+from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.response import Response
@@ -186,6 +187,8 @@ def reconstruct(
         The plan cannot be unwrapped in this range of depths, or needs one and has none.
     DataError
         Frames are missing, damaged or out of step with the plan.
+    UselessScanError
+        No pixel has a projector coordinate; it says why.
     """
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
@@ -197,6 +200,9 @@ def reconstruct(
     plan = recording.plan
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
+    if not any(np.isfinite(values).any() for values in (decoded.u, decoded.v)):
+        maps_ready(decoded)
+        raise UselessScanError(str(session.path), diagnose_scan(recording, decoded, None, calibration))
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
     maps_ready(decoded)
     noise = coordinate_noise(decoded)
@@ -293,10 +299,35 @@ def check_plan(
     check_unwrapping(plan, source, {axis: widest(bounds, axis, size) for axis in plan.axes})
 
 
+def diagnose(session: Session, decoded: Decoded, cloud: Cloud, calibration: Calibration) -> Diagnosis:
+    """Judge whether to believe a reconstruction.
+
+    Parameters
+    ----------
+    session : Session
+        What was reconstructed.
+    decoded : Decoded
+        Its projector coordinates.
+    cloud : Cloud
+        Its points.
+    calibration : Calibration
+        Of the rig that took it.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict and findings.
+    """
+    return diagnose_scan(session.recording(verify=False), decoded, cloud, calibration)
+
+
 def finish_scan(
-    session: Session, calibration: Calibration, progress: Progress = no_progress
+    session: Session,
+    calibration: Calibration,
+    progress: Progress = no_progress,
+    judged: Callable[[Decoded, Cloud, Diagnosis], object] | None = None,
 ) -> tuple[Decoded, Cloud]:
-    """Reconstruct a complete session and leave every result in it.
+    """Reconstruct a complete session and leave every result in it; a cloud that is useless is not written.
 
     Parameters
     ----------
@@ -306,6 +337,9 @@ def finish_scan(
         Of the rig that took it; a copy is left in the session.
     progress : callable
         Told the share done, 0 … 1.
+    judged : callable, optional
+        Given the maps, the points and the verdict on them, also where they are useless, before they are
+        written.
 
     Returns
     -------
@@ -318,6 +352,8 @@ def finish_scan(
     ------
     CalibrationError, DataError
         As `reconstruct`.
+    UselessScanError
+        Nobody should use the points; it says why.
     """
     with ThreadPoolExecutor(1) as writer:  # the disk has time until the cloud is known
         saved: list[Future[None]] = []
@@ -327,6 +363,10 @@ def finish_scan(
 
         decoded, cloud = reconstruct(session, calibration, progress, maps_ready=save)
         saved[0].result()  # a cloud is not written where its maps could not be
+        diagnosis = diagnose(session, decoded, cloud, calibration)
+        if judged is not None:
+            judged(decoded, cloud, diagnosis)
+        diagnosis.require_usable(str(session.path))
         save_cloud(cloud, session.path / CLOUD)
     calibration.save(session.path / CALIBRATION)
     return decoded, cloud

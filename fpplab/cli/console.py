@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -151,7 +151,7 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     try:
         command()
     except FppError as error:
-        _fail(str(error), error.exit_code, as_json)
+        _fail(str(error), error.exit_code, as_json, error.details)
     except SystemExit as end:  # wrong usage has been explained on stderr
         if as_json and end.code and not isinstance(end, Answered):
             _answer_fault("wrong usage; see stderr", int(end.code))
@@ -170,10 +170,12 @@ TRACEBACK = "FPPLAB_TRACEBACK"
 """The environment variable that has unforeseen faults shown with their traceback."""
 
 
-def _fail(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
+def _fail(
+    sentence: str, exit_code: int, as_json: bool, details: Mapping[str, object] | None = None
+) -> NoReturn:
     say(f"fpplab: {sentence}")
     if as_json:
-        _answer_fault(sentence, exit_code)
+        _answer_fault(sentence, exit_code, details)
     if exit_code == Cancelled.exit_code:
         # Everything is closed by now. What an interruption has torn out of native code is not
         # taken down piece by piece as well: that has crashed.
@@ -183,5 +185,6 @@ def _fail(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
     sys.exit(exit_code)
 
 
-def _answer_fault(sentence: str, exit_code: int) -> None:
-    sys.stdout.write(json.dumps({"error": sentence, "exit_code": exit_code}) + "\n")
+def _answer_fault(sentence: str, exit_code: int, details: Mapping[str, object] | None = None) -> None:
+    fault = {"error": sentence, "exit_code": exit_code, **(details or {})}
+    sys.stdout.write(json.dumps(fault, default=_plain) + "\n")

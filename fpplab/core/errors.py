@@ -9,9 +9,21 @@ from __future__ import annotations
 
 
 class FppError(Exception):
-    """Base of every foreseeable error."""
+    """Base of every foreseeable error.
+
+    Attributes
+    ----------
+    exit_code : int
+        Of a command that ends with it.
+    details : dict of str to object
+        Further figures for `--json`.
+    """
 
     exit_code = 1
+
+    def __init__(self, *words: object) -> None:
+        super().__init__(*words)
+        self.details: dict[str, object] = {}
 
 
 class ConfigError(FppError):

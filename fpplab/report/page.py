@@ -22,6 +22,7 @@ from fpplab.comparison import Comparison
 from fpplab.core.conventions import Axis, Floats, Image, Map
 from fpplab.core.files import write_text
 from fpplab.core.version import __version__
+from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.depth_range import DepthRange
@@ -56,6 +57,8 @@ class ScanSection:
         Pixels left out for an uncertain fringe order, by the fringe set that is the cause.
     depth : DepthRange or None
         The range of depths that the scan was reconstructed with.
+    diagnosis : Diagnosis or None
+        Whether to believe it.
     """
 
     name: str
@@ -68,6 +71,7 @@ class ScanSection:
     bits: int = 8
     uncertain_orders: dict[str, int] | None = None
     depth: DepthRange | None = None
+    diagnosis: Diagnosis | None = None
 
 
 def write_report(
@@ -115,7 +119,7 @@ def write_report(
     if judgement:
         sections.append(devices.judgement_section(judgement))
     sections += [_scan_section(scan) for scan in scans]
-    write_page(path, title, _summary(characterisation, scans), sections, facts, when)
+    write_page(path, title, [*_verdicts(scans), *_summary(characterisation, scans)], sections, facts, when)
 
 
 def write_page(
@@ -192,6 +196,21 @@ ROUGHNESS = (
     "Roughness: median distance of a point from the quadric fitted to its neighbours. "
     "Noise: median standard deviation along the ray, as predicted from the fringes."
 )
+
+
+def _verdicts(scans: Sequence[ScanSection]) -> list[ReportTable]:
+    """Whether to believe each scan, and why not."""
+    tables = []
+    for scan in scans:
+        if (diagnosis := scan.diagnosis) is None:
+            continue
+        rows = [(f"Verdict: {diagnosis.verdict.value}", diagnosis.reason, "")]
+        rows += [
+            (f["cause"], f["evidence"], f["remedy"]) for f in (one.summary() for one in diagnosis.findings)
+        ]
+        unchecked = f"Not checked: {'; '.join(diagnosis.unknown)}." if diagnosis.unknown else ""
+        tables.append(ReportTable((scan.name, "Evidence", "Remedy"), tuple(rows), unchecked, words=True))
+    return tables
 
 
 def _summary(characterisation: Characterisation | None, scans: Sequence[ScanSection]) -> list[ReportTable]:

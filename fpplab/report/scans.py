@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
+from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded, wrapped_phase
 from fpplab.phase.precision import uncertain_orders
 from fpplab.reconstruction.depth_range import DepthRange
@@ -14,7 +15,12 @@ from fpplab.sessions.session import Session
 
 
 def write_scan_report(
-    path: Path, session: Session, decoded: Decoded, cloud: Cloud, depth: DepthRange | None = None
+    path: Path,
+    session: Session,
+    decoded: Decoded,
+    cloud: Cloud,
+    depth: DepthRange | None = None,
+    diagnosis: Diagnosis | None = None,
 ) -> None:
     """Write the figures of one scan as an HTML page.
 
@@ -30,6 +36,8 @@ def write_scan_report(
         Its points.
     depth : DepthRange, optional
         The range of depths that it was reconstructed with.
+    diagnosis : Diagnosis, optional
+        Whether to believe it.
 
     Raises
     ------
@@ -37,7 +45,8 @@ def write_scan_report(
         The file cannot be written, or there is nothing to draw.
     """
     name = session.path.name
-    write_report(path, f"Scan {name}", scans=[scan_section(name, session, decoded, cloud, depth=depth)])
+    section = scan_section(name, session, decoded, cloud, depth=depth, diagnosis=diagnosis)
+    write_report(path, f"Scan {name}", scans=[section])
 
 
 def scan_section(
@@ -47,6 +56,7 @@ def scan_section(
     cloud: Cloud,
     comparison: Comparison | None = None,
     depth: DepthRange | None = None,
+    diagnosis: Diagnosis | None = None,
 ) -> ScanSection:
     """Make the section of one scan: the finest fringes along the first axis, and the results.
 
@@ -64,6 +74,8 @@ def scan_section(
         With the true shape, where it is known.
     depth : DepthRange, optional
         The range of depths that it was reconstructed with.
+    diagnosis : Diagnosis, optional
+        Whether to believe it.
 
     Returns
     -------
@@ -84,4 +96,5 @@ def scan_section(
         bits=recording.bits,
         uncertain_orders=uncertain_orders(decoded, session.plan),
         depth=depth,
+        diagnosis=diagnosis,
     )

@@ -27,8 +27,9 @@ def reconstruct_command(
 ) -> None:
     """The cloud of a recorded session: `.ply` (with normals and colour), `.xyz` or `.npz`.
 
-    A report with its pictures is left beside it. `removed` says how many points the plan's filter took out,
-    by rule.
+    A report with its pictures is left beside it. `verdict` says whether to believe the points, `findings` why
+    not; useless points are not written, and the exit code is 4. `removed` says how many points the plan's
+    filter took out, by rule.
     """
     from fpplab import pipeline
     from fpplab.calibration.model import Calibration
@@ -48,9 +49,12 @@ def reconstruct_command(
     used = pipeline.depth_range_of(recorded, depth)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering, depth_mm=depth)
+        diagnosis = pipeline.diagnose(recorded, decoded, cloud, known)
+        write_scan_report(page, recorded, decoded, cloud, used, diagnosis)
+        diagnosis.require_usable(str(session))
         save_cloud(cloud, out)
-        write_scan_report(page, recorded, decoded, cloud, used)
     result = {
+        **diagnosis.summary(),
         "points": len(cloud.points),
         "removed": removal(decoded),
         "depth_range": asdict(used) if used else None,

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, PlanName, RigName, app
+
+if TYPE_CHECKING:
+    from fpplab.clouds import Cloud
+    from fpplab.diagnosis import Diagnosis
+    from fpplab.phase import Decoded
 
 
 @app.command("scan", rich_help_panel=MEASURE)
@@ -30,7 +35,9 @@ def scan_command(
     """Measure: project the plan, and leave the session with its cloud in OUT.
 
     An interrupted scan is completed by the same command. OUT holds the frames, `decoded.npz`,
-    `cloud.ply` and `report.html`. `removed` says how many points the plan's filter took out, by rule.
+    `cloud.ply` and `report.html`. `verdict` says whether to believe the points, `findings` why not; useless
+    points are not written, and the exit code is 4. `removed` says how many points the plan's filter took out,
+    by rule.
 
     Example: `fpplab scan --rig rig_demo --calibration calibration.yaml --item pyramid --out pyramid`
     """
@@ -55,6 +62,7 @@ def scan_command(
 
         # Only now the heavy modules: wrong input is told at once.
         from fpplab.core.progress import ignore
+        from fpplab.diagnosis import UselessScanError
         from fpplab.phase.precision import uncertain_orders
         from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
         from fpplab.reconstruction.filtering import removal
@@ -83,9 +91,17 @@ def scan_command(
             )
         with console.progress("Reconstructing") as report:
             used = depth_range_of(session, depth)
-            decoded, cloud = finish_scan(session, known, report)
-            write_scan_report(out / REPORT, session, decoded, cloud, used)
+            judged: list[tuple[Decoded, Cloud, Diagnosis]] = []
+            try:
+                finish_scan(session, known, report, lambda *results: judged.append(results))
+            except UselessScanError:
+                for results in judged:
+                    write_scan_report(out / REPORT, session, *results[:2], used, results[2])
+                raise
+            ((decoded, cloud, diagnosis),) = judged
+            write_scan_report(out / REPORT, session, decoded, cloud, used, diagnosis)
         result = {
+            **diagnosis.summary(),
             "points": len(cloud.points),
             "images": wanted.images,
             "removed": removal(decoded),

@@ -1,0 +1,15 @@
+"""What is wrong with a scan, by its own frames and points, and whether to believe the result."""
+
+from fpplab.diagnosis.catalogue import REMEDIES, Cause, ScanFinding
+from fpplab.diagnosis.verdict import Diagnosis, UselessScanError, Verdict, diagnose_frames, diagnose_scan
+
+__all__ = [
+    "REMEDIES",
+    "Cause",
+    "Diagnosis",
+    "ScanFinding",
+    "UselessScanError",
+    "Verdict",
+    "diagnose_frames",
+    "diagnose_scan",
+]

@@ -1,0 +1,337 @@
+"""Causes that are seen in the frames: light, focus, response, motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fpplab.core.conventions import TWO_PI, Floats
+from fpplab.diagnosis.catalogue import Cause, ScanFinding
+from fpplab.diagnosis.sample import FrameSample
+
+DARK_SIGMAS = 10.0
+"""Fringes weaker than so many times their noise are none."""
+
+LEAST_COHERENCE = 0.5
+"""Likeness of neighbours' fringes below which they are noise."""
+
+LEAST_LEVELS = 0.5
+"""Modulation in 8-bit grey levels below which there are no fringes, whatever the noise."""
+
+LEAST_LIT = 0.01
+"""Least share of the image that the fringes should light."""
+
+MOST_SATURATED = 0.05
+"""Greatest share of the lit pixels that may be saturated: highlights."""
+
+LEAST_PEAK = 0.12
+"""Least share of full scale that the brightest lit pixels should reach."""
+
+MOST_AMBIENT = 1.0
+"""Greatest share of other light, of the fringes' modulation: noise of photons grows by the root of both."""
+
+LEAST_CONTRAST = 0.5
+"""Least contrast of the finest fringes, as a share of that of a rig in focus."""
+
+FOCUSED_PX = 0.9
+"""Blur of a rig in focus in projector px: half a mirror of the projector's lens, and the camera's share."""
+
+BLURRED_PX = 2.5
+"""Blur of the camera's image in px that is out of focus."""
+
+EDGE_CONTRAST = 0.25
+"""Least range of grey levels in a tile, of the brightest, that is an edge."""
+
+LEAST_HARMONIC_RAD = 0.03
+"""Phase error by the response that is worth telling, in rad RMS."""
+
+MOST_HARMONICS = 0.15
+"""Harmonics as a share of the fringes beyond which pixels are masked as no sinusoids, or soon will be."""
+
+LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
+"""Fewest pixels that tell a ripple, and how unevenly they may be spread over its period."""
+
+LEAST_FLICKER_RAD = 0.02
+"""Phase error by flicker that is worth telling, in rad RMS."""
+
+MOST_SHIFT_PX = 0.15
+"""Motion between fringe sets that is told, in camera px."""
+
+SHIFT_SIGMAS = 8.0
+"""And so many times its standard uncertainty."""
+
+
+def light_findings(sample: FrameSample) -> Iterator[ScanFinding]:
+    """Look for what is wrong with the frames.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Yields
+    ------
+    ScanFinding
+        In no order.
+    """
+    darkness = _darkness(sample)
+    if darkness is not None:
+        yield darkness
+        return
+    for measure in (_saturation, _exposure, _ambient, _response):
+        finding = measure(sample)
+        if finding is not None:
+            yield finding
+    motion, flicker = _motion(sample), _flicker(sample)
+    if motion is not None:
+        yield motion
+    if flicker is not None:
+        # Edges that move change the brightness of frames as well.
+        yield flicker if motion is None else replace(flicker, excess=min(flicker.excess, 0.9 * motion.excess))
+
+
+def _darkness(sample: FrameSample) -> ScanFinding | None:
+    """No fringes at all, or hardly anywhere."""
+    noise = float(np.median(sample.noise(sample.widest.offset)))
+    strength = sample.strongest / noise
+    incoherent = strength < DARK_SIGMAS and sample.coherence < LEAST_COHERENCE
+    if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
+        words = (
+            f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
+            f"noise (at least {DARK_SIGMAS:g})"
+        )
+        return ScanFinding(Cause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
+    share = float(sample.lit.mean())
+    if share < LEAST_LIT:
+        words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
+        return ScanFinding(Cause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
+    return None
+
+
+def _saturation(sample: FrameSample) -> ScanFinding | None:
+    share = float(sample.saturated[sample.lit].mean())
+    if share <= MOST_SATURATED:
+        return None
+    words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
+    return ScanFinding(Cause.SATURATED, words, share / MOST_SATURATED)
+
+
+def _exposure(sample: FrameSample) -> ScanFinding | None:
+    peak = float(np.percentile(sample.spread.max(axis=0)[sample.lit], 98)) / 255.0
+    if peak >= LEAST_PEAK:
+        return None
+    words = f"the brightest parts reach {100 * peak:.1f} % of full scale (at least {100 * LEAST_PEAK:g} %)"
+    return ScanFinding(Cause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
+
+
+def _ambient(sample: FrameSample) -> ScanFinding | None:
+    if not sample.measured.any():
+        return None
+    fit = sample.widest
+    other = float(np.median((fit.offset - fit.modulation)[sample.measured]))
+    fringes = float(np.median(fit.modulation[sample.measured]))
+    if other <= MOST_AMBIENT * fringes:
+        return None
+    words = (
+        f"{other:.0f} grey levels of light do not change with the fringes, whose modulation is "
+        f"{fringes:.0f}; noise is {math.sqrt(1.0 + other / fringes):.1f} times as large as without (at most "
+        f"{math.sqrt(1.0 + MOST_AMBIENT):.1f})"
+    )
+    return ScanFinding(Cause.AMBIENT, words, other / fringes / MOST_AMBIENT)
+
+
+def _response(sample: FrameSample) -> ScanFinding | None:
+    plan = sample.recording.plan
+    errors = sample.errors.sets[plan.finest_set()]
+    of_waves = [
+        float(np.nan_to_num(np.hypot(*one.harmonics[:2]))) for one in sample.errors.sets if one.images > 3
+    ]
+    if of_waves and max(of_waves) > MOST_HARMONICS:
+        words = (
+            f"harmonics of the response are {100 * max(of_waves):.0f} % of the fringes (at most "
+            f"{100 * MOST_HARMONICS:g} %)"
+        )
+        return ScanFinding(Cause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
+    rad = float(np.nanmax([0.0, errors.harmonic_rad, *_ripples(sample)]))
+    return _phase_error(sample, Cause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
+
+
+def _ripples(sample: FrameSample) -> Iterator[float]:
+    """Phase error in rad RMS, N times in a period, of wider sets of as many images N as the finest.
+
+    Three images show no harmonics by themselves; the coordinate, in which the finest set has most weight,
+    tells which phase each wider set should have.
+    """
+    recording = sample.recording
+    for k, fringe in enumerate(recording.plan.fringes):
+        finest = recording.plan.fringes[recording.plan.finest_set(fringe.axis)]
+        known = sample.coordinates.get(fringe.axis)
+        if known is None or fringe.images != finest.images or fringe.stripes > 0.5 * finest.stripes:
+            continue
+        size = recording.projector_size["xy".index(fringe.axis)]
+        position = (known[:: sample.step, :: sample.step].astype(np.float64) + 0.5) / size
+        used = sample.measured & np.isfinite(position)
+        if used.sum() < LEAST_RIPPLED:
+            continue
+        expected = TWO_PI * fringe.stripes * position[used]
+        off = np.exp(1j * (sample.fits[k].phase[used] - expected))
+        off = np.angle(off * np.conj(off.mean()))
+        wave = np.exp(1j * fringe.images * expected)
+        if np.abs(wave.mean()) < MOST_UNEVEN:
+            yield float(math.sqrt(2.0) * np.abs(np.mean((off - off.mean()) * wave)))
+
+
+def _flicker(sample: FrameSample) -> ScanFinding | None:
+    plan, fit = sample.recording.plan, sample.widest
+    errors = sample.errors.sets[plan.finest_set()]
+    if not sample.measured.any() or math.isnan(errors.gain_first):
+        return None
+    offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
+    power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
+    return _phase_error(
+        sample, Cause.FLICKER, math.sqrt(power), LEAST_FLICKER_RAD, "frames of unequal brightness"
+    )
+
+
+def _phase_error(
+    sample: FrameSample, cause: Cause, rad: float, least_rad: float, what: str
+) -> ScanFinding | None:
+    """An error of the phase that matters beside the noise."""
+    if not sample.measured.any() or not rad > least_rad:
+        return None
+    fit, steps = sample.widest, sample.recording.plan.fringes[sample.recording.plan.finest_set()].images
+    offset = float(np.median(fit.offset[sample.measured]))
+    modulation = float(np.median(fit.modulation[sample.measured]))
+    noise = math.sqrt(2.0 / steps * float(sample.errors.noise.variance(offset))) / modulation
+    limit = max(least_rad, noise)
+    if rad <= limit:
+        return None
+    words = (
+        f"{what} shift the phase by {rad:.3f} rad RMS, where noise does by {noise:.3f} (at most {limit:.3f})"
+    )
+    return ScanFinding(cause, words, rad / limit)
+
+
+def _motion(sample: FrameSample) -> ScanFinding | None:
+    """Displacement between the offsets of the fringe sets, which show the same scene."""
+    offsets = sample.offsets_in_tiles
+    worst, words = 0.0, ""
+    for k in range(1, len(offsets)):
+        shift, sigma = _displacement(offsets[0], offsets[k])
+        if shift > SHIFT_SIGMAS * sigma and shift > worst:
+            worst = shift
+            limit = f"at most {MOST_SHIFT_PX:g} px"
+            words = f"the scene moved by {shift:.2f} px between fringe sets 1 and {k + 1} ({limit})"
+    return ScanFinding(Cause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
+
+
+def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
+    """Displacement in px between pictures (T, rows, columns), and its uncertainty, by least squares."""
+    v, u = (np.gradient(one, axis=k)[:, 1:-1, 1:-1] for k in (1, 2))
+    inner, change = one[:, 1:-1, 1:-1], (other - one)[:, 1:-1, 1:-1]
+    basis = np.stack([u.ravel(), v.ravel(), inner.ravel(), np.ones(inner.size)], axis=1)
+    normal = basis.T @ basis + 1e-9 * np.eye(4)
+    best = np.linalg.solve(normal, basis.T @ change.ravel())
+    left = change.ravel() - basis @ best
+    known = np.linalg.inv(normal)[:2, :2] * left.var()
+    return float(np.hypot(*best[:2])), float(np.sqrt(np.trace(known)))
+
+
+def fringe_blur_px(sample: FrameSample, axis: str) -> tuple[float, float] | None:
+    """Estimate the blur of the fringes from the modulation of the finest set beside the widest.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+    axis : str
+        "x" or "y".
+
+    Returns
+    -------
+    blur_px : float
+        Standard deviation of a Gaussian in projector px; 0 where the finest are as strong as the widest.
+    contrast : float
+        Modulation of the finest over that of the widest.
+        None is returned instead of both where the axis has one number of stripes.
+    """
+    plan, size = sample.recording.plan, sample.recording.projector_size
+    sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
+    frequency = {k: plan.fringes[k].stripes / size["xy".index(axis)] for k in sets}
+    if len(sets) < 2 or not sample.measured.any():
+        return None
+    wide, fine = min(sets, key=frequency.__getitem__), max(sets, key=frequency.__getitem__)
+    if frequency[fine] < 1.5 * frequency[wide]:
+        return None
+    ratios = sample.fits[fine].modulation[sample.measured] / sample.fits[wide].modulation[sample.measured]
+    contrast = float(np.median(ratios))
+    square = -math.log(min(max(contrast, 1e-3), 1.0)) / (2 * math.pi**2)
+    return math.sqrt(square / (frequency[fine] ** 2 - frequency[wide] ** 2)), contrast
+
+
+def edge_blur_px(sample: FrameSample) -> float | None:
+    """Estimate the blur of the camera's image from its sharpest strong edges.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Returns
+    -------
+    float or None
+        Standard deviation of a Gaussian in camera px; None where there is no strong edge.
+    """
+    mean = sample.offsets_in_tiles.mean(axis=0)
+    brightest = float(np.percentile(sample.widest.offset, 98))
+    widths = []
+    for tile in mean:
+        low, high = np.percentile(tile, (2, 98))
+        if high - low < EDGE_CONTRAST * brightest:
+            continue
+        steepest = float(np.percentile(np.hypot(*np.gradient(tile)), 99))
+        widths.append((high - low) / steepest / math.sqrt(2 * math.pi))
+    return float(np.percentile(widths, 20)) if len(widths) >= 2 else None
+
+
+def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> ScanFinding | None:
+    """Tell which lens is out of focus.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+    projector_px_per_px : float or None
+        How many projector px one camera px covers; None where it is not known.
+
+    Returns
+    -------
+    ScanFinding or None
+        None where the fringes have the contrast of a rig in focus.
+    """
+    seen = [
+        (found, axis)
+        for axis in sample.recording.plan.axes
+        if (found := fringe_blur_px(sample, axis)) is not None
+    ]
+    if not seen:
+        return None
+    (blur, contrast), axis = max(seen)
+    plan, size = sample.recording.plan, sample.recording.projector_size
+    frequency = plan.fringes[plan.finest_set(axis)].stripes / size["xy".index(axis)]
+    sharp = math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)
+    edge = edge_blur_px(sample)
+    scale = projector_px_per_px or 1.0
+    of_camera = edge is not None and edge > BLURRED_PX and scale * edge > 0.6 * blur
+    if contrast >= LEAST_CONTRAST * sharp and not (of_camera and blur > 0.7 * scale * BLURRED_PX):
+        return None
+    cause = Cause.CAMERA_FOCUS if of_camera else Cause.PROJECTOR_FOCUS
+    edges = "there are no edges to compare with" if edge is None else f"edges in the image by {edge:.1f} px"
+    words = (
+        f"the finest fringes have {100 * contrast:.0f} % of the widest ones' contrast ({100 * sharp:.0f} % "
+        f"in focus): blurred by {blur:.1f} projector px; {edges}"
+    )
+    return ScanFinding(cause, words, max(LEAST_CONTRAST * sharp / max(contrast, 1e-3), 1.0))

@@ -1,0 +1,189 @@
+"""A sample of a recording's pixels: spread over the image, and whole tiles where there are edges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.robust import robust_spread
+from fpplab.patterns.recording import Recording
+from fpplab.phase.error_model import ErrorModel, error_model_of
+
+SPREAD_PIXELS = 40_000
+"""Pixels of the sample that is spread over the image, about."""
+
+TILE_PX, TILES = 64, 20
+"""Side of a tile in px, and how many there are at most."""
+
+LIT_SHARE = 0.15
+"""A pixel is lit where its fringes are at least this share of the strongest ones."""
+
+LIT_SIGMAS = 8.0
+"""And at least so many times their own noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetFit:
+    """The sinusoid of one fringe set at some pixels, in 8-bit grey levels.
+
+    Attributes
+    ----------
+    offset : ndarray of float64
+        A, shaped as the pixels.
+    modulation : ndarray of float64
+        B, of the same shape.
+    phase : ndarray of float64
+        Phase in rad, of the same shape.
+    """
+
+    offset: Floats
+    modulation: Floats
+    phase: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSample:
+    """Pixels of a recording.
+
+    Attributes
+    ----------
+    recording : Recording
+        Whose they are.
+    coordinates : dict of str to ndarray of float32, (height, width)
+        Projector coordinates in px by axis, NaN where they are not measured; empty where none are known.
+    """
+
+    recording: Recording
+    coordinates: dict[str, Map] = field(default_factory=dict)
+
+    @cached_property
+    def step(self) -> int:
+        """Distance in px between neighbours of the pixels that are spread over the image."""
+        height, width = self.recording.frames[0].shape
+        return max(1, int(np.sqrt(height * width / SPREAD_PIXELS)))
+
+    @cached_property
+    def spread(self) -> Floats:
+        """(K, rows, columns) grey levels of every frame at the pixels spread over the image."""
+        picked = [frame[:: self.step, :: self.step] for frame in self.recording.frames]
+        return np.asarray(self.recording.grey * np.stack(picked).astype(np.float64))
+
+    @cached_property
+    def fits(self) -> list[SetFit]:
+        """Each fringe set at the pixels spread over the image."""
+        return self._fitted(self.spread)
+
+    @cached_property
+    def tiles(self) -> Floats:
+        """(K, T, side, side) grey levels of every frame in whole tiles, those with most contrast."""
+        height, width = self.recording.frames[0].shape
+        side, mean = min(TILE_PX, height, width), np.mean([fit.offset for fit in self.fits], axis=0)
+        corners = [
+            (top, left)
+            for top in range(0, height - side + 1, side)
+            for left in range(0, width - side + 1, side)
+        ]
+        ranges = [
+            np.ptp(np.percentile(mean[_part(top, side, self.step), _part(left, side, self.step)], (5, 95)))
+            for top, left in corners
+        ]
+        chosen = [corners[i] for i in np.argsort(ranges)[::-1][:TILES]]
+        cut = [[f[t : t + side, x : x + side] for t, x in chosen] for f in self.recording.frames]
+        return self.recording.grey * np.array(cut, np.float64)
+
+    @cached_property
+    def offsets_in_tiles(self) -> Floats:
+        """(sets, T, side, side) offset A of each fringe set in the tiles."""
+        return np.stack([fit.offset for fit in self._fitted(self.tiles)])
+
+    def _fitted(self, frames: Floats) -> list[SetFit]:
+        found = []
+        for (a, b), fringe in zip(
+            pairwise(self.recording.plan.set_starts), self.recording.plan.fringes, strict=True
+        ):
+            shift = fringe.phase_shifts()
+            waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+            offset, c, s = np.tensordot(np.linalg.pinv(waves), frames[a:b], axes=1)
+            found.append(SetFit(offset, np.hypot(c, s), np.arctan2(s, c)))
+        return found
+
+    @cached_property
+    def errors(self) -> ErrorModel:
+        """Noise of the grey levels, and errors common to all pixels of one phase."""
+        return error_model_of(self.recording)
+
+    @cached_property
+    def saturated(self) -> Mask:
+        """(rows, columns) which of the pixels spread over the image any frame shows saturated."""
+        return np.asarray(self.spread.max(axis=0) >= self.recording.grey * self.errors.saturation)
+
+    @cached_property
+    def strongest(self) -> float:
+        """Modulation in grey levels of the best lit pixels: the 99th percentile in the widest fringes."""
+        return float(np.percentile(self.widest.modulation, 99))
+
+    @cached_property
+    def widest(self) -> SetFit:
+        """The set of the widest fringes, which blur changes least."""
+        return self.fits[self._widest]
+
+    @cached_property
+    def _widest(self) -> int:
+        return int(np.argmin([fringe.stripes for fringe in self.recording.plan.fringes]))
+
+    @cached_property
+    def noise_level(self) -> float:
+        """Noise of a grey level at the tiles' mean level, from neighbouring pixels: motion is no noise."""
+        first = self.recording.plan.set_starts[self._widest]
+        change = self.tiles[first + 1] - self.tiles[first]
+        bend = np.diff(change, 2, axis=-1)
+        # Second differences of the difference of two frames have 6 + 6 times the variance of one.
+        return max(robust_spread(bend.ravel(), 0.0) / math.sqrt(12.0), math.sqrt(1.0 / 12.0))
+
+    def noise(self, offset: Floats | float) -> Floats:
+        """Compute the standard deviation of the modulation of the widest fringes.
+
+        Parameters
+        ----------
+        offset : float or ndarray of float64
+            A in grey levels.
+
+        Returns
+        -------
+        ndarray of float64
+            Grey levels.
+        """
+        steps, model = self.recording.plan.fringes[self._widest].images, self.errors.noise
+        # Motion and flicker pass for noise in the model, which compares frames, but not between neighbours.
+        seen = float(model.variance(float(self.offsets_in_tiles.mean())))
+        share = min(1.0, self.noise_level**2 / max(seen, 1e-12))
+        return np.asarray(np.sqrt(2.0 / steps * np.maximum(share * model.variance(offset), 1.0 / 12.0)))
+
+    @cached_property
+    def coherence(self) -> float:
+        """Likeness of neighbouring pixels' phasors in the widest fringes, 0 for noise to 1 for fringes."""
+        fit = self._fitted(self.tiles)[self._widest]
+        phasor = fit.modulation * np.exp(1j * fit.phase)
+        alike = np.abs(np.sum(phasor[..., 1:] * np.conj(phasor[..., :-1])))
+        return float(alike / max(float(np.sum(np.abs(phasor[..., 1:]) ** 2)), 1e-12))
+
+    @cached_property
+    def lit(self) -> Mask:
+        """(rows, columns) which of the pixels spread over the image see the projector's fringes."""
+        least = np.maximum(LIT_SHARE * self.strongest, LIT_SIGMAS * self.noise(self.widest.offset))
+        return np.asarray((self.widest.modulation >= least) | (self.saturated & (self.widest.offset > 128.0)))
+
+    @cached_property
+    def measured(self) -> Mask:
+        """(rows, columns) which of them are lit and not saturated."""
+        return np.asarray(self.lit & ~self.saturated)
+
+
+def _part(first: int, side: int, step: int) -> slice:
+    """The pixels of a tile in an array of every `step`th pixel; at least two."""
+    return slice(first // step, max((first + side) // step, first // step + 2))

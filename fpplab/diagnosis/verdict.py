@@ -1,0 +1,197 @@
+"""Whether to believe a scan, and why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.errors import DataError
+from fpplab.diagnosis.catalogue import Cause, ScanFinding
+from fpplab.diagnosis.geometry import POINTS, geometry_findings, projector_px_per_px
+from fpplab.diagnosis.light import focus_finding, light_findings
+from fpplab.diagnosis.sample import FrameSample
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded
+
+USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
+"""Least share of the lit pixels that become points, in a result that is of use, and in a good one."""
+
+USELESS_POINTS = 0.001
+"""Least share of the image that points must cover."""
+
+USELESS_EXCESS = {Cause.STALE_CALIBRATION: 10.0}
+"""Excess of a finding from which on it makes a result useless however many points there are."""
+
+
+class Verdict(StrEnum):
+    """Whether to believe a result."""
+
+    GOOD = "good"
+    """Nothing speaks against it."""
+    DOUBTFUL = "doubtful"
+    """It is worse than the rig and the plan would allow."""
+    USELESS = "useless"
+    """Nobody should use it."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Verdict on a scan.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        Whether to believe it.
+    reason : str
+        One sentence.
+    findings : tuple of ScanFinding
+        What is wrong, the worst first.
+    unknown : tuple of str
+        What could not be checked, and why.
+    """
+
+    verdict: Verdict
+    reason: str
+    findings: tuple[ScanFinding, ...]
+    unknown: tuple[str, ...] = ()
+
+    def require_usable(self, name: str) -> None:
+        """Refuse a result that nobody should use.
+
+        Parameters
+        ----------
+        name : str
+            What it is called in the message.
+
+        Raises
+        ------
+        UselessScanError
+            It is useless.
+        """
+        if self.verdict is Verdict.USELESS:
+            raise UselessScanError(name, self)
+
+    def summary(self) -> dict[str, object]:
+        """Collect what is printed.
+
+        Returns
+        -------
+        dict of str to object
+            `verdict`, `reason`, `findings` and `not_checked`.
+        """
+        return {
+            "verdict": self.verdict.value,
+            "reason": self.reason,
+            "findings": [finding.summary() for finding in self.findings],
+            "not_checked": list(self.unknown),
+        }
+
+
+class UselessScanError(DataError):
+    """A result that nobody should use; it is not written.
+
+    Parameters
+    ----------
+    name : str
+        Of the scan.
+    diagnosis : Diagnosis
+        Why.
+    """
+
+    def __init__(self, name: str, diagnosis: Diagnosis) -> None:
+        self.diagnosis = diagnosis
+        words = f"{name}: useless: {diagnosis.reason}"
+        if diagnosis.findings:
+            first = diagnosis.findings[0].summary()
+            words += f"; {first['cause']}: {first['evidence']}; {first['remedy']}"
+        super().__init__(words)
+        self.details = diagnosis.summary()
+
+
+def diagnose_frames(recording: Recording) -> tuple[ScanFinding, ...]:
+    """Look for what is wrong with the frames of a recording alone.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+
+    Returns
+    -------
+    tuple of ScanFinding
+        The worst first.
+    """
+    return _ranked(_of_frames(FrameSample(recording), None))
+
+
+def diagnose_scan(
+    recording: Recording, decoded: Decoded, cloud: Cloud | None, calibration: Calibration
+) -> Diagnosis:
+    """Judge a scan.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its frames.
+    decoded : Decoded
+        Its projector coordinates.
+    cloud : Cloud or None
+        Its points; None where there are none.
+    calibration : Calibration
+        That they were triangulated with.
+
+    Returns
+    -------
+    Diagnosis
+        With everything that is found.
+    """
+    coordinates = {axis: decoded.u if axis == "x" else decoded.v for axis in recording.plan.axes}
+    sample = FrameSample(recording, {str(axis): values for axis, values in coordinates.items()})
+    if cloud is None:
+        return Diagnosis(Verdict.USELESS, "there are no points", _ranked(_of_frames(sample, None)))
+    points = cloud.points[:: max(1, len(cloud) // POINTS)].astype("f8")
+    scale = projector_px_per_px(points, calibration)
+    axis = recording.plan.axes[0]
+    findings = _ranked(
+        [
+            *_of_frames(sample, float(scale["xy".index(axis)])),
+            *geometry_findings(cloud, recording.plan, calibration),
+        ]
+    )
+    one_axis = "stale_calibration: fringes along one axis alone do not show it"
+    unknown = (one_axis,) if cloud.epipolar_px is None else ()
+    return _judged(sample, cloud, findings, unknown)
+
+
+def _judged(
+    sample: FrameSample, cloud: Cloud, findings: tuple[ScanFinding, ...], unknown: tuple[str, ...]
+) -> Diagnosis:
+    pixels = sample.recording.frames[0].size
+    lit = float(sample.lit.mean()) * pixels
+    share = len(cloud) / max(lit, 1.0)
+    counted = f"{len(cloud)} points of {lit:.0f} pixels that see the fringes"
+    ruinous = [f for f in findings if f.excess >= USELESS_EXCESS.get(f.cause, float("inf"))]
+    if share < USELESS_SHARE or len(cloud) < USELESS_POINTS * pixels:
+        return Diagnosis(Verdict.USELESS, counted, findings, unknown)
+    if ruinous:
+        return Diagnosis(Verdict.USELESS, ruinous[0].evidence, findings, unknown)
+    if findings:
+        return Diagnosis(Verdict.DOUBTFUL, f"{findings[0].cause}: {findings[0].evidence}", findings, unknown)
+    if share < DOUBTFUL_SHARE:
+        return Diagnosis(Verdict.DOUBTFUL, counted, findings, unknown)
+    return Diagnosis(Verdict.GOOD, counted, findings, unknown)
+
+
+def _of_frames(sample: FrameSample, scale: float | None) -> list[ScanFinding]:
+    findings = list(light_findings(sample))
+    dark = {Cause.PROJECTOR_DARK, Cause.NO_OVERLAP}
+    if not any(finding.cause in dark for finding in findings):
+        focus = focus_finding(sample, scale)
+        findings += [focus] if focus else []
+    return findings
+
+
+def _ranked(findings: list[ScanFinding]) -> tuple[ScanFinding, ...]:
+    return tuple(sorted(findings, key=lambda finding: -finding.excess))
