@@ -1,7 +1,14 @@
 """What is wrong with a scan, by its own frames and points, and whether to believe the result."""
 
 from fpplab.diagnosis.catalogue import REMEDIES, Cause, ScanFinding
-from fpplab.diagnosis.verdict import Diagnosis, UselessScanError, Verdict, diagnose_frames, diagnose_scan
+from fpplab.diagnosis.verdict import (
+    Diagnosis,
+    UselessScanError,
+    Verdict,
+    diagnose_frames,
+    diagnose_poses,
+    diagnose_scan,
+)
 
 __all__ = [
     "REMEDIES",
@@ -11,5 +18,6 @@ __all__ = [
     "UselessScanError",
     "Verdict",
     "diagnose_frames",
+    "diagnose_poses",
     "diagnose_scan",
 ]

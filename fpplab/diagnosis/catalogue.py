@@ -79,6 +79,11 @@ class ScanFinding:
     evidence: str
     excess: float
 
+    @property
+    def remedy(self) -> str:
+        """What to do."""
+        return REMEDIES[self.cause]
+
     def summary(self) -> dict[str, str]:
         """Collect what is printed.
 
@@ -87,4 +92,4 @@ class ScanFinding:
         dict of str to str
             `cause`, `evidence` and `remedy`.
         """
-        return {"cause": self.cause.value, "evidence": self.evidence, "remedy": REMEDIES[self.cause]}
+        return {"cause": self.cause.value, "evidence": self.evidence, "remedy": self.remedy}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from fpplab.calibration.model import Calibration
@@ -104,8 +105,8 @@ class UselessScanError(DataError):
         self.diagnosis = diagnosis
         words = f"{name}: useless: {diagnosis.reason}"
         if diagnosis.findings:
-            first = diagnosis.findings[0].summary()
-            words += f"; {first['cause']}: {first['evidence']}; {first['remedy']}"
+            first = diagnosis.findings[0]
+            words += f"; {first.cause}: {first.evidence}; {first.remedy}"
         super().__init__(words)
         self.details = diagnosis.summary()
 
@@ -163,6 +164,45 @@ def diagnose_scan(
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)
+
+
+def diagnose_poses(
+    recordings: Iterable[tuple[str, Recording]], warnings: Sequence[str], left_out: Mapping[str, str]
+) -> Diagnosis:
+    """Judge a characterisation by the frames of its poses, and by what the fit said.
+
+    Parameters
+    ----------
+    recordings : iterable of tuple of str and Recording
+        Name and frames of each pose.
+    warnings : sequence of str
+        Of the fit.
+    left_out : mapping of str to str
+        Why poses could not be used, by name.
+
+    Returns
+    -------
+    Diagnosis
+        With one finding for each cause, of the pose where it is worst.
+    """
+    found: dict[Cause, list[tuple[str, ScanFinding]]] = {}
+    poses = 0
+    for name, recording in recordings:
+        poses += 1
+        for finding in diagnose_frames(recording):
+            found.setdefault(finding.cause, []).append((name, finding))
+    findings = _ranked([_worst(seen, poses) for seen in found.values()])
+    if findings:
+        return Diagnosis(Verdict.DOUBTFUL, f"{findings[0].cause}: {findings[0].evidence}", findings)
+    said = [*warnings, *left_out.values()]
+    if said:
+        return Diagnosis(Verdict.DOUBTFUL, said[0], ())
+    return Diagnosis(Verdict.GOOD, f"nothing is wrong with the frames of {poses} poses", ())
+
+
+def _worst(seen: Sequence[tuple[str, ScanFinding]], poses: int) -> ScanFinding:
+    name, worst = max(seen, key=lambda one: one[1].excess)
+    return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(seen)} of {poses} poses")
 
 
 def _judged(

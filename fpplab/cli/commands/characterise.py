@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,10 +11,13 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, app
-from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.errors import CalibrationError, ConfigError, FppError
 
 if TYPE_CHECKING:
     from fpplab.characterisation import Judgement
+    from fpplab.diagnosis import Diagnosis
+    from fpplab.patterns.recording import Recording
+    from fpplab.sessions.session import Session
 
 
 class ModelName(StrEnum):
@@ -72,6 +76,9 @@ def characterise_command(
     a folder beside the result). Ten poses or more, tilted up to 30 degrees, over the whole
     field and depth, make a good characterisation. Writes OUT and a report beside it.
 
+    `verdict` says whether to believe the result; `findings` name what is wrong with the poses' frames, each
+    with what to do about it.
+
     With `--judge` nothing is fitted but where the board stands: the errors in these poses are shown beside
     those that the calibration predicts. The exit code is 5 where they contradict it.
 
@@ -113,18 +120,50 @@ def characterise_command(
             recorded = take_poses(bench, chosen, item, poses, folder, force, report)
     else:
         recorded = recorded_sessions(sessions or [])
-    with console.progress("Characterising") as report:
-        level: DistortionModel | Literal["auto"] = (
-            "auto" if model is ModelName.AUTO else DistortionModel(model)
-        )
-        result = characterise_sessions(recorded, board, report, level=level, refine_board=refine_board)
+    level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
+    try:
+        with console.progress("Characterising") as report:
+            result = characterise_sessions(recorded, board, report, level=level, refine_board=refine_board)
+    except CalibrationError as error:
+        raise _with_causes(error, recorded) from error
+    diagnosis = _diagnosis(recorded, result.warnings, result.left_out)
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")
     for warning in result.warnings:
         console.say(f"warning: {warning}")
     result.calibration.save(out)
     write_report(page, f"Characterisation {out.stem}", facts=result.facts(), characterisation=result)
-    console.answer({**result.summary(), "left_out": result.left_out, "report": str(page)}, json)
+    console.answer(
+        {**diagnosis.summary(), **result.summary(), "left_out": result.left_out, "report": str(page)}, json
+    )
+
+
+def _diagnosis(
+    sessions: Sequence[Session], warnings: Sequence[str], left_out: Mapping[str, str]
+) -> Diagnosis:
+    """Judge a characterisation by the frames of its poses."""
+    from fpplab.diagnosis import diagnose_poses
+
+    with console.progress("Checking the frames") as report:
+
+        def frames() -> Iterator[tuple[str, Recording]]:
+            for k, session in enumerate(sessions):
+                yield session.path.name, session.recording(verify=False)
+                report((k + 1) / len(sessions))
+
+        return diagnose_poses(frames(), warnings, left_out)
+
+
+def _with_causes(error: CalibrationError, sessions: Sequence[Session]) -> CalibrationError:
+    """Say with an error of the fit what is wrong with the frames, which may be its cause."""
+    try:
+        found = _diagnosis(sessions, [str(error)], {})
+    except FppError:  # frames that cannot be read were the error itself
+        return error
+    words = "".join(f"; {one.cause}: {one.evidence}; {one.remedy}" for one in found.findings[:2])
+    explained = CalibrationError(f"{error}{words}")
+    explained.details = {**found.summary(), "verdict": "useless", "reason": str(error)}
+    return explained
 
 
 def _judge(
