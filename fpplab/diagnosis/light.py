@@ -15,19 +15,22 @@ from fpplab.diagnosis.sample import FrameSample
 DARK_SIGMAS = 10.0
 """Fringes weaker than so many times their noise are none."""
 
-LEAST_COHERENCE = 0.5
-"""Likeness of neighbours' fringes below which they are noise."""
+LEAST_COHERENCE = 0.15
+"""Share of the modulation's power that neighbours have in common below which it is noise."""
+
+WEAK_SIGMAS = 25.0
+"""Fringes that are stronger beside their noise can be told from the dark."""
 
 LEAST_LEVELS = 0.5
 """Modulation in 8-bit grey levels below which there are no fringes, whatever the noise."""
 
-LEAST_LIT = 0.01
+LEAST_LIT = 0.02
 """Least share of the image that the fringes should light."""
 
 MOST_SATURATED = 0.05
 """Greatest share of the lit pixels that may be saturated: highlights."""
 
-LEAST_PEAK = 0.12
+LEAST_PEAK = 0.07
 """Least share of full scale that the brightest lit pixels should reach."""
 
 MOST_AMBIENT = 1.0
@@ -53,6 +56,9 @@ MOST_HARMONICS = 0.15
 
 LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
 """Fewest pixels that tell a ripple, and how unevenly they may be spread over its period."""
+
+MOST_FLICKER = 0.015
+"""Scatter of the frames' brightness that is told."""
 
 LEAST_FLICKER_RAD = 0.02
 """Phase error by flicker that is worth telling, in rad RMS."""
@@ -105,6 +111,12 @@ def _darkness(sample: FrameSample) -> ScanFinding | None:
         )
         return ScanFinding(Cause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
     share = float(sample.lit.mean())
+    if share < LEAST_LIT and strength < WEAK_SIGMAS:
+        words = (
+            f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
+            f"noise (at least {WEAK_SIGMAS:g})"
+        )
+        return ScanFinding(Cause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
         return ScanFinding(Cause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
@@ -189,6 +201,11 @@ def _flicker(sample: FrameSample) -> ScanFinding | None:
     errors = sample.errors.sets[plan.finest_set()]
     if not sample.measured.any() or math.isnan(errors.gain_first):
         return None
+    # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
+    scatter = math.sqrt(np.mean([one.gain_first**2 / one.images for one in sample.errors.sets]))
+    if scatter > MOST_FLICKER:
+        words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * MOST_FLICKER:g} %)"
+        return ScanFinding(Cause.FLICKER, words, scatter / MOST_FLICKER)
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
     return _phase_error(
@@ -325,8 +342,9 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Sca
     sharp = math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)
     edge = edge_blur_px(sample)
     scale = projector_px_per_px or 1.0
-    of_camera = edge is not None and edge > BLURRED_PX and scale * edge > 0.6 * blur
-    if contrast >= LEAST_CONTRAST * sharp and not (of_camera and blur > 0.7 * scale * BLURRED_PX):
+    of_camera = edge is not None and scale * edge > 0.6 * blur
+    soft = of_camera and edge is not None and edge > BLURRED_PX and blur > 0.7 * scale * BLURRED_PX
+    if contrast >= LEAST_CONTRAST * sharp and not soft:
         return None
     cause = Cause.CAMERA_FOCUS if of_camera else Cause.PROJECTOR_FOCUS
     edges = "there are no edges to compare with" if edge is None else f"edges in the image by {edge:.1f} px"

@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.robust import robust_spread
@@ -124,8 +125,8 @@ class FrameSample:
 
     @cached_property
     def strongest(self) -> float:
-        """Modulation in grey levels of the best lit pixels: the 99th percentile in the widest fringes."""
-        return float(np.percentile(self.widest.modulation, 99))
+        """Modulation in grey levels of the best lit pixels: the 99.9th percentile in the widest fringes."""
+        return float(np.percentile(self.widest.modulation, 99.9))
 
     @cached_property
     def widest(self) -> SetFit:
@@ -166,11 +167,12 @@ class FrameSample:
 
     @cached_property
     def coherence(self) -> float:
-        """Likeness of neighbouring pixels' phasors in the widest fringes, 0 for noise to 1 for fringes."""
+        """Share of the power of the widest fringes that 25 neighbours share: 0 for noise, 1 for fringes."""
         fit = self._fitted(self.tiles)[self._widest]
         phasor = fit.modulation * np.exp(1j * fit.phase)
-        alike = np.abs(np.sum(phasor[..., 1:] * np.conj(phasor[..., :-1])))
-        return float(alike / max(float(np.sum(np.abs(phasor[..., 1:]) ** 2)), 1e-12))
+        shared = sum(np.square(uniform_filter(part, (0, 5, 5))).sum() for part in (phasor.real, phasor.imag))
+        share = float(shared) / max(float(np.sum(np.square(fit.modulation))), 1e-12)
+        return (share - 1.0 / 25.0) / (1.0 - 1.0 / 25.0)
 
     @cached_property
     def lit(self) -> Mask:
