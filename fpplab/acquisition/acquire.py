@@ -13,9 +13,9 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 
 from fpplab.acquisition.synchronisation import check_synchronisation, provable, remedy
-from fpplab.acquisition.timing import pulse_timing
+from fpplab.acquisition.timing import check_stepped, pulse_timing
 from fpplab.core.conventions import Image
-from fpplab.core.errors import CapabilityError, SyncError
+from fpplab.core.errors import SyncError
 from fpplab.core.progress import ignore
 from fpplab.devices import Camera, CameraSettings, Frame, Projector
 from fpplab.devices.rig import Rig
@@ -64,7 +64,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     wanted = session.missing()
-    ends = uniform_patterns([0, 255], caps.size) if wanted and _needs_ends(plan) else []
+    ends = end_markers(plan, caps.size) if wanted else []
     brightness = []
     with (
         write_frames(session, observe) as record,
@@ -104,7 +104,7 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
         The frames do not show their patterns.
     """
     caps = rig.projector.caps
-    ends = uniform_patterns([0, 255], caps.size) if _needs_ends(plan) else []
+    ends = end_markers(plan, caps.size)
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     with closing(expose(rig, patterns, settings, plan)) as shots:
@@ -118,9 +118,23 @@ def capture(rig: Rig, plan: Plan) -> list[Image]:
     return frames[: plan.images]
 
 
-def _needs_ends(plan: Plan) -> bool:
-    """Whether black and white patterns are needed, because the frames alone cannot reveal a trigger slip."""
-    return plan.trigger == "triggered" and not provable(plan)
+def end_markers(plan: Plan, size: tuple[int, int]) -> list[Pattern]:
+    """Make the patterns that follow a plan whose frames alone cannot reveal a trigger slip.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    size : tuple of int
+        Width and height of the projector in px.
+
+    Returns
+    -------
+    list of Pattern
+        Black and white, or none where they are not needed.
+    """
+    needed = plan.trigger == "triggered" and not provable(plan)
+    return list(uniform_patterns([0, 255], size)) if needed else []
 
 
 def _ended(brightness: Sequence[float]) -> bool:
@@ -198,13 +212,7 @@ def _stepped(
     settings: CameraSettings,
     settle_s: float,
 ) -> Iterator[Frame]:
-    if camera.caps.dark_s:
-        raise CapabilityError(
-            camera.name,
-            "snap",
-            "its rows end one after another (global reset), and a stepped pattern stays lit meanwhile",
-            "set its shutter to rolling, or use a triggered plan",
-        )
+    check_stepped(camera)
     for i, pattern in enumerate(patterns):
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states

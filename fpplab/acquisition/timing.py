@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fpplab.core.errors import SettingError
+from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import Camera, Projector
 from fpplab.patterns.fringes import Pattern
 
@@ -72,10 +72,16 @@ def pulse_timing(
 
     Raises
     ------
+    CapabilityError
+        The camera has no hardware trigger, or the projector no trigger output.
     SettingError
         A pattern cannot be shown for so short or so long a time.
     """
     caps, shown = camera.caps, projector.caps
+    if "hardware" not in caps.triggers:
+        raise CapabilityError(camera.name, "arm", "has no hardware trigger", "use a stepped plan")
+    if not shown.trigger_outputs:
+        raise CapabilityError(projector.name, "play", "has no trigger output", "use a stepped plan")
     light_s = exposure_s + caps.readout_s
     _check_light(camera, projector, patterns, exposure_s)
     end_s = light_s + caps.dark_s
@@ -87,6 +93,28 @@ def pulse_timing(
     if period_s > light_s:
         period_s = max(period_s, light_s + shown.gap_s)
     return PulseTiming(light_s, caps.dark_s, period_s)
+
+
+def check_stepped(camera: Camera) -> None:
+    """Refuse a camera that cannot take a pattern which stays lit after the exposure.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera, configured for the run.
+
+    Raises
+    ------
+    CapabilityError
+        Its rows end one after another.
+    """
+    if camera.caps.dark_s:
+        raise CapabilityError(
+            camera.name,
+            "snap",
+            "its rows end one after another (global reset), and a stepped pattern stays lit meanwhile",
+            "set its shutter to rolling, or use a triggered plan",
+        )
 
 
 def _check_light(

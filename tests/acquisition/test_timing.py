@@ -12,7 +12,7 @@ import pytest
 
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Lattice
-from fpplab.core.errors import SettingError
+from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import CameraCaps, ProjectorCaps
 from fpplab.patterns.fringes import Pattern
 
@@ -110,3 +110,10 @@ def test_the_shortest_and_the_longest_are_accepted() -> None:
     assert timing(exposure_s=8333e-6).light_s == 8333e-6
     assert timing(projector=VIDEO, exposure_s=1 / 60).light_s == 1 / 60
     assert timing(projector=replace(FLASH, longest_s=math.inf), exposure_s=1e3).light_s == 1e3
+
+
+def test_a_camera_or_a_projector_without_a_trigger() -> None:
+    with pytest.raises(CapabilityError, match="camera: arm: has no hardware trigger; use a stepped plan"):
+        timing(replace(CAMERA, triggers=("software",)))
+    with pytest.raises(CapabilityError, match="projector: play: has no trigger output; use a stepped plan"):
+        timing(projector=replace(FLASH, trigger_outputs=0))

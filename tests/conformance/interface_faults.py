@@ -449,9 +449,16 @@ IN_STEP = [
         "exposure_s > caps.longest_s",
     ),
     Fault(
+        "timing: played without a trigger output",
+        TIMING,
+        "pulse_timing",
+        "if not shown.trigger_outputs:",
+        "if shown.trigger_outputs < 0:",
+    ),
+    Fault(
         "stepped with a global reset",
-        ACQUISITION,
-        "_stepped",
+        TIMING,
+        "check_stepped",
         "if camera.caps.dark_s:",
         "if camera.caps.dark_s < 0:",
     ),

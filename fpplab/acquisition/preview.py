@@ -1,0 +1,110 @@
+"""What a measurement by a plan consists of on a rig, told by its devices before anything is projected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fpplab.acquisition.acquire import end_markers
+from fpplab.acquisition.timing import PulseTiming, check_stepped, pulse_timing
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern, make_patterns
+from fpplab.patterns.plan import Plan
+
+
+@dataclass(frozen=True)
+class PlanPreview:
+    """A plan on a rig.
+
+    Attributes
+    ----------
+    trigger : str
+        "stepped" or "triggered".
+    images : int
+        Number of images of the plan.
+    end_markers : int
+        Number of further patterns, black and white, that prove the synchronisation.
+    bit_planes : int
+        Sum of the bit depths of all patterns.
+    exposure_s : float
+        The camera's exposure in s, as read back.
+    light_s : float
+        s for which each pattern is shown; in a stepped plan at least.
+    dark_s : float
+        Least s from the end of one pattern to the beginning of the next; 0 in a stepped plan.
+    period_s : float
+        Least s from one pattern to the next.
+    least_s : float
+        Least s for all patterns, without loading them and preparing the devices.
+    """
+
+    trigger: str
+    images: int
+    end_markers: int
+    bit_planes: int
+    exposure_s: float
+    light_s: float
+    dark_s: float
+    period_s: float
+    least_s: float
+
+
+def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview, Sequence[Pattern]]:
+    """Find out what a plan consists of on a rig, and whether its devices accept it.
+
+    The camera is configured and the patterns are loaded, as for a measurement; nothing is projected. What
+    shows only while patterns are shown is not found, such as a trigger cable that is not connected.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig.
+    plan : Plan
+        The plan.
+    source : path or str
+        What the plan is called in messages.
+
+    Returns
+    -------
+    PlanPreview
+        Numbers of patterns, and times.
+    sequence of Pattern
+        The patterns in the order shown, those at the end included.
+
+    Raises
+    ------
+    ConfigError
+        The projector cannot resolve the stripes, or the plan was made for another size.
+    SettingError
+        The camera does not accept the exposure, gain or bits, or the projector not the number of patterns,
+        their depth or their time; the message names the limit.
+    CapabilityError
+        A device cannot take frames in the plan's way.
+    DeviceError
+        A device failed.
+    """
+    camera, caps = rig.camera, rig.projector.caps
+    plan.check_projector(caps.size, source)
+    ends = end_markers(plan, caps.size)
+    patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
+    exposure_s = camera.configure(rig.camera_settings(plan.exposure_s, plan.bits)).exposure_s
+    rig.projector.load(patterns)
+    if plan.trigger == "triggered":
+        timing = pulse_timing(camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_time_s)
+    else:
+        check_stepped(camera)
+        step_s = plan.settle_s + exposure_s + camera.caps.readout_s
+        timing = PulseTiming(step_s, 0.0, step_s)
+    found = PlanPreview(
+        plan.trigger,
+        plan.images,
+        len(ends),
+        sum(p.bit_depth for p in patterns),
+        exposure_s,
+        timing.light_s,
+        timing.period_s - timing.light_s,
+        timing.period_s,
+        len(patterns) * timing.period_s,
+    )
+    return found, patterns
