@@ -113,9 +113,9 @@ def _projector_record(plan: Plan, size: tuple[int, int] | None, lattice: Lattice
     """What the session's record says of the projector, in the form of a rig; None where the plan says all."""
     if size is None and plan.projector_size is None:
         raise ConfigError(
-            "--projector-size is missing, and the plan's fringes have no 'projector_size': say how many pixels "
-            "the projector has, such as '--projector-size 912 1140' and, where its mirrors lie in a diamond, "
-            "'--lattice diamond'"
+            "--projector-size is missing, and the plan's fringes have no 'projector_size': say how many "
+            "pixels the projector has, such as '--projector-size 912 1140' and, where its mirrors lie in a "
+            "diamond, '--lattice diamond'"
         )
     if size is not None:
         plan.check_projector(size, "--projector-size")
@@ -141,8 +141,8 @@ def _check_all_there(folder: Path, paths: list[Path], names: str, first: int) ->
     if surplus:
         found = _shown([_name(names, index) for index in surplus])
         raise DataError(
-            f"{folder}: has {len(surplus)} images more than the plan's {len(paths)} ({found}): the plan lacks "
-            "fringe sets or steps, or these files belong elsewhere"
+            f"{folder}: has {len(surplus)} images more than the plan's {len(paths)} ({found}): the plan "
+            "lacks fringe sets or steps, or these files belong elsewhere"
         )
 
 
@@ -158,9 +158,7 @@ def _shown(names: list[str]) -> str:
     return ", ".join(names[:5]) + (" …" if len(names) > 5 else "")
 
 
-def _check_images(
-    paths: list[Path], bits: int, warn: Callable[[str], object]
-) -> tuple[tuple[int, int], int]:
+def _check_images(paths: list[Path], bits: int, warn: Callable[[str], object]) -> tuple[tuple[int, int], int]:
     """Size of the images, which are all of one kind and no two the same, and their unused lower bits."""
     size: tuple[int, int] | None = None
     seen: dict[bytes, Path] = {}
@@ -184,8 +182,8 @@ def _check_images(
     lossy = [p.name for p in paths if _is_jpeg(p)]
     if lossy:
         warn(
-            f"{len(lossy)} of the images are JPEG files ({_shown(lossy)}): their compression adds errors that "
-            "no stated uncertainty counts; record PNG or TIFF"
+            f"{len(lossy)} of the images are JPEG files ({_shown(lossy)}): their compression adds errors "
+            "that no stated uncertainty counts; record PNG or TIFF"
         )
     return size, _unused_bits(used, greatest, brightest, bits, warn)
 

@@ -53,6 +53,4 @@ def import_command(
         )  # fmt: skip
     for warning in warnings:
         console.say(f"warning: {warning}")
-    console.answer(
-        {"frames": len(session.records), "session": str(session.path), "warnings": warnings}, json
-    )
+    console.answer({"frames": len(session.records), "session": str(session.path), "warnings": warnings}, json)
