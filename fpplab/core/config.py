@@ -176,15 +176,19 @@ def describe(error: ValidationError, data: Any = None) -> str:
     Returns
     -------
     str
-        The first fault with field, value and what is allowed, and how many more there are.
+        All unknown keys, or else the first fault with field, value and what is allowed; and how many more
+        there are.
     """
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
         details = [_written(detail, data) for detail in details]
-    faults = [_fault(detail) for detail in details]
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return faults[0] + more
+    unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]
+    others = len(details) - max(len(unknown), 1)
+    more = f" (and {others} more)" if others else ""
+    if len(unknown) > 1:  # one look at the file corrects them all
+        return "unknown keys " + ", ".join(f"'{key}'" for key in unknown) + more
+    return _fault(details[0]) + more
 
 
 def _fault(detail: Any) -> str:

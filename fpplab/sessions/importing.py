@@ -6,17 +6,18 @@ import hashlib
 import re
 import shutil
 import string
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from PIL import Image as Pillow
 
-from fpplab.core.conventions import Image, full_scale, raw_dtype
+from fpplab.core.conventions import Image, Lattice, full_scale, raw_dtype
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.progress import Progress, no_progress
+from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.session import Session
+from fpplab.sessions.session import RigRecord, Session
 
 
 def import_images(
@@ -27,6 +28,11 @@ def import_images(
     bits: int = 8,
     force: bool = False,
     progress: Progress = no_progress,
+    *,
+    first: int = 0,
+    projector_size: tuple[int, int] | None = None,
+    lattice: Lattice = Lattice.SQUARE,
+    warn: Callable[[str], object] = ignore,
 ) -> Session:
     """Bring grey images of a folder into a new session, in the plan's order.
 
@@ -39,15 +45,24 @@ def import_images(
     plan : Plan
         What they show: `plan.images` of them.
     names : str
-        A format of the index, from 0, such as "f_{index:02d}.png".
+        A format of the index, such as "f_{index:02d}.png". No other file of the folder may have such a name.
     out : Path
         Directory of the session.
     bits : int
-        Depth of the images' grey levels; 8-bit files hold 8, 16-bit files 10, 12 or 16.
+        Depth of the images' grey levels; 8-bit files hold 8, 16-bit files 10, 12 or 16. Levels of 10 or 12
+        bits that were recorded in the upper bits of 16 are moved to the lower ones.
     force : bool
         Whether a session that is there already is replaced.
     progress : callable
         Told the share done, 0 … 1.
+    first : int
+        Index of the first image.
+    projector_size : tuple of int, optional
+        (width, height) in px of the projector that showed the patterns; by default as the plan says.
+    lattice : Lattice
+        How its mirrors lie.
+    warn : callable
+        Given a sentence for everything that is accepted but may be a mistake.
 
     Returns
     -------
@@ -57,19 +72,22 @@ def import_images(
     Raises
     ------
     ConfigError
-        The folder or the format of the names is wrong, or the output exists.
+        The folder or the format of the names is wrong, the output exists, or the size of the projector is
+        not known or is not the plan's.
     DataError
-        An image is missing, damaged, coloured, of another size or depth, or there twice under two names.
+        An image is missing, damaged, coloured, of another size or depth, or there twice under two names; or
+        there are more than the plan has.
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: is not a folder")
-    paths = [folder / _name(names, i) for i in range(plan.images)]
-    _check_all_there(folder, paths, names)
-    size = _check_images(paths, bits)
-    session = Session.create(out, plan, force=force)
+    rig = _projector_record(plan, projector_size, lattice)
+    paths = [folder / _name(names, first + i) for i in range(plan.images)]
+    _check_all_there(folder, paths, names, first)
+    size, shift = _check_images(paths, bits, warn)
+    session = Session.create(out, plan, rig, force)
     try:
         for index, (_, _, pattern) in enumerate(plan.steps()):
-            image = _read_grey(paths[index], bits, size)
+            image = (_read_grey(paths[index], bits, size) >> shift).astype(raw_dtype(bits))
             settings = CameraSettings(plan.exposure_s, 0.0, bits)
             session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
             progress((index + 1) / plan.images)
@@ -91,20 +109,61 @@ def _name(names: str, index: int) -> str:
         ) from None
 
 
-def _check_all_there(folder: Path, paths: list[Path], names: str) -> None:
+def _projector_record(plan: Plan, size: tuple[int, int] | None, lattice: Lattice) -> RigRecord:
+    """What the session's record says of the projector, in the form of a rig; None where the plan says all."""
+    if size is None and plan.projector_size is None:
+        raise ConfigError(
+            "--projector-size is missing, and the plan's fringes have no 'projector_size': say how many "
+            "pixels the projector has, such as '--projector-size 912 1140' and, where its mirrors lie in a "
+            "diamond, '--lattice diamond'"
+        )
+    if size is not None:
+        plan.check_projector(size, "--projector-size")
+    size = size or plan.projector_size
+    if size == plan.projector_size and lattice is Lattice.SQUARE:
+        return None
+    assert size is not None
+    return {"resolved": {"projector": {"size": list(size), "lattice": str(lattice)}}}
+
+
+def _check_all_there(folder: Path, paths: list[Path], names: str, first: int) -> None:
+    """Refuse a folder that lacks frames of the plan or has more of the same name."""
+    there = _indices(folder, names)
+    surplus = [index for index in there if not first <= index < first + len(paths)]
     missing = [p.name for p in paths if not p.is_file()]
     if missing:
-        shown = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
+        counted = there and there[0] != first and there == list(range(there[0], there[0] + len(paths)))
+        hint = f"; they count from {there[0]}: --first {there[0]}" if counted else ""
         raise DataError(
-            f"{folder}: {len(missing)} of the plan's {len(paths)} frames are missing ({shown}); "
-            f"looked for '{names}' from index 0"
+            f"{folder}: {len(missing)} of the plan's {len(paths)} frames are missing ({_shown(missing)}); "
+            f"looked for '{names}' from index {first}{hint}"
+        )
+    if surplus:
+        found = _shown([_name(names, index) for index in surplus])
+        raise DataError(
+            f"{folder}: has {len(surplus)} images more than the plan's {len(paths)} ({found}): the plan "
+            "lacks fringe sets or steps, or these files belong elsewhere"
         )
 
 
-def _check_images(paths: list[Path], bits: int) -> tuple[int, int]:
-    """Size of the images, which are all of one kind and no two the same."""
+def _indices(folder: Path, names: str) -> list[int]:
+    """Indices, ascending, of the files whose names have the form given."""
+    parts = string.Formatter().parse(names)
+    form = "".join(re.escape(text) + (r"(\d+)" if field else "") for text, field, _, _ in parts)
+    found = [int(match[1]) for p in folder.iterdir() if (match := re.fullmatch(form, p.name, re.ASCII))]
+    return sorted({index for index in found if (folder / _name(names, index)).is_file()})
+
+
+def _shown(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (" …" if len(names) > 5 else "")
+
+
+def _check_images(paths: list[Path], bits: int, warn: Callable[[str], object]) -> tuple[tuple[int, int], int]:
+    """Size of the images, which are all of one kind and no two the same, and their unused lower bits."""
     size: tuple[int, int] | None = None
     seen: dict[bytes, Path] = {}
+    used = greatest = 0
+    brightest = paths[0]
     for path in paths:
         image = _read_grey(path, bits, size)
         # A sensor never gives the same image twice: a file was copied under two names.
@@ -116,8 +175,39 @@ def _check_images(paths: list[Path], bits: int) -> tuple[int, int]:
             )
         height, width = image.shape
         size = width, height
+        used |= int(np.bitwise_or.reduce(image, axis=None))
+        if int(image.max()) > greatest:
+            greatest, brightest = int(image.max()), path
     assert size is not None  # a plan has at least one fringe set
-    return size
+    lossy = [p.name for p in paths if _is_jpeg(p)]
+    if lossy:
+        warn(
+            f"{len(lossy)} of the images are JPEG files ({_shown(lossy)}): their compression adds errors "
+            "that no stated uncertainty counts; record PNG or TIFF"
+        )
+    return size, _unused_bits(used, greatest, brightest, bits, warn)
+
+
+def _unused_bits(used: int, greatest: int, path: Path, bits: int, warn: Callable[[str], object]) -> int:
+    """How many lower bits are zero in every level of every image because `bits` were left-justified in 16."""
+    spare = (used & -used).bit_length() - 1 if used else 0
+    if greatest <= full_scale(bits):
+        held = next((depth for depth in (10, 12) if bits == 16 and spare >= 16 - depth), None)
+        if held:
+            warn(
+                f"every grey level is a multiple of {1 << 16 - held}: the images seem to hold {held} bits in "
+                f"the upper bits of 16; with --bits {held} saturated pixels are recognised"
+            )
+        return 0
+    if spare >= 16 - bits:
+        warn(f"the {bits} bits are the upper ones of 16 in these images; they were moved to the lower ones")
+        return 16 - bits
+    raise DataError(f"{path}: has a grey level of {greatest}, more than {bits} bits hold; see --bits")
+
+
+def _is_jpeg(path: Path) -> bool:
+    with Pillow.open(path) as picture:
+        return picture.format in ("JPEG", "MPO")
 
 
 def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:
@@ -134,9 +224,7 @@ def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:
     depth = 8 if mode == "L" else 16
     if (depth == 8) != (bits == 8):
         raise DataError(f"{path}: holds {depth}-bit grey levels but {bits} bits were promised; see --bits")
-    if int(image.max(initial=0)) > full_scale(bits):
-        raise DataError(f"{path}: has a grey level of {image.max()}, more than {bits} bits hold; see --bits")
     if size is not None and image.shape[::-1] != size:
         found = " x ".join(map(str, image.shape[::-1]))
         raise DataError(f"{path}: is {found} pixels but the first image is {size[0]} x {size[1]}")
-    return image.astype(raw_dtype(bits))
+    return image.astype(raw_dtype(8 if mode == "L" else 16))

@@ -145,8 +145,9 @@ def test_wrong_loose_images(
         if wanted is not None:
             Pillow.fromarray(wanted).save(tmp_path / f"f_{index:02d}.png")
     done = fpplab(
-        "import", tmp_path, "--plan", plan, "--frames", "f_{index:02d}.png", "--out", tmp_path / "s", "--json"
-    )
+        "import", tmp_path, "--plan", plan, "--frames", "f_{index:02d}.png", "--out", tmp_path / "s",
+        "--projector-size", 64, 48, "--json",
+    )  # fmt: skip
     assert done.code == 4
     assert words in done.json["error"]
     assert not (tmp_path / "s").exists()

@@ -56,6 +56,8 @@ def test_a_good_file(tmp_path: Path) -> None:
         ("name: a\nlens: 35", "'lens' is 35: "),
         ("name:\nlens: {focal_mm: 35}", "'name' is None: should be a valid string"),
         ("nam: a\nlens: {}", r"unknown key 'nam' \(and 2 more\)"),
+        ("nam: a\nlens: {f: 2}\nx: 1", r"unknown keys 'lens.f', 'nam', 'x' \(and 2 more\)"),
+        ("name: a\nlens: {focal_mm: 35, f: 2}\nx: 1", "unknown keys 'lens.f', 'x'$"),
         ("- name", r"expected a mapping of fields, found \['name'\]"),
         ("", "expected a mapping of fields, found None"),
         ("just words", "expected a mapping of fields, found 'just words'"),

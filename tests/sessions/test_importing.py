@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image as Pillow
 
+from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import Session
 from tests.support.recorded import PLAN, image_of
@@ -170,3 +173,75 @@ def test_a_full_disk_leaves_nothing(folder: Path, monkeypatch: pytest.MonkeyPatc
         patch.setattr(os, "fsync", full)
         refuses(folder, "no space left on the disk")
     assert bring(folder).missing() == []
+
+
+def test_names_that_count_from_one(folder: Path) -> None:
+    for index in reversed(range(4)):
+        (folder / NAMES.format(index=index)).rename(folder / NAMES.format(index=index + 1))
+    refuses(folder, r"1 of the plan's 4 frames are missing \(f_00.png\).* from index 0; .* --first 1$")
+    session = bring(folder, first=1)
+    np.testing.assert_array_equal(session.read(3), image_of(3))
+
+
+def test_more_images_than_the_plan_has(folder: Path) -> None:
+    for index in (4, 11):
+        Pillow.fromarray(image_of(index)).save(folder / NAMES.format(index=index))
+    Pillow.fromarray(image_of(9)).save(folder / "dark.png")
+    refuses(folder, r"has 2 images more than the plan's 4 \(f_04.png, f_11.png\): the plan lacks")
+
+
+def test_left_justified_levels_are_moved(folder: Path) -> None:
+    for index in range(4):
+        replace(folder, index, image_of(index).astype(np.uint16) * 16 * 15)
+    said: list[str] = []
+    session = bring(folder, bits=12, warn=said.append)
+    np.testing.assert_array_equal(session.read(2), image_of(2).astype(np.uint16) * 15)
+    assert session.format == (20, 16, 12)
+    assert len(said) == 1
+    assert "moved to the lower ones" in said[0]
+    said.clear()
+    bring(folder, bits=16, force=True, warn=said.append)
+    assert len(said) == 1
+    assert "with --bits 12 saturated pixels" in said[0]
+
+
+def test_one_odd_level_is_not_left_justified(folder: Path) -> None:
+    for index in range(4):
+        replace(folder, index, image_of(index).astype(np.uint16) * 16 * 15 + (index == 3))
+    refuses(folder, r"has a grey level of \d+, more than 12 bits hold", bits=12)
+
+
+def test_right_justified_levels_say_nothing(folder: Path) -> None:
+    said: list[str] = []
+    bring(folder, warn=said.append)
+    for index in range(4):
+        replace(folder, index, image_of(index).astype(np.uint16) * 4 + 1)
+    bring(folder, bits=12, force=True, warn=said.append)
+    assert not said
+
+
+def test_jpeg_is_warned_of(folder: Path) -> None:
+    for index in range(4):
+        Pillow.fromarray(image_of(index)).save(folder / f"f_{index:02d}.jpg")
+    said: list[str] = []
+    bring(folder, "f_{index:02d}.jpg", warn=said.append)
+    assert len(said) == 1
+    assert "4 of the images are JPEG files (f_00.jpg, " in said[0]
+
+
+def test_the_projector_is_asked_for(folder: Path) -> None:
+    plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4),))
+    out = folder.parent / "session"
+    with pytest.raises(ConfigError, match=r"^--projector-size is missing, and the plan's fringes have no"):
+        import_images(folder, plan, NAMES, out)
+    assert not out.exists()
+    import_images(folder, plan, NAMES, out, projector_size=(912, 1140), lattice=Lattice.DIAMOND)
+    session = Session.open(out)
+    assert session.projector() == ((912, 1140), Lattice.DIAMOND)
+    assert session.recording().plan == plan
+
+
+def test_a_projector_that_is_not_the_plans(folder: Path) -> None:
+    refuses(folder, r"'projector_size' is \[64, 48\] but the projector has \[48, 64\]", ConfigError,
+            projector_size=(48, 64))  # fmt: skip
+    assert bring(folder, lattice=Lattice.DIAMOND).projector() == ((64, 48), Lattice.DIAMOND)

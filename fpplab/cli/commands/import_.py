@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, Out, PlanName, app
+from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError
 
 
@@ -17,16 +18,25 @@ def import_command(
     folder: Annotated[Path, typer.Argument(help="Folder of grey images, one per pattern of the plan.")],
     plan: PlanName,
     frames: Annotated[
-        str, typer.Option("--frames", help="Name of image {index}, from 0, such as 'f_{index:02d}.png'.")
+        str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
     ],
     out: Out,
     bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
+    first: Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")] = 0,
+    projector_size: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--projector-size", help="Width and height of the projector, if the plan does not say."),
+    ] = None,
+    lattice: Annotated[
+        Lattice, typer.Option("--lattice", help="How the projector's mirrors lie.")
+    ] = Lattice.SQUARE,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Import image files that other programs recorded as a session.
 
-    Every file is checked first: none missing, greyscale, of one size and of the bit depth given.
+    Every file is checked first: none missing, none left over, greyscale, of one size and of the bit depth
+    given.
 
     Example: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out pose1`
     """
@@ -35,6 +45,12 @@ def import_command(
 
     if bits not in (8, 10, 12, 16):
         raise ConfigError(f"--bits is {bits}: one of 8, 10, 12, 16")
+    warnings: list[str] = []
     with console.progress("Importing") as report:
-        session = import_images(folder, Plan.load(plan), frames, out, bits, force, report)
-    console.answer({"frames": len(session.records), "session": str(session.path)}, json)
+        session = import_images(
+            folder, Plan.load(plan), frames, out, bits, force, report,
+            first=first, projector_size=projector_size, lattice=lattice, warn=warnings.append,
+        )  # fmt: skip
+    for warning in warnings:
+        console.say(f"warning: {warning}")
+    console.answer({"frames": len(session.records), "session": str(session.path), "warnings": warnings}, json)
