@@ -36,7 +36,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import DepthSection, Mounted, Rig
-from fpplab.diagnosis import Diagnosis, UselessScanError, diagnose_scan
+from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict, diagnose_scan
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.response import Response
@@ -366,6 +366,8 @@ def finish_scan(
         diagnosis = diagnose(session, decoded, cloud, calibration)
         if judged is not None:
             judged(decoded, cloud, diagnosis)
+        if diagnosis.verdict is Verdict.USELESS:
+            (session.path / CLOUD).unlink(missing_ok=True)  # of an earlier reconstruction
         diagnosis.require_usable(str(session.path))
         save_cloud(cloud, session.path / CLOUD)
     calibration.save(session.path / CALIBRATION)

@@ -1,6 +1,6 @@
 """What is wrong with a scan, by its own frames and points, and whether to believe the result."""
 
-from fpplab.diagnosis.catalogue import REMEDIES, Cause, ScanFinding
+from fpplab.diagnosis.catalogue import REMEDIES, ScanCause, ScanFinding
 from fpplab.diagnosis.verdict import (
     Diagnosis,
     UselessScanError,
@@ -12,8 +12,8 @@ from fpplab.diagnosis.verdict import (
 
 __all__ = [
     "REMEDIES",
-    "Cause",
     "Diagnosis",
+    "ScanCause",
     "ScanFinding",
     "UselessScanError",
     "Verdict",

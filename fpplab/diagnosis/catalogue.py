@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Cause(StrEnum):
+class ScanCause(StrEnum):
     """What is wrong, as a short key."""
 
     PROJECTOR_DARK = "projector_dark"
@@ -40,23 +40,25 @@ class Cause(StrEnum):
 
 
 REMEDIES = {
-    Cause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
-    Cause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
-    Cause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
-    Cause.WRONG_AXIS: "use a plan with fringes along the other axis, or along both",
-    Cause.SATURATED: "shorten exposure_s, dim the lamp, or coat shiny parts",
-    Cause.UNDEREXPOSED: "lengthen exposure_s, open the camera's aperture, or brighten the lamp",
-    Cause.CAMERA_FOCUS: "focus the camera at the part's distance, or close its aperture; then characterise "
-    "again",
-    Cause.PROJECTOR_FOCUS: "focus the projector at the part's distance, then characterise again; or use a "
-    "plan with fewer stripes",
-    Cause.VIBRATION: "fix the part, and keep stage, fans and people still; trigger the frames",
-    Cause.AMBIENT: "shade the scene, switch the room's lights off, or put a filter of the lamp's colour "
+    ScanCause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
+    ScanCause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
+    ScanCause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
+    ScanCause.WRONG_AXIS: "use a plan with fringes along the other axis, or along both",
+    ScanCause.SATURATED: "shorten exposure_s, dim the lamp, or coat shiny parts",
+    ScanCause.UNDEREXPOSED: "lengthen exposure_s, open the camera's aperture, or brighten the lamp",
+    ScanCause.CAMERA_FOCUS: "focus the camera at the part's distance, or close its aperture; then "
+    "characterise again",
+    ScanCause.PROJECTOR_FOCUS: "focus the projector at the part's distance, then characterise again; or use "
+    "a plan with fewer stripes",
+    ScanCause.VIBRATION: "fix the part, and keep stage, fans and people still; trigger the frames",
+    ScanCause.AMBIENT: "shade the scene, switch the room's lights off, or put a filter of the lamp's colour "
     "before the lens",
-    Cause.RESPONSE: "measure the response with 'fpplab gamma' and name it in the plan, or take more steps",
-    Cause.FLICKER: "expose for whole periods of the lamp and of the mains, and let the lamp warm up",
-    Cause.SMALL_ANGLE: "move the projector away from the camera, to 15 to 30 degrees, and characterise again",
-    Cause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
+    ScanCause.RESPONSE: "measure the response with 'fpplab gamma' and name it in the plan, or take more "
+    "steps",
+    ScanCause.FLICKER: "expose for whole periods of the lamp and of the mains, and let the lamp warm up",
+    ScanCause.SMALL_ANGLE: "move the projector away from the camera, to 15 to 30 degrees, and characterise "
+    "again",
+    ScanCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
 }
 """What to do, by cause."""
 
@@ -67,15 +69,15 @@ class ScanFinding:
 
     Attributes
     ----------
-    cause : Cause
-        What.
+    cause : ScanCause
+        What is wrong.
     evidence : str
         How it shows, with the measured value and its limit.
     excess : float
         Measured value over its limit, 1 or more, by which findings are ranked.
     """
 
-    cause: Cause
+    cause: ScanCause
     evidence: str
     excess: float
 

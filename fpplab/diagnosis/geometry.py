@@ -9,7 +9,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats
-from fpplab.diagnosis.catalogue import Cause, ScanFinding
+from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.patterns.plan import Plan
 
 LEAST_ANGLE_DEG = 5.0
@@ -49,7 +49,7 @@ def geometry_findings(cloud: Cloud, plan: Plan, calibration: Calibration) -> Ite
     angle = float(np.median(triangulation_angles_deg(points, calibration)))
     if angle < LEAST_ANGLE_DEG:
         words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {LEAST_ANGLE_DEG:g})"
-        yield ScanFinding(Cause.SMALL_ANGLE, words, LEAST_ANGLE_DEG / max(angle, 0.1))
+        yield ScanFinding(ScanCause.SMALL_ANGLE, words, LEAST_ANGLE_DEG / max(angle, 0.1))
     by_depth = np.median(np.abs(_by_depth(points, calibration)), axis=0)
     coded = [by_depth["xy".index(axis)] for axis in plan.axes]
     share = float(np.linalg.norm(coded) / np.linalg.norm(by_depth))
@@ -59,13 +59,13 @@ def geometry_findings(cloud: Cloud, plan: Plan, calibration: Calibration) -> Ite
             f"coordinate with depth (at least {100 * LEAST_SENSITIVITY:g} %): noise in depth is "
             f"{1 / share:.1f} times as large as it need be"
         )
-        yield ScanFinding(Cause.WRONG_AXIS, words, LEAST_SENSITIVITY / max(share, 1e-3))
+        yield ScanFinding(ScanCause.WRONG_AXIS, words, LEAST_SENSITIVITY / max(share, 1e-3))
     if (off := systematic_epipolar_px(cloud)) is not None and off > MOST_EPIPOLAR_PX:
         words = (
             f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most "
             f"{MOST_EPIPOLAR_PX:g})"
         )
-        yield ScanFinding(Cause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
+        yield ScanFinding(ScanCause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
     yield from _sampling(points, plan, calibration)
 
 
@@ -153,4 +153,4 @@ def _sampling(points: Floats, plan: Plan, calibration: Calibration) -> Iterator[
                 f"the finest stripes along {axis} cover {covered:.1f} camera px (at least "
                 f"{LEAST_PX_PER_STRIPE:g})"
             )
-            yield ScanFinding(Cause.UNDERSAMPLED, words, LEAST_PX_PER_STRIPE / covered)
+            yield ScanFinding(ScanCause.UNDERSAMPLED, words, LEAST_PX_PER_STRIPE / covered)

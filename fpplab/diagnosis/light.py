@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Floats
-from fpplab.diagnosis.catalogue import Cause, ScanFinding
+from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.diagnosis.sample import FrameSample
 
 DARK_SIGMAS = 10.0
@@ -44,6 +44,9 @@ FOCUSED_PX = 0.9
 
 BLURRED_PX = 2.5
 """Blur of the camera's image in px that is out of focus."""
+
+CAMERA_SHARE = 0.45
+"""Blur of edges, as a share of that of the fringes, from which on the camera is out of focus."""
 
 EDGE_CONTRAST = 0.25
 """Least range of grey levels in a tile, of the brightest, that is an edge."""
@@ -109,17 +112,17 @@ def _darkness(sample: FrameSample) -> ScanFinding | None:
             f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
             f"noise (at least {DARK_SIGMAS:g})"
         )
-        return ScanFinding(Cause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
+        return ScanFinding(ScanCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = (
             f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
             f"noise (at least {WEAK_SIGMAS:g})"
         )
-        return ScanFinding(Cause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
+        return ScanFinding(ScanCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
-        return ScanFinding(Cause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
+        return ScanFinding(ScanCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
     return None
 
 
@@ -128,7 +131,7 @@ def _saturation(sample: FrameSample) -> ScanFinding | None:
     if share <= MOST_SATURATED:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
-    return ScanFinding(Cause.SATURATED, words, share / MOST_SATURATED)
+    return ScanFinding(ScanCause.SATURATED, words, share / MOST_SATURATED)
 
 
 def _exposure(sample: FrameSample) -> ScanFinding | None:
@@ -136,7 +139,7 @@ def _exposure(sample: FrameSample) -> ScanFinding | None:
     if peak >= LEAST_PEAK:
         return None
     words = f"the brightest parts reach {100 * peak:.1f} % of full scale (at least {100 * LEAST_PEAK:g} %)"
-    return ScanFinding(Cause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
+    return ScanFinding(ScanCause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
 
 
 def _ambient(sample: FrameSample) -> ScanFinding | None:
@@ -152,7 +155,7 @@ def _ambient(sample: FrameSample) -> ScanFinding | None:
         f"{fringes:.0f}; noise is {math.sqrt(1.0 + other / fringes):.1f} times as large as without (at most "
         f"{math.sqrt(1.0 + MOST_AMBIENT):.1f})"
     )
-    return ScanFinding(Cause.AMBIENT, words, other / fringes / MOST_AMBIENT)
+    return ScanFinding(ScanCause.AMBIENT, words, other / fringes / MOST_AMBIENT)
 
 
 def _response(sample: FrameSample) -> ScanFinding | None:
@@ -166,9 +169,9 @@ def _response(sample: FrameSample) -> ScanFinding | None:
             f"harmonics of the response are {100 * max(of_waves):.0f} % of the fringes (at most "
             f"{100 * MOST_HARMONICS:g} %)"
         )
-        return ScanFinding(Cause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
+        return ScanFinding(ScanCause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
     rad = float(np.nanmax([0.0, errors.harmonic_rad, *_ripples(sample)]))
-    return _phase_error(sample, Cause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
+    return _phase_error(sample, ScanCause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
 
 
 def _ripples(sample: FrameSample) -> Iterator[float]:
@@ -205,16 +208,16 @@ def _flicker(sample: FrameSample) -> ScanFinding | None:
     scatter = math.sqrt(np.mean([one.gain_first**2 / one.images for one in sample.errors.sets]))
     if scatter > MOST_FLICKER:
         words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * MOST_FLICKER:g} %)"
-        return ScanFinding(Cause.FLICKER, words, scatter / MOST_FLICKER)
+        return ScanFinding(ScanCause.FLICKER, words, scatter / MOST_FLICKER)
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
     return _phase_error(
-        sample, Cause.FLICKER, math.sqrt(power), LEAST_FLICKER_RAD, "frames of unequal brightness"
+        sample, ScanCause.FLICKER, math.sqrt(power), LEAST_FLICKER_RAD, "frames of unequal brightness"
     )
 
 
 def _phase_error(
-    sample: FrameSample, cause: Cause, rad: float, least_rad: float, what: str
+    sample: FrameSample, cause: ScanCause, rad: float, least_rad: float, what: str
 ) -> ScanFinding | None:
     """An error of the phase that matters beside the noise."""
     if not sample.measured.any() or not rad > least_rad:
@@ -242,7 +245,7 @@ def _motion(sample: FrameSample) -> ScanFinding | None:
             worst = shift
             limit = f"at most {MOST_SHIFT_PX:g} px"
             words = f"the scene moved by {shift:.2f} px between fringe sets 1 and {k + 1} ({limit})"
-    return ScanFinding(Cause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
+    return ScanFinding(ScanCause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
 
 
 def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
@@ -342,11 +345,11 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Sca
     sharp = math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)
     edge = edge_blur_px(sample)
     scale = projector_px_per_px or 1.0
-    of_camera = edge is not None and scale * edge > 0.6 * blur
+    of_camera = edge is not None and scale * edge > CAMERA_SHARE * blur
     soft = of_camera and edge is not None and edge > BLURRED_PX and blur > 0.7 * scale * BLURRED_PX
     if contrast >= LEAST_CONTRAST * sharp and not soft:
         return None
-    cause = Cause.CAMERA_FOCUS if of_camera else Cause.PROJECTOR_FOCUS
+    cause = ScanCause.CAMERA_FOCUS if of_camera else ScanCause.PROJECTOR_FOCUS
     edges = "there are no edges to compare with" if edge is None else f"edges in the image by {edge:.1f} px"
     words = (
         f"the finest fringes have {100 * contrast:.0f} % of the widest ones' contrast ({100 * sharp:.0f} % "

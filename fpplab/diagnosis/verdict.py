@@ -9,7 +9,7 @@ from enum import StrEnum
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.catalogue import Cause, ScanFinding
+from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.diagnosis.geometry import POINTS, geometry_findings, projector_px_per_px
 from fpplab.diagnosis.light import focus_finding, light_findings
 from fpplab.diagnosis.sample import FrameSample
@@ -22,7 +22,7 @@ USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
-USELESS_EXCESS = {Cause.STALE_CALIBRATION: 10.0}
+USELESS_EXCESS = {ScanCause.STALE_CALIBRATION: 10.0}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
 
@@ -57,6 +57,11 @@ class Diagnosis:
     reason: str
     findings: tuple[ScanFinding, ...]
     unknown: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The verdict with its reason."""
+        return f"verdict: {self.verdict.value}: {self.reason}"
 
     def require_usable(self, name: str) -> None:
         """Refuse a result that nobody should use.
@@ -185,7 +190,7 @@ def diagnose_poses(
     Diagnosis
         With one finding for each cause, of the pose where it is worst.
     """
-    found: dict[Cause, list[tuple[str, ScanFinding]]] = {}
+    found: dict[ScanCause, list[tuple[str, ScanFinding]]] = {}
     poses = 0
     for name, recording in recordings:
         poses += 1
@@ -226,7 +231,7 @@ def _judged(
 
 def _of_frames(sample: FrameSample, scale: float | None) -> list[ScanFinding]:
     findings = list(light_findings(sample))
-    dark = {Cause.PROJECTOR_DARK, Cause.NO_OVERLAP}
+    dark = {ScanCause.PROJECTOR_DARK, ScanCause.NO_OVERLAP}
     if not any(finding.cause in dark for finding in findings):
         focus = focus_finding(sample, scale)
         findings += [focus] if focus else []

@@ -10,7 +10,7 @@ import pytest
 
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
-from fpplab.diagnosis import REMEDIES, Cause, Diagnosis, Verdict, diagnose_frames, diagnose_scan
+from fpplab.diagnosis import REMEDIES, Diagnosis, ScanCause, Verdict, diagnose_frames, diagnose_scan
 from fpplab.diagnosis.geometry import triangulation_angles_deg
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
@@ -34,27 +34,27 @@ def diagnosis(bench: Bench) -> Diagnosis:
     return measured(bench)[2]
 
 
-def causes(bench: Bench) -> list[Cause]:
+def causes(bench: Bench) -> list[ScanCause]:
     return [finding.cause for finding in diagnosis(bench).findings]
 
 
-FAULTS: dict[Cause, list[Fault]] = {
-    Cause.PROJECTOR_DARK: [{"lamp": 0.0}, {"lamp": 0.0, "ambient": 0.5}],
-    Cause.UNDEREXPOSED: [{"white": 0.03}, {"white": 0.06}],
-    Cause.SATURATED: [{"white": 1.6}, {"white": 3.0}],
-    Cause.CAMERA_FOCUS: [{"camera_blur_px": 4.0}, {"camera_blur_px": 7.0}],
-    Cause.PROJECTOR_FOCUS: [{"projector_blur_px": 4.0}, {"projector_blur_px": 6.0}],
-    Cause.AMBIENT: [{"ambient": 1.3, "white": 0.38}, {"ambient": 3.0, "white": 0.2}],
-    Cause.RESPONSE: [{"gamma": 2.2, "plan": THREE}, {"gamma": 1.4, "plan": THREE}, {"gamma": 2.0}],
-    Cause.VIBRATION: [{"moves_px": 0.6}, {"moves_px": 2.0}, {"moves_px": 1.0, "plan": THREE}],
-    Cause.FLICKER: [{"flicker": 0.1}, {"flicker": 0.15}],
-    Cause.SMALL_ANGLE: [{"baseline_mm": 15.0}, {"baseline_mm": 25.0}],
-    Cause.WRONG_AXIS: [{"plan": plan_of("y")}],
-    Cause.STALE_CALIBRATION: [
+FAULTS: dict[ScanCause, list[Fault]] = {
+    ScanCause.PROJECTOR_DARK: [{"lamp": 0.0}, {"lamp": 0.0, "ambient": 0.5}],
+    ScanCause.UNDEREXPOSED: [{"white": 0.03}, {"white": 0.06}],
+    ScanCause.SATURATED: [{"white": 1.6}, {"white": 3.0}],
+    ScanCause.CAMERA_FOCUS: [{"camera_blur_px": 4.0}, {"camera_blur_px": 7.0}],
+    ScanCause.PROJECTOR_FOCUS: [{"projector_blur_px": 4.0}, {"projector_blur_px": 6.0}],
+    ScanCause.AMBIENT: [{"ambient": 1.3, "white": 0.38}, {"ambient": 3.0, "white": 0.2}],
+    ScanCause.RESPONSE: [{"gamma": 2.2, "plan": THREE}, {"gamma": 1.4, "plan": THREE}, {"gamma": 2.0}],
+    ScanCause.VIBRATION: [{"moves_px": 0.6}, {"moves_px": 2.0}, {"moves_px": 1.0, "plan": THREE}],
+    ScanCause.FLICKER: [{"flicker": 0.1}, {"flicker": 0.15}],
+    ScanCause.SMALL_ANGLE: [{"baseline_mm": 15.0}, {"baseline_mm": 25.0}],
+    ScanCause.WRONG_AXIS: [{"plan": plan_of("y")}],
+    ScanCause.STALE_CALIBRATION: [
         {"plan": plan_of("xy"), "turned_deg": 0.03},
         {"plan": plan_of("xy"), "turned_deg": 0.5},
     ],
-    Cause.UNDERSAMPLED: [{"plan": plan_of("x", (6, 6, 12), (1, 12, 180))}],
+    ScanCause.UNDERSAMPLED: [{"plan": plan_of("x", (6, 6, 12), (1, 12, 180))}],
 }
 ALL = [(cause, fault) for cause, faults in FAULTS.items() for fault in faults]
 GOOD: list[Fault] = [
@@ -72,7 +72,7 @@ GOOD: list[Fault] = [
 
 
 @pytest.mark.parametrize(("cause", "fault"), ALL, ids=lambda x: str(x)[:40])
-def test_a_fault_is_named_first(cause: Cause, fault: Fault) -> None:
+def test_a_fault_is_named_first(cause: ScanCause, fault: Fault) -> None:
     found = diagnosis(replace(Bench(seed=11), **fault))
     assert found.verdict is not Verdict.GOOD
     assert found.findings[0].cause is cause
@@ -105,16 +105,20 @@ def test_good_benches_of_many_seeds() -> None:
 
 
 PAIRS = [
-    ({"ambient": 1.5, "white": 0.3}, {"projector_blur_px": 4.0}, {Cause.AMBIENT, Cause.PROJECTOR_FOCUS}),
-    ({"white": 1.6}, {"baseline_mm": 15.0}, {Cause.SATURATED, Cause.SMALL_ANGLE}),
-    ({"gamma": 2.2, "plan": THREE}, {"baseline_mm": 20.0}, {Cause.RESPONSE, Cause.SMALL_ANGLE}),
-    ({"moves_px": 0.6}, {"ambient": 1.5, "white": 0.3}, {Cause.VIBRATION, Cause.AMBIENT}),
-    ({"plan": plan_of("y")}, {"white": 0.06}, {Cause.WRONG_AXIS, Cause.UNDEREXPOSED}),
+    (
+        {"ambient": 1.5, "white": 0.3},
+        {"projector_blur_px": 4.0},
+        {ScanCause.AMBIENT, ScanCause.PROJECTOR_FOCUS},
+    ),
+    ({"white": 1.6}, {"baseline_mm": 15.0}, {ScanCause.SATURATED, ScanCause.SMALL_ANGLE}),
+    ({"gamma": 2.2, "plan": THREE}, {"baseline_mm": 20.0}, {ScanCause.RESPONSE, ScanCause.SMALL_ANGLE}),
+    ({"moves_px": 0.6}, {"ambient": 1.5, "white": 0.3}, {ScanCause.VIBRATION, ScanCause.AMBIENT}),
+    ({"plan": plan_of("y")}, {"white": 0.06}, {ScanCause.WRONG_AXIS, ScanCause.UNDEREXPOSED}),
 ]
 
 
 @pytest.mark.parametrize(("one", "other", "expected"), PAIRS, ids=lambda x: str(x)[:40])
-def test_two_faults_are_both_named(one: Fault, other: Fault, expected: set[Cause]) -> None:
+def test_two_faults_are_both_named(one: Fault, other: Fault, expected: set[ScanCause]) -> None:
     assert set(causes(replace(Bench(seed=13), **one, **other))) >= expected
 
 
@@ -138,7 +142,7 @@ def test_what_one_axis_cannot_tell_is_said() -> None:
 
 def test_frames_alone_tell_what_is_wrong_with_them() -> None:
     found = diagnose_frames(Bench(white=1.6).recording())
-    assert [finding.cause for finding in found] == [Cause.SATURATED]
+    assert [finding.cause for finding in found] == [ScanCause.SATURATED]
     assert diagnose_frames(Bench().recording()) == ()
 
 
@@ -160,7 +164,7 @@ def test_few_of_the_lit_pixels_measured_is_doubtful_and_next_to_none_useless() -
 
 
 def test_every_cause_has_a_remedy() -> None:
-    assert set(REMEDIES) == set(Cause)
+    assert set(REMEDIES) == set(ScanCause)
 
 
 def test_the_angle_is_the_triangles() -> None:

@@ -131,6 +131,7 @@ def characterise_command(
         console.say(f"left out: {reason}")
     for warning in result.warnings:
         console.say(f"warning: {warning}")
+    console.say(diagnosis.sentence)
     result.calibration.save(out)
     write_report(page, f"Characterisation {out.stem}", facts=result.facts(), characterisation=result)
     console.answer(

@@ -62,4 +62,5 @@ def reconstruct_command(
         "uncertain_orders": uncertain_orders(decoded, recorded.plan),
         "seconds": seconds(),
     }
+    console.say(diagnosis.sentence)
     console.answer({**result, "cloud": str(out), "report": str(page)}, json)

@@ -114,4 +114,5 @@ def scan_command(
             viewer.decoded(decoded)
             viewer.cloud(cloud)
             viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
+    console.say(diagnosis.sentence)
     console.answer({**result, "cloud": str(out / CLOUD), "report": str(out / REPORT)}, json)

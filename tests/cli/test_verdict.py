@@ -1,0 +1,53 @@
+"""`reconstruct` says whether to believe its result, and writes nothing that is useless."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fpplab.devices import CameraSettings, Frame
+from fpplab.sessions.session import Session
+from tests.support.commands import Command, Outcome
+from tests.support.faulty_bench import Bench, faulty, healthy
+
+
+def reconstructed(fpplab: Command, bench: Bench, folder: Path) -> Outcome:
+    """Record a bench, and reconstruct it by command."""
+    recording = bench.recording()
+    rig = {"resolved": {"projector": {"size": list(recording.projector_size), "lattice": "square"}}}
+    session = Session.create(folder / "session", bench.plan, rig)
+    for index, ((_, _, pattern), image) in enumerate(zip(bench.plan.steps(), recording.frames, strict=True)):
+        session.write(Frame(image, index, CameraSettings(0.02, 0.0, bench.bits), 0.0, pattern_id=pattern))
+    bench.calibration.save(folder / "calibration.yaml")
+    words = "--calibration", folder / "calibration.yaml", "--out", folder / "cloud.ply"
+    return fpplab("reconstruct", folder / "session", *words, "--json")
+
+
+def test_a_good_session_is_good(fpplab: Command, tmp_path: Path) -> None:
+    done = reconstructed(fpplab, healthy(101), tmp_path)
+    assert done.code == 0, done.err
+    assert done.json["verdict"] == "good"
+    assert done.json["findings"] == []
+    assert (tmp_path / "cloud.ply").is_file()
+    assert "Verdict: good" in (tmp_path / "cloud.html").read_text()
+
+
+def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> None:
+    done = reconstructed(fpplab, faulty("projector_focus", 101), tmp_path)
+    assert done.code == 4, done.err
+    assert done.json["verdict"] == "useless"
+    assert done.json["exit_code"] == 4
+    first = done.json["findings"][0]
+    assert first["cause"] == "projector_focus"
+    assert first["evidence"] in done.err
+    assert first["remedy"] in done.err
+    assert not (tmp_path / "cloud.ply").exists()
+    assert not (tmp_path / "cloud.html").exists(), "there is not a single point to draw"
+
+
+def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> None:
+    done = reconstructed(fpplab, faulty("ambient", 101), tmp_path)
+    assert done.code == 0, done.err
+    assert done.json["verdict"] == "doubtful"
+    assert done.json["findings"][0]["cause"] == "ambient"
+    assert "verdict: doubtful: ambient: " in done.err
+    assert "Verdict: doubtful" in (tmp_path / "cloud.html").read_text()
