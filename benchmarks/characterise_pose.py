@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from benchmarks import Result, below
+from benchmarks.last_frame_to_cloud import rig_record
 from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import TWO_PI, Floats, Map, axis_length
 from fpplab.core.geometry import Pinhole, RigidTransform
@@ -153,7 +154,7 @@ def record_pose(path: Path, target: Target, pose: RigidTransform) -> Session:
     )
     ink = cv2.remap(picture, across, down, cv2.INTER_LINEAR, borderValue=(0.02,))
     seen = calibration.projector.project(points, calibration.T_projector_camera)
-    session = Session.create(path, PLAN, _rig_record())
+    session = Session.create(path, PLAN, rig_record(calibration))
     random = np.random.default_rng([7, len(path.name), int(path.name[-2:])])
     for index, (k, step, name) in enumerate(PLAN.steps()):
         fringe = PLAN.fringes[k]
@@ -240,7 +241,3 @@ def _found(grey: Map, target: Target) -> Map:
     assert found
     turned = grid[::-1, ::-1] if grid[0, -1, 0] < grid[0, 0, 0] else grid
     return np.ascontiguousarray(turned.reshape(-1, 1, 2))
-
-
-def _rig_record() -> dict[str, object]:
-    return {"name": "synthetic", "resolved": {"projector": {"size": list(PROJECTOR), "lattice": "square"}}}

@@ -128,7 +128,7 @@ def recorded(path: Path, calibration: Calibration) -> Session:
     points = np.stack([across * depth, down * depth, depth], axis=-1)
     u = calibration.projector.project(points, calibration.T_projector_camera)[..., 0]
     position = ((u + 0.5) / calibration.projector.size[0]).astype(np.float32)
-    random, session = np.random.default_rng(1), Session.create(path, PLAN, _rig_record(calibration))
+    random, session = np.random.default_rng(1), Session.create(path, PLAN, rig_record(calibration))
     noise = random.normal(0.0, 1.0, (position.shape[0], 2 * position.shape[1])).astype(np.float32)
     for index, (k, step, name) in enumerate(PLAN.steps()):
         fringe = PLAN.fringes[k]
@@ -183,7 +183,19 @@ def _points(calibration: Calibration, pixels: Floats, columns: Floats) -> Floats
     return np.asarray(rays * depth[:, None])
 
 
-def _rig_record(calibration: Calibration) -> dict[str, object]:
+def rig_record(calibration: Calibration) -> dict[str, object]:
+    """Describe a rig as a session records it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of the rig.
+
+    Returns
+    -------
+    dict of str to object
+        With the projector's size and lattice.
+    """
     projector = calibration.projector
     resolved = {"size": list(projector.size), "lattice": projector.lattice.value}
     return {"name": "synthetic", "resolved": {"projector": resolved}}

@@ -200,7 +200,7 @@ def reconstruct(
     plan = recording.plan
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
-    if not any(np.isfinite(values).any() for values in (decoded.u, decoded.v)):
+    if not decoded.valid.any():
         maps_ready(decoded)
         raise UselessScanError(str(session.path), diagnose_scan(recording, decoded, None, calibration))
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())

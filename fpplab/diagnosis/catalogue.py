@@ -82,6 +82,11 @@ class ScanFinding:
     excess: float
 
     @property
+    def sentence(self) -> str:
+        """The cause with its evidence."""
+        return f"{self.cause}: {self.evidence}"
+
+    @property
     def remedy(self) -> str:
         """What to do."""
         return REMEDIES[self.cause]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Floats, axis_length
 from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.patterns.plan import Plan
 
@@ -28,29 +30,64 @@ POINTS, NEIGHBOURS = 4000, 64
 """How many points are evaluated, and over how many neighbours epipolar distances are averaged."""
 
 
-def geometry_findings(cloud: Cloud, plan: Plan, calibration: Calibration) -> Iterator[ScanFinding]:
+@dataclass(frozen=True, eq=False)
+class PointSample:
+    """Points of a scan.
+
+    Attributes
+    ----------
+    cloud : Cloud
+        In mm in the camera's frame.
+    calibration : Calibration
+        That they were triangulated with.
+    """
+
+    cloud: Cloud
+    calibration: Calibration
+
+    @cached_property
+    def points(self) -> Floats:
+        """(N, 3) some of the points in mm."""
+        return self.cloud.points[:: max(1, len(self.cloud) // POINTS)].astype(np.float64)
+
+    @cached_property
+    def projector_px_per_px(self) -> Floats:
+        """(2,) how many projector px along u and v one camera px covers, on a surface facing the camera."""
+        mm_per_px = float(np.median(self.points[:, 2])) / self.calibration.camera.matrix[0, 0]
+        here = self._seen(self.points)
+        moved = [self._seen(self.points + step) - here for step in mm_per_px * np.eye(3)[:2]]
+        return np.asarray(np.median(np.hypot(*moved), axis=0))
+
+    @cached_property
+    def px_per_mm_of_depth(self) -> Floats:
+        """(2,) change of the projector's u and v in px for 1 mm of depth along the camera's rays."""
+        near, far = (self.points * (1.0 + s / self.points[:, 2:]) for s in (-0.5, 0.5))
+        return np.asarray(np.median(np.abs(self._seen(far) - self._seen(near)), axis=0))
+
+    def _seen(self, points: Floats) -> Floats:
+        return self.calibration.projector.project(points, self.calibration.T_projector_camera)
+
+
+def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
     """Look for what is wrong with the geometry.
 
     Parameters
     ----------
-    cloud : Cloud
-        Points in mm in the camera's frame.
+    sample : PointSample
+        Of the scan.
     plan : Plan
         Of the scan.
-    calibration : Calibration
-        That they were triangulated with.
 
     Yields
     ------
     ScanFinding
         In no order.
     """
-    points = cloud.points[:: max(1, len(cloud) // POINTS)].astype(np.float64)
-    angle = float(np.median(triangulation_angles_deg(points, calibration)))
+    angle = float(np.median(triangulation_angles_deg(sample.points, sample.calibration)))
     if angle < LEAST_ANGLE_DEG:
         words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {LEAST_ANGLE_DEG:g})"
         yield ScanFinding(ScanCause.SMALL_ANGLE, words, LEAST_ANGLE_DEG / max(angle, 0.1))
-    by_depth = np.median(np.abs(_by_depth(points, calibration)), axis=0)
+    by_depth = sample.px_per_mm_of_depth
     coded = [by_depth["xy".index(axis)] for axis in plan.axes]
     share = float(np.linalg.norm(coded) / np.linalg.norm(by_depth))
     if share < LEAST_SENSITIVITY:
@@ -60,13 +97,13 @@ def geometry_findings(cloud: Cloud, plan: Plan, calibration: Calibration) -> Ite
             f"{1 / share:.1f} times as large as it need be"
         )
         yield ScanFinding(ScanCause.WRONG_AXIS, words, LEAST_SENSITIVITY / max(share, 1e-3))
-    if (off := systematic_epipolar_px(cloud)) is not None and off > MOST_EPIPOLAR_PX:
+    if (off := systematic_epipolar_px(sample.cloud)) is not None and off > MOST_EPIPOLAR_PX:
         words = (
             f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most "
             f"{MOST_EPIPOLAR_PX:g})"
         )
         yield ScanFinding(ScanCause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
-    yield from _sampling(points, plan, calibration)
+    yield from _sampling(sample, plan)
 
 
 def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:
@@ -90,29 +127,6 @@ def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def projector_px_per_px(points: Floats, calibration: Calibration) -> Floats:
-    """Compute how many projector px one camera px covers at the points, on a surface facing the camera.
-
-    Parameters
-    ----------
-    points : Floats
-        (N, 3) in mm in the camera's frame.
-    calibration : Calibration
-        Of the rig.
-
-    Returns
-    -------
-    Floats
-        (2,) median along u and along v of the projector.
-    """
-    mm_per_px = float(np.median(points[:, 2])) / calibration.camera.matrix[0, 0]
-    pose = calibration.T_projector_camera
-    here = calibration.projector.project(points, pose)
-    steps = mm_per_px * np.eye(3)[:2]
-    moved = [calibration.projector.project(points + step, pose) - here for step in steps]
-    return np.asarray(np.median(np.hypot(*moved), axis=0))
-
-
 def systematic_epipolar_px(cloud: Cloud) -> float | None:
     """Compute how far points are off their epipolar lines, where noise averages out over neighbours.
 
@@ -134,20 +148,11 @@ def systematic_epipolar_px(cloud: Cloud) -> float | None:
     return float(np.median(np.abs(np.median(groups, axis=1))))
 
 
-def _by_depth(points: Floats, calibration: Calibration) -> Floats:
-    """Change (N, 2) of the projector's coordinates in px for 1 mm of depth along the camera's rays."""
-    near, far = (points * (1.0 + s / points[:, 2:]) for s in (-0.5, 0.5))
-    project, pose = calibration.projector.project, calibration.T_projector_camera
-    return np.asarray(project(far, pose) - project(near, pose))
-
-
-def _sampling(points: Floats, plan: Plan, calibration: Calibration) -> Iterator[ScanFinding]:
-    scale = projector_px_per_px(points, calibration)
-    for k, axis in enumerate("xy"):
-        if axis not in plan.axes:
-            continue
-        stripes = plan.fringes[plan.finest_set("x" if k == 0 else "y")].stripes
-        covered = calibration.projector.size[k] / stripes / float(scale[k])
+def _sampling(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
+    for axis in plan.axes:
+        stripes = plan.fringes[plan.finest_set(axis)].stripes
+        covered = axis_length(sample.calibration.projector.size, axis) / stripes
+        covered /= float(sample.projector_px_per_px["xy".index(axis)])
         if covered < LEAST_PX_PER_STRIPE:
             words = (
                 f"the finest stripes along {axis} cover {covered:.1f} camera px (at least "

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpplab.core.conventions import TWO_PI, Floats
+from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
 from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.diagnosis.sample import FrameSample
 
@@ -107,18 +107,14 @@ def _darkness(sample: FrameSample) -> ScanFinding | None:
     noise = float(np.median(sample.noise(sample.widest.offset)))
     strength = sample.strongest / noise
     incoherent = strength < DARK_SIGMAS and sample.coherence < LEAST_COHERENCE
+    level = f"{sample.strongest:.2g} of 255 grey levels"
+    seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
     if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
-        words = (
-            f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
-            f"noise (at least {DARK_SIGMAS:g})"
-        )
+        words = f"{seen} (at least {DARK_SIGMAS:g})"
         return ScanFinding(ScanCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
-        words = (
-            f"the fringes' modulation is {sample.strongest:.2g} of 255 grey levels, {strength:.1f} times its "
-            f"noise (at least {WEAK_SIGMAS:g})"
-        )
+        words = f"{seen} (at least {WEAK_SIGMAS:g})"
         return ScanFinding(ScanCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
@@ -186,7 +182,7 @@ def _ripples(sample: FrameSample) -> Iterator[float]:
         known = sample.coordinates.get(fringe.axis)
         if known is None or fringe.images != finest.images or fringe.stripes > 0.5 * finest.stripes:
             continue
-        size = recording.projector_size["xy".index(fringe.axis)]
+        size = axis_length(recording.projector_size, fringe.axis)
         position = (known[:: sample.step, :: sample.step].astype(np.float64) + 0.5) / size
         used = sample.measured & np.isfinite(position)
         if used.sum() < LEAST_RIPPLED:
@@ -260,7 +256,7 @@ def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
     return float(np.hypot(*best[:2])), float(np.sqrt(np.trace(known)))
 
 
-def fringe_blur_px(sample: FrameSample, axis: str) -> tuple[float, float] | None:
+def fringe_blur_px(sample: FrameSample, axis: Axis) -> tuple[float, float] | None:
     """Estimate the blur of the fringes from the modulation of the finest set beside the widest.
 
     Parameters
@@ -278,9 +274,9 @@ def fringe_blur_px(sample: FrameSample, axis: str) -> tuple[float, float] | None
         Modulation of the finest over that of the widest.
         None is returned instead of both where the axis has one number of stripes.
     """
-    plan, size = sample.recording.plan, sample.recording.projector_size
+    plan, size = sample.recording.plan, axis_length(sample.recording.projector_size, axis)
     sets = [k for k, fringe in enumerate(plan.fringes) if fringe.axis == axis]
-    frequency = {k: plan.fringes[k].stripes / size["xy".index(axis)] for k in sets}
+    frequency = {k: plan.fringes[k].stripes / size for k in sets}
     if len(sets) < 2 or not sample.measured.any():
         return None
     wide, fine = min(sets, key=frequency.__getitem__), max(sets, key=frequency.__getitem__)
@@ -340,8 +336,8 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Sca
     if not seen:
         return None
     (blur, contrast), axis = max(seen)
-    plan, size = sample.recording.plan, sample.recording.projector_size
-    frequency = plan.fringes[plan.finest_set(axis)].stripes / size["xy".index(axis)]
+    finest, _ = sample.recording.finest(axis)
+    frequency = finest.stripes / axis_length(sample.recording.projector_size, axis)
     sharp = math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)
     edge = edge_blur_px(sample)
     scale = projector_px_per_px or 1.0

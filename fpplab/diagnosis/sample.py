@@ -8,11 +8,13 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from fpplab.core.conventions import Floats, Map, Mask
+from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.patterns.recording import Recording
+from fpplab.phase.common_errors import fit_sinusoids
 from fpplab.phase.error_model import ErrorModel, error_model_of
 
 SPREAD_PIXELS = 40_000
@@ -60,7 +62,7 @@ class FrameSample:
     """
 
     recording: Recording
-    coordinates: dict[str, Map] = field(default_factory=dict)
+    coordinates: dict[Axis, Map] = field(default_factory=dict)
 
     @cached_property
     def step(self) -> int:
@@ -83,33 +85,41 @@ class FrameSample:
     def tiles(self) -> Floats:
         """(K, T, side, side) grey levels of every frame in whole tiles, those with most contrast."""
         height, width = self.recording.frames[0].shape
-        side, mean = min(TILE_PX, height, width), np.mean([fit.offset for fit in self.fits], axis=0)
-        corners = [
-            (top, left)
-            for top in range(0, height - side + 1, side)
-            for left in range(0, width - side + 1, side)
-        ]
-        ranges = [
-            np.ptp(np.percentile(mean[_part(top, side, self.step), _part(left, side, self.step)], (5, 95)))
-            for top, left in corners
-        ]
-        chosen = [corners[i] for i in np.argsort(ranges)[::-1][:TILES]]
+        side = min(TILE_PX, height, width)
+        tops, lefts = np.meshgrid(
+            np.arange(0, height - side + 1, side), np.arange(0, width - side + 1, side), indexing="ij"
+        )
+        corners = np.stack([tops.ravel(), lefts.ravel()], axis=1)
+        chosen = corners[np.argsort(self._contrasts(corners, side))[::-1][:TILES]]
         cut = [[f[t : t + side, x : x + side] for t, x in chosen] for f in self.recording.frames]
         return self.recording.grey * np.array(cut, np.float64)
+
+    def _contrasts(self, corners: NDArray[np.intp], side: int) -> Floats:
+        """Range of grey levels (T,) in tiles with these corners (T, 2), by the pixels of `spread` in them."""
+        mean = np.mean([fit.offset for fit in self.fits], axis=0)
+        inner = np.arange(max(side // self.step, 2))
+        rows, columns = (
+            np.minimum(first[:, None] // self.step + inner, size - 1)
+            for first, size in zip(corners.T, mean.shape, strict=True)
+        )
+        levels = mean[rows[:, :, None], columns[:, None, :]].reshape(len(corners), -1)
+        return np.asarray(np.ptp(np.percentile(levels, (5, 95), axis=1), axis=0))
+
+    @cached_property
+    def tile_fits(self) -> list[SetFit]:
+        """Each fringe set in the tiles."""
+        return self._fitted(self.tiles)
 
     @cached_property
     def offsets_in_tiles(self) -> Floats:
         """(sets, T, side, side) offset A of each fringe set in the tiles."""
-        return np.stack([fit.offset for fit in self._fitted(self.tiles)])
+        return np.stack([fit.offset for fit in self.tile_fits])
 
     def _fitted(self, frames: Floats) -> list[SetFit]:
-        found = []
-        for (a, b), fringe in zip(
-            pairwise(self.recording.plan.set_starts), self.recording.plan.fringes, strict=True
-        ):
-            shift = fringe.phase_shifts()
-            waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
-            offset, c, s = np.tensordot(np.linalg.pinv(waves), frames[a:b], axes=1)
+        plan, found = self.recording.plan, []
+        for (a, b), fringe in zip(pairwise(plan.set_starts), plan.fringes, strict=True):
+            fitted = fit_sinusoids(frames[a:b].reshape(b - a, -1), fringe)
+            offset, c, s = fitted.reshape(3, *frames.shape[1:])
             found.append(SetFit(offset, np.hypot(c, s), np.arctan2(s, c)))
         return found
 
@@ -168,7 +178,7 @@ class FrameSample:
     @cached_property
     def coherence(self) -> float:
         """Share of the power of the widest fringes that 25 neighbours share: 0 for noise, 1 for fringes."""
-        fit = self._fitted(self.tiles)[self._widest]
+        fit = self.tile_fits[self._widest]
         phasor = fit.modulation * np.exp(1j * fit.phase)
         shared = sum(np.square(uniform_filter(part, (0, 5, 5))).sum() for part in (phasor.real, phasor.imag))
         share = float(shared) / max(float(np.sum(np.square(fit.modulation))), 1e-12)
@@ -184,8 +194,3 @@ class FrameSample:
     def measured(self) -> Mask:
         """(rows, columns) which of them are lit and not saturated."""
         return np.asarray(self.lit & ~self.saturated)
-
-
-def _part(first: int, side: int, step: int) -> slice:
-    """The pixels of a tile in an array of every `step`th pixel; at least two."""
-    return slice(first // step, max((first + side) // step, first // step + 2))

@@ -10,7 +10,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
-from fpplab.diagnosis.geometry import POINTS, geometry_findings, projector_px_per_px
+from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import focus_finding, light_findings
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.recording import Recording
@@ -107,13 +107,17 @@ class UselessScanError(DataError):
     """
 
     def __init__(self, name: str, diagnosis: Diagnosis) -> None:
-        self.diagnosis = diagnosis
+        self.name, self.diagnosis = name, diagnosis
         words = f"{name}: useless: {diagnosis.reason}"
         if diagnosis.findings:
             first = diagnosis.findings[0]
-            words += f"; {first.cause}: {first.evidence}; {first.remedy}"
+            words += f"; {first.sentence}; {first.remedy}"
         super().__init__(words)
         self.details = diagnosis.summary()
+
+    def __reduce__(self) -> tuple[type[UselessScanError], tuple[str, Diagnosis]]:
+        """Pickle by the arguments, since errors also come from other processes."""
+        return type(self), (self.name, self.diagnosis)
 
 
 def diagnose_frames(recording: Recording) -> tuple[ScanFinding, ...]:
@@ -153,19 +157,13 @@ def diagnose_scan(
     Diagnosis
         With everything that is found.
     """
-    coordinates = {axis: decoded.u if axis == "x" else decoded.v for axis in recording.plan.axes}
-    sample = FrameSample(recording, {str(axis): values for axis, values in coordinates.items()})
+    plan = recording.plan
+    sample = FrameSample(recording, {axis: decoded.u if axis == "x" else decoded.v for axis in plan.axes})
     if cloud is None:
         return Diagnosis(Verdict.USELESS, "there are no points", _ranked(_of_frames(sample, None)))
-    points = cloud.points[:: max(1, len(cloud) // POINTS)].astype("f8")
-    scale = projector_px_per_px(points, calibration)
-    axis = recording.plan.axes[0]
-    findings = _ranked(
-        [
-            *_of_frames(sample, float(scale["xy".index(axis)])),
-            *geometry_findings(cloud, recording.plan, calibration),
-        ]
-    )
+    points = PointSample(cloud, calibration)
+    scale = float(points.projector_px_per_px["xy".index(plan.axes[0])])
+    findings = _ranked([*_of_frames(sample, scale), *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)
@@ -198,7 +196,7 @@ def diagnose_poses(
             found.setdefault(finding.cause, []).append((name, finding))
     findings = _ranked([_worst(seen, poses) for seen in found.values()])
     if findings:
-        return Diagnosis(Verdict.DOUBTFUL, f"{findings[0].cause}: {findings[0].evidence}", findings)
+        return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
     said = [*warnings, *left_out.values()]
     if said:
         return Diagnosis(Verdict.DOUBTFUL, said[0], ())
@@ -223,7 +221,7 @@ def _judged(
     if ruinous:
         return Diagnosis(Verdict.USELESS, ruinous[0].evidence, findings, unknown)
     if findings:
-        return Diagnosis(Verdict.DOUBTFUL, f"{findings[0].cause}: {findings[0].evidence}", findings, unknown)
+        return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings, unknown)
     if share < DOUBTFUL_SHARE:
         return Diagnosis(Verdict.DOUBTFUL, counted, findings, unknown)
     return Diagnosis(Verdict.GOOD, counted, findings, unknown)

@@ -218,7 +218,7 @@ def groups_of(
         One for each set of more than three images; if there is none, one for all sets; none for a single set
         of three, or where fewer than `LEAST_PIXELS` pixels are modulated enough.
     """
-    fitted = [_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
+    fitted = [fit_sinusoids(*one) for one in zip(samples, fringes, strict=True)]
     long = [k for k, fringe in enumerate(fringes) if fringe.images > 3]
     used = long or range(len(fringes))
     least = np.min([np.hypot(fitted[k][1], fitted[k][2]) for k in used], axis=0)
@@ -239,8 +239,21 @@ def groups_of(
     return [Group(tuple(used), images, features, shift, seen=between, quiet=between)]
 
 
-def _sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
-    """Offset, cosine and sine of the fringe at each pixel, (3, P)."""
+def fit_sinusoids(sample: Floats, fringe: FringeSet) -> Floats:
+    """Fit the sinusoid of a fringe set at each pixel by least squares.
+
+    Parameters
+    ----------
+    sample : ndarray of float64, (N, P)
+        Grey levels of the set's images.
+    fringe : FringeSet
+        The set.
+
+    Returns
+    -------
+    ndarray of float64, (3, P)
+        Offset A, `B cos φ` and `B sin φ` in grey levels.
+    """
     return _product(np.linalg.pinv(_waves(fringe.phase_shifts(), 1)), sample)
 
 

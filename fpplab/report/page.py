@@ -205,9 +205,7 @@ def _verdicts(scans: Sequence[ScanSection]) -> list[ReportTable]:
         if (diagnosis := scan.diagnosis) is None:
             continue
         rows = [(f"Verdict: {diagnosis.verdict.value}", diagnosis.reason, "")]
-        rows += [
-            (f["cause"], f["evidence"], f["remedy"]) for f in (one.summary() for one in diagnosis.findings)
-        ]
+        rows += [(one.cause.value, one.evidence, one.remedy) for one in diagnosis.findings]
         unchecked = f"Not checked: {'; '.join(diagnosis.unknown)}." if diagnosis.unknown else ""
         tables.append(ReportTable((scan.name, "Evidence", "Remedy"), tuple(rows), unchecked, words=True))
     return tables

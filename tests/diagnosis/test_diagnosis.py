@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +26,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.points import points_of
 from tests.diagnosis.scenes import Bench, plan_of
+from tests.support import faulty_bench
 
 THREE = plan_of("x", (3, 3, 3))
 Fault = dict[str, Any]
@@ -112,6 +114,31 @@ def test_good_benches_of_many_seeds() -> None:
             assert causes(replace(Bench(seed=seed), **bench)) == [], (seed, bench)
 
 
+def of_other(bench: faulty_bench.Bench) -> Diagnosis:
+    recording = bench.recording()
+    decoded, cloud = decode(recording), None
+    if decoded.valid.any():
+        maps = decoded, bench.calibration, recording.plan, recording.mean_image()
+        decoded, cloud = points_of(*maps)
+    return diagnose_scan(recording, decoded, cloud, bench.calibration)
+
+
+@pytest.mark.slow
+def test_benches_of_another_generator() -> None:
+    """A board lit by formulas: the right cause first in at least 95 %, and nothing at healthy benches."""
+    seeds = (40, 41)
+    first = [
+        of_other(faulty_bench.faulty(cause, seed)).findings[:1]
+        for cause in faulty_bench.FAULTS
+        for seed in seeds
+    ]
+    wanted = [cause for cause in faulty_bench.FAULTS for _ in seeds]
+    right = [bool(one) and one[0].cause == cause for one, cause in zip(first, wanted, strict=True)]
+    assert np.mean(right) >= 0.95, list(zip(wanted, first, strict=True))
+    for seed in range(40, 44):
+        assert of_other(faulty_bench.healthy(seed)).findings == ()
+
+
 PAIRS = [
     (
         {"ambient": 1.5, "white": 0.3},
@@ -141,6 +168,8 @@ def test_a_result_that_nobody_should_use_is_refused(fault: Fault) -> None:
     assert REMEDIES[found.findings[0].cause] in str(refused.value)
     assert refused.value.details == found.summary()
     assert refused.value.exit_code == 4
+    again = pickle.loads(pickle.dumps(refused.value))
+    assert (str(again), again.details) == (str(refused.value), found.summary())
 
 
 def test_what_one_axis_cannot_tell_is_said() -> None:

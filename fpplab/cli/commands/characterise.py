@@ -161,7 +161,7 @@ def _with_causes(error: CalibrationError, sessions: Sequence[Session]) -> Calibr
         found = _diagnosis(sessions, [str(error)], {})
     except FppError:  # frames that cannot be read were the error itself
         return error
-    words = "".join(f"; {one.cause}: {one.evidence}; {one.remedy}" for one in found.findings[:2])
+    words = "".join(f"; {one.sentence}; {one.remedy}" for one in found.findings[:2])
     explained = CalibrationError(f"{error}{words}")
     explained.details = {**found.summary(), "verdict": "useless", "reason": str(error)}
     return explained
