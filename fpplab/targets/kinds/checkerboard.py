@@ -20,6 +20,9 @@ FINDER_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 LEAST_HALVED = 600
 """Smaller pictures, in px, are searched as they are."""
 
+MOST_REFINED = 5
+"""Half the window, in px, in which a corner of a picture of half the size is located in the whole one."""
+
 
 class Checkerboard(SquareLayout):
     """A checkerboard; it is detected as a whole, or in part where its edge shows which part."""
@@ -109,8 +112,20 @@ class Checkerboard(SquareLayout):
             image = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
             found, pixels = cv2.findChessboardCornersSB(image, self.counts, flags=FINDER_FLAGS)
             if found:
-                return scale * (np.asarray(pixels, np.float64) + 0.5) - 0.5
+                corners = scale * (np.asarray(pixels, np.float64).reshape(-1, 2) + 0.5) - 0.5
+                return corners if scale == 1 else self._located(grey, corners)
         return None
+
+    def _located(self, grey: NDArray[np.uint8], corners: Floats) -> Floats:
+        """Locate corners in the whole picture, in windows that the next corner's edges do not enter."""
+        grid = corners.reshape(self.counts[1], self.counts[0], 2)
+        least = min(np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
+        half = int(min(MOST_REFINED, 0.4 * least))
+        if half < 2:
+            return corners
+        end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
+        found = np.ascontiguousarray(corners[:, None], np.float32)
+        return np.asarray(cv2.cornerSubPix(grey, found, (half, half), (-1, -1), end), np.float64)[:, 0]
 
     def find_patch(self, grey: NDArray[np.uint8]) -> GridPatch | None:
         """Find the largest grid of corners that OpenCV detects.
