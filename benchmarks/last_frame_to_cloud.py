@@ -25,7 +25,7 @@ from fpplab.core.conventions import TWO_PI, Floats
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-from fpplab.pipeline import finish_scan
+from fpplab.pipeline import CALIBRATION, CLOUD, DECODED, finish_scan
 from fpplab.reconstruction.triangulation import camera_slopes
 from fpplab.sessions.session import Session
 
@@ -65,6 +65,8 @@ def cloud_figures(name: str) -> list[Result]:
         finish_scan(session, calibration)  # compiles, and fills the page cache
         product, baseline = [], []
         for _ in range(ROUNDS):
+            for result in (DECODED, CLOUD, CALIBRATION):  # after the last frame there are none
+                (session.path / result).unlink()
             product.append(_seconds(lambda: finish_scan(session, calibration)))
             baseline.append(_seconds(lambda: straightforward(session, calibration)))
     ours, theirs = median(product), median(baseline)

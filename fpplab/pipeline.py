@@ -39,6 +39,7 @@ from fpplab.devices.rig import DepthSection, Mounted, Rig
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict, diagnose_scan
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
+from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, check_unwrapping, decode
@@ -190,23 +191,46 @@ def reconstruct(
     UselessScanError
         No pixel has a projector coordinate; it says why.
     """
+    recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
+    depth = depth_range_of(session, depth_mm)
+    return _reconstruct(
+        *(recording, calibration, depth, lambda share: progress(0.3 + 0.7 * share)),
+        filtering=filtering,
+        maps_ready=maps_ready,
+    )
+
+
+def _checked_recording(session: Session, calibration: Calibration, progress: Progress) -> Recording:
+    """Read the frames of a session of the calibration's rig, in step with their plan."""
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
-    recording = session.recording(progress=lambda share: progress(0.3 * share))
+    recording = session.recording(progress=progress)
     require_in_step(recording, "take it again, with --force")
-    depth = depth_range_of(session, depth_mm)
-    bounds = depth_bounds(recording.plan, calibration, depth)
-    decoded = decode(recording, lambda share: progress(0.3 + 0.3 * share), bounds)
+    return recording
+
+
+def _reconstruct(
+    recording: Recording,
+    calibration: Calibration,
+    depth: DepthRange | None,
+    progress: Progress,
+    *,
+    filtering: bool | None = None,
+    maps_ready: Callable[[Decoded], object] = ignore,
+) -> tuple[Decoded, Cloud]:
+    """Reconstruct frames; see `reconstruct`."""
     plan = recording.plan
+    bounds = depth_bounds(plan, calibration, depth)
+    decoded = decode(recording, lambda share: progress(0.4 * share), bounds)
     if filtering is not None:
         plan = plan.model_copy(update={"filter": (plan.filter or FilterRules()) if filtering else None})
     if not decoded.valid.any():
         maps_ready(decoded)
-        raise UselessScanError(str(session.path), diagnose_scan(recording, decoded, None, calibration))
+        raise UselessScanError(recording.name, diagnose_scan(recording, decoded, None, calibration))
     decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
     maps_ready(decoded)
     noise = coordinate_noise(decoded)
-    return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.7 + 0.3 * share))
+    return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.6 + 0.4 * share))
 
 
 def plan_with_depth(plan: Plan, depth_mm: tuple[float, float] | None) -> Plan:
@@ -355,15 +379,19 @@ def finish_scan(
     UselessScanError
         Nobody should use the points; it says why.
     """
+    recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
+    depth = depth_range_of(session)
     with ThreadPoolExecutor(1) as writer:  # the disk has time until the cloud is known
         saved: list[Future[None]] = []
 
         def save(maps: Decoded) -> None:
             saved.append(writer.submit(maps.save, session.path / DECODED))
 
-        decoded, cloud = reconstruct(session, calibration, progress, maps_ready=save)
+        decoded, cloud = _reconstruct(
+            recording, calibration, depth, lambda share: progress(0.3 + 0.7 * share), maps_ready=save
+        )
         saved[0].result()  # a cloud is not written where its maps could not be
-        diagnosis = diagnose(session, decoded, cloud, calibration)
+        diagnosis = diagnose_scan(recording, decoded, cloud, calibration)
         if judged is not None:
             judged(decoded, cloud, diagnosis)
         if diagnosis.verdict is Verdict.USELESS:

@@ -212,6 +212,32 @@ def _gather(values: NDArray[Any], rows: NDArray[np.intp], found: NDArray[Any]) -
             found[i, k] = values[rows[i], k]
 
 
+def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
+    """Select the pixels of a map, on all processors.
+
+    Parameters
+    ----------
+    values : ndarray, (height, width)
+        Any numbers.
+    pixels : ndarray of int32, (N, 2)
+        Columns and rows, all in the map.
+
+    Returns
+    -------
+    ndarray
+        (N,), of the same type.
+    """
+    found = np.empty(len(pixels), values.dtype)
+    _at_pixels(values, pixels, found)
+    return found
+
+
+@njit(parallel=True, cache=True)
+def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, found: NDArray[Any]) -> None:
+    for i in prange(len(pixels)):
+        found[i] = values[pixels[i, 1], pixels[i, 0]]
+
+
 @njit(cache=True)
 def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
     """Tell whether all pixels lie in an image.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import cycle
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,7 +20,8 @@ _TYPES = {
 _NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _LONGEST_LINE = 1 << 12
-_BLOCK = 1 << 13
+_FILLED = 1 << 13
+_BLOCK = 1 << 16
 
 VertexTable = NDArray[Any]
 """A structured array, one record per vertex."""
@@ -41,13 +44,26 @@ def write(columns: Mapping[str, NDArray[Any]], comments: list[str], stream: Bina
     lines += [f"element vertex {count}"]
     lines += [f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()]
     stream.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
-    # Block by block: as a whole the records would leave the processor's cache between two columns.
-    block = np.empty(_BLOCK, [(name, "<" + kind) for name, kind in kinds.items()])
-    for start in range(0, count, _BLOCK):
-        records = block[: min(_BLOCK, count - start)]
+    dtype = np.dtype([(name, "<" + kind) for name, kind in kinds.items()])
+    with ThreadPoolExecutor(1) as beside:  # one half is written while the other is filled
+        written: Future[int] | None = None
+        halves = cycle(np.empty((2, _BLOCK), dtype))
+        for start in range(0, count, _BLOCK):
+            records = next(halves)[: min(_BLOCK, count - start)]
+            _fill(records, columns, start)
+            if written is not None:
+                written.result()
+            written = beside.submit(stream.write, records.view(np.uint8).data)
+        if written is not None:
+            written.result()
+
+
+def _fill(records: VertexTable, columns: Mapping[str, NDArray[Any]], start: int) -> None:
+    """Fill some records at a time: as a whole they would leave the processor's cache between two columns."""
+    for first in range(0, len(records), _FILLED):
+        part = records[first : first + _FILLED]
         for name, values in columns.items():
-            records[name] = values[start : start + _BLOCK]
-        stream.write(records.view(np.uint8).data)
+            part[name] = values[start + first : start + first + len(part)]
 
 
 def _count(columns: Mapping[str, NDArray[Any]]) -> int:

@@ -17,6 +17,8 @@ from fpplab.core.conventions import Floats
 
 NODES = (25, 19, 13)
 """Along x/z, y/z and z."""
+FINER = 6
+"""Steps between two nodes at which cubic polynomials are evaluated; between these, values are linear."""
 SAMPLE = 20_000
 """About as many evenly sampled points say where the grid lies."""
 FEW = 0.001
@@ -25,7 +27,7 @@ MARGIN = 0.05
 """By which share of its length the grid reaches beyond the others."""
 
 AnyPoints = NDArray[np.floating[Any]]
-CubicWeights = tuple[float, float, float, float]
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class RayGrid:
         return np.stack([across * depth, down * depth, depth], axis=-1)
 
     def interpolate(self, values: Floats, points: AnyPoints) -> NDArray[np.float32]:
-        """Interpolate by cubic polynomials along each direction of the grid.
+        """Interpolate by cubic polynomials to `FINER` times as many nodes, and linearly between those.
 
         Parameters
         ----------
@@ -82,77 +84,62 @@ class RayGrid:
 
         Returns
         -------
-        ndarray of float32, (N, K)
+        ndarray of float32, (K, N)
             NaN outside of the grid.
         """
-        shaped = np.ascontiguousarray(values.T).reshape(-1, *NODES)
-        per_step = (np.array(NODES) - 1) / (self.upper - self.lower)
-        found = np.empty((len(points), len(shaped)), np.float32)
-        _interpolate(np.ascontiguousarray(points), self.lower, per_step, shaped, found)
+        finer = values.reshape(*NODES, -1)
+        for axis, nodes in enumerate(NODES):
+            finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
+        per_step = FINER * (np.array(NODES) - 1) / (self.upper - self.lower)
+        found = np.empty((values.shape[1], len(points)), np.float32)
+        _interpolate(
+            np.ascontiguousarray(points), self.lower, per_step, np.ascontiguousarray(finer, np.float32), found
+        )
         return found
 
 
-@njit(cache=True)
-def _first(place: float, nodes: int) -> int:
-    """Give the first of the four nodes around a place."""
-    return min(max(int(place) - 1, 0), nodes - 4)
-
-
-@njit(cache=True)
-def _weights(place: float) -> CubicWeights:
-    """Give the weights of values at 0, 1, 2 and 3 in the cubic through them, by Lagrange's formula."""
-    a, b, c = place - 1.0, place - 2.0, place - 3.0
-    return -a * b * c / 6.0, place * b * c / 2.0, -place * a * c / 2.0, place * a * b / 6.0
+def _cubic_weights(nodes: int) -> Floats:
+    """Give values at `FINER` places per step as sums of the values at nodes, (finer, nodes), by Lagrange."""
+    places = np.arange(FINER * (nodes - 1) + 1) / FINER
+    first = np.clip(places.astype(int) - 1, 0, nodes - 4)
+    a = places - first
+    b, c, d = a - 1.0, a - 2.0, a - 3.0
+    weights = np.zeros((len(places), nodes))
+    around = first[:, None] + np.arange(4)
+    lagrange = np.stack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0], axis=1)
+    np.put_along_axis(weights, around, lagrange, axis=1)
+    return weights
 
 
 @njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _interpolate(
-    points: AnyPoints, lower: Floats, per_step: Floats, values: Floats, found: NDArray[np.float32]
+    points: AnyPoints,
+    lower: Floats,
+    per_step: Floats,
+    values: Singles,
+    found: Singles,
 ) -> None:
-    for i in prange(len(points)):
-        _at_point(points[i], lower, per_step, values, found[i])
+    nodes_x, nodes_y, nodes_z, count = values.shape
+    flat = values.reshape(-1)  # with one index instead of four
+    per_x, per_y = nodes_y * nodes_z * count, nodes_z * count
+    for p in prange(len(points)):
+        inverse = 1.0 / points[p, 2]
+        x = (points[p, 0] * inverse - lower[0]) * per_step[0]
+        y = (points[p, 1] * inverse - lower[1]) * per_step[1]
+        z = (points[p, 2] - lower[2]) * per_step[2]
+        if not (0.0 <= x <= nodes_x - 1 and 0.0 <= y <= nodes_y - 1 and 0.0 <= z <= nodes_z - 1):
+            found[:, p] = np.nan
+            continue
+        i, j, k = min(int(x), nodes_x - 2), min(int(y), nodes_y - 2), min(int(z), nodes_z - 2)
+        x, y, z = x - i, y - j, z - k
+        for n in range(count):
+            at = i * per_x + j * per_y + k * count + n
+            near = _bilinear(flat, at, per_y, count, y, z)
+            found[n, p] = near + x * (_bilinear(flat, at + per_x, per_y, count, y, z) - near)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _at_point(
-    point: AnyPoints, lower: Floats, per_step: Floats, values: Floats, found: NDArray[np.float32]
-) -> None:
-    inverse = 1.0 / point[2]
-    x = (point[0] * inverse - lower[0]) * per_step[0]
-    y = (point[1] * inverse - lower[1]) * per_step[1]
-    z = (point[2] - lower[2]) * per_step[2]
-    count, nodes_x, nodes_y, nodes_z = values.shape
-    if not (0.0 <= x <= nodes_x - 1 and 0.0 <= y <= nodes_y - 1 and 0.0 <= z <= nodes_z - 1):
-        found[:] = np.nan
-        return
-    i, j, k = _first(x, nodes_x), _first(y, nodes_y), _first(z, nodes_z)
-    along_x, along_y, along_z = _weights(x - i), _weights(y - j), _weights(z - k)
-    for n in range(count):
-        found[n] = (
-            along_x[0] * _in_plane(values, i, j, k, n, along_y, along_z)
-            + along_x[1] * _in_plane(values, i + 1, j, k, n, along_y, along_z)
-            + along_x[2] * _in_plane(values, i + 2, j, k, n, along_y, along_z)
-            + along_x[3] * _in_plane(values, i + 3, j, k, n, along_y, along_z)
-        )
-
-
-@njit(cache=True, fastmath={"contract"})
-def _in_plane(
-    values: Floats, i: int, j: int, k: int, n: int, along_y: CubicWeights, along_z: CubicWeights
-) -> float:
-    return (
-        along_y[0] * _in_row(values, i, j, k, n, along_z)
-        + along_y[1] * _in_row(values, i, j + 1, k, n, along_z)
-        + along_y[2] * _in_row(values, i, j + 2, k, n, along_z)
-        + along_y[3] * _in_row(values, i, j + 3, k, n, along_z)
-    )
-
-
-@njit(cache=True, fastmath={"contract"})
-def _in_row(values: Floats, i: int, j: int, k: int, n: int, along_z: CubicWeights) -> float:
-    return float(
-        along_z[0] * values[n, i, j, k]
-        + along_z[1] * values[n, i, j, k + 1]
-        + along_z[2] * values[n, i, j, k + 2]
-        + along_z[3] * values[n, i, j, k + 3]
-    )
+@njit(inline="always")
+def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float) -> float:
+    near = flat[at] + z * (flat[at + per_z] - flat[at])
+    far = flat[at + per_y] + z * (flat[at + per_y + per_z] - flat[at + per_y])
+    return float(near + y * (far - near))

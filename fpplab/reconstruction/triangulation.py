@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
+from fpplab.clouds.pixelgrid import at_pixels
 from fpplab.core.conventions import Floats, Map
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
@@ -146,7 +147,7 @@ def triangulate(
         points=points,
         pixels=pixels,
         size=(width, height),
-        colour=None if texture is None else np.asarray(texture, np.uint8)[pixels[:, 1], pixels[:, 0]],
+        colour=None if texture is None else at_pixels(np.asarray(texture, np.uint8), pixels),
         sigma_noise_mm=sigma_mm,
         epipolar_px=epipolar if use_u and use_v else None,
         sigma_phase_error_mm=_phase_error_mm(decoded, pixels, sigma_mm),
@@ -158,8 +159,8 @@ def _phase_error_mm(decoded: DecodedMaps, pixels: NDArray[np.int32], sigma_mm: M
     """Propagate the common phase errors of the points along their rays, as their noise."""
     if decoded.sigma_phase_error is None:
         return None
-    at = pixels[:, 1], pixels[:, 0]
-    return np.asarray(sigma_mm * (decoded.sigma_phase_error[at] / decoded.sigma[at]), np.float32)
+    share = at_pixels(decoded.sigma_phase_error, pixels) / at_pixels(decoded.sigma, pixels)
+    return np.asarray(sigma_mm * share, np.float32)
 
 
 def camera_slopes(camera: Pinhole) -> Floats:

@@ -18,7 +18,8 @@ uncertainty is stated as the root mean square distance from where it should be, 
 directions.
 
 Variances change slowly from point to point. Those of large clouds are interpolated between the nodes of a
-grid (`fpplab.reconstruction.ray_grid`), by which a standard uncertainty changes by less than 0.5 %.
+grid (`fpplab.reconstruction.ray_grid`), by which a standard uncertainty changes by less than 0.5 % of the
+cloud's median.
 """
 
 from __future__ import annotations
@@ -93,20 +94,20 @@ def with_uncertainty(
     if calibration.uncertainty is None:
         return cloud
     modes = _Modes.of(calibration, noise)
-    centre = cloud.points.mean(axis=0, dtype=np.float64)
-    motion = _rigid_part(modes, cloud.points, centre)
+    sample = cloud.points[:: max(1, len(cloud) // RIGID_SAMPLE)].astype(np.float64)
+    centre = sample.mean(axis=0)
+    motion = _rigid_part(modes, sample, centre)
 
     def exactly(points: AnyPoints, progress: Progress = no_progress) -> Floats:
-        variances = np.empty((len(points), 2))
+        variances = np.empty((2, len(points)))
         for part in _blocks(len(points)):
             moved = modes.moved(points[part])
             left = moved - _rigid_motions(points[part] - centre) @ motion
-            variances[part, 0], variances[part, 1] = _squares(moved), _squares(left)
+            variances[0, part], variances[1, part] = _squares(moved), _squares(left)
             progress(part.stop / len(points))
         return variances
 
-    variances = _by_grid(cloud.points, exactly, progress)
-    whole, form = np.sqrt(variances.T).astype(np.float32)
+    whole, form = np.sqrt(_by_grid(cloud.points, exactly, progress)).astype(np.float32, copy=False)
     return replace(cloud, sigma_calibration_mm=whole, sigma_form_mm=form)
 
 
@@ -117,12 +118,11 @@ def _by_grid(
     grid = RayGrid.around(points)
     if grid is None:
         return exactly(points, progress)
-    found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)), points)
-    left = np.flatnonzero(
-        ~((found[:, 0] > 0) & (found[:, 1] > 0))
-    )  # outside, or so near to 0 that interpolation passes it
+    found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points)
+    # Outside, or so near to 0 that interpolation passes it.
+    left = np.flatnonzero(~((found[0] > 0) & (found[1] > 0)))
     if len(left):
-        found[left] = exactly(points[left], no_progress)
+        found[:, left] = exactly(points[left], no_progress)
     progress(1.0)
     return found
 
@@ -246,9 +246,8 @@ class _Modes:
         return np.asarray(flat.reshape(len(points), 3, -1))
 
 
-def _rigid_part(modes: _Modes, points: AnyPoints, centre: Floats) -> Floats:
-    """Fit a rigid motion of the whole cloud, (6, n) for `_rigid_motions`, to each mode."""
-    sample = points[:: max(1, len(points) // RIGID_SAMPLE)]
+def _rigid_part(modes: _Modes, sample: Floats, centre: Floats) -> Floats:
+    """Fit a rigid motion of a sample of the cloud, (6, n) for `_rigid_motions`, to each mode."""
     normal, right = np.zeros((6, 6)), np.zeros((6, modes.changes.shape[1]))
     for part in _blocks(len(sample)):
         motions = _rigid_motions(sample[part] - centre).reshape(-1, 6)

@@ -362,14 +362,16 @@ class Session:
                 "run the same scan again to complete it"
             )
         images = []
-        for i, record in enumerate(self.records):
-            images.append(self.read(i, verify))
-            if record.format != self.format:
-                raise DataError(
-                    f"{self.path / record.file}: frame {i} is {_shown(record.format)}, "
-                    f"but the first is {_shown(self.format)}"
-                )
-            progress((i + 1) / self.plan.images)
+        with ThreadPoolExecutor(2) as readers:  # checksums do not hold Python's lock
+            for i, record in enumerate(self.records):
+                if record.format != self.format:
+                    raise DataError(
+                        f"{self.path / record.file}: frame {i} is {_shown(record.format)}, "
+                        f"but the first is {_shown(self.format)}"
+                    )
+            for image in readers.map(lambda i: self.read(i, verify), range(self.plan.images)):
+                images.append(image)
+                progress(len(images) / self.plan.images)
         return images
 
     def recording(self, verify: bool = True, progress: Progress = no_progress) -> Recording:
