@@ -32,7 +32,7 @@ from fpplab.clouds import Cloud, save_cloud
 from fpplab.core import config
 from fpplab.core.conventions import Floats
 from fpplab.core.depth import DepthInterval
-from fpplab.core.errors import CalibrationError
+from fpplab.core.errors import CalibrationError, DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import DepthSection, Mounted, Rig
@@ -44,6 +44,7 @@ from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_regions, statistics
 from fpplab.phase import Decoded, check_unwrapping, decode
 from fpplab.phase.bounds import widest
+from fpplab.plan_check import check_plan_fit
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
@@ -118,7 +119,9 @@ def take(
     return session
 
 
-def decode_session(session: Session, progress: Progress = no_progress) -> Decoded:
+def decode_session(
+    session: Session, progress: Progress = no_progress, *, as_recorded: bool = False
+) -> Decoded:
     """Find the projector coordinates of every camera pixel of a session.
 
     Parameters
@@ -127,6 +130,9 @@ def decode_session(session: Session, progress: Progress = no_progress) -> Decode
         A complete one.
     progress : callable
         Told the share done, 0 … 1.
+    as_recorded : bool
+        Whether the frames are decoded even where they are out of step with the plan or another plan fits
+        them better.
 
     Returns
     -------
@@ -136,13 +142,42 @@ def decode_session(session: Session, progress: Progress = no_progress) -> Decode
     Raises
     ------
     DataError
-        Frames are missing or damaged, or out of step with the plan.
+        Frames are missing or damaged, or do not fit the plan.
     ConfigError
         The plan cannot be unwrapped.
     """
     recording = session.recording(progress=lambda share: progress(0.5 * share))
-    require_in_step(recording, "take it again, with --force")
+    if not as_recorded:
+        require_in_step(recording, _advice(session))
+        if (found := check_plan_fit(recording)) and found.fault:
+            raise DataError(f"{session.path}: {found.fault}; --as-recorded decodes it nevertheless")
     return decode(recording, lambda share: progress(0.5 + 0.5 * share))
+
+
+def _advice(session: Session) -> str:
+    """What to do about frames that are out of step with their plan."""
+    if session.is_imported:
+        return "look at the order of the image files; --as-recorded takes them as they are"
+    return "take it again, with --force; --as-recorded takes the frames as they are"
+
+
+def doubts(session: Session) -> list[str]:
+    """Look for signs that the frames of a session are not what its plan says.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+
+    Returns
+    -------
+    list of str
+        A sentence for each.
+    """
+    recording = session.recording(verify=False)
+    found = check_plan_fit(recording)
+    said = [fault_in_step(recording), found.fault if found else None, found.note if found else None]
+    return [f"{session.path}: {sentence}" for sentence in said if sentence]
 
 
 def reconstruct(
@@ -152,6 +187,7 @@ def reconstruct(
     *,
     filtering: bool | None = None,
     depth_mm: tuple[float, float] | None = None,
+    as_recorded: bool = False,
     maps_ready: Callable[[Decoded], object] = ignore,
 ) -> tuple[Decoded, Cloud]:
     """Decode, triangulate, filter, and say how well each point is known.
@@ -170,6 +206,8 @@ def reconstruct(
     depth_mm : tuple of float, optional
         Least and greatest distance from the camera in mm, in which the object lies; by default that of the
         session, see `depth_range_of`.
+    as_recorded : bool
+        Whether frames that are out of step with the plan are taken as they are.
     maps_ready : callable
         Given the decoded maps as soon as they are, before the points' uncertainty is computed.
 
@@ -189,9 +227,11 @@ def reconstruct(
     DataError
         Frames are missing, damaged or out of step with the plan.
     UselessScanError
-        No pixel has a projector coordinate; it says why.
+        No pixel has a projector coordinate, or the plan does not fit the images; it says why.
     """
-    recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
+    recording = _checked_recording(
+        session, calibration, lambda share: progress(0.3 * share), as_recorded=as_recorded
+    )
     depth = depth_range_of(session, depth_mm)
     return _reconstruct(
         *(recording, calibration, depth, lambda share: progress(0.3 + 0.7 * share)),
@@ -200,12 +240,15 @@ def reconstruct(
     )
 
 
-def _checked_recording(session: Session, calibration: Calibration, progress: Progress) -> Recording:
+def _checked_recording(
+    session: Session, calibration: Calibration, progress: Progress, *, as_recorded: bool = False
+) -> Recording:
     """Read the frames of a session of the calibration's rig, in step with their plan."""
     calibration.check_camera(session.format[:2], session.path)
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=progress)
-    require_in_step(recording, "take it again, with --force")
+    if not as_recorded:
+        require_in_step(recording, _advice(session))
     return recording
 
 
@@ -227,7 +270,14 @@ def _reconstruct(
     if not decoded.valid.any():
         maps_ready(decoded)
         raise UselessScanError(recording.name, diagnose_scan(recording, decoded, None, calibration))
-    decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
+    try:
+        decoded, cloud = points_of(decoded, calibration, plan, recording.mean_image())
+    except DataError as error:
+        diagnosis = diagnose_scan(recording, decoded, None, calibration)
+        if not diagnosis.findings:
+            raise
+        maps_ready(decoded)
+        raise UselessScanError(recording.name, diagnosis) from error
     maps_ready(decoded)
     noise = coordinate_noise(decoded)
     return decoded, with_uncertainty(cloud, calibration, noise, lambda share: progress(0.6 + 0.4 * share))
@@ -533,6 +583,7 @@ def characterise_sessions(
     CalibrationError
         Too few poses remain, or the models do not fit.
     """
+    _require_plan_fits(sessions[0])
     size, lattice = sessions[0].projector()
     observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share))
     width, height, _ = sessions[0].format
@@ -548,6 +599,13 @@ def characterise_sessions(
     )
     progress(1.0)
     return result
+
+
+def _require_plan_fits(session: Session) -> None:
+    """Refuse a plan that does not describe the images, before many poses are decoded by it."""
+    found = check_plan_fit(session.recording(verify=False))
+    if found is not None and found.fault is not None:
+        raise CalibrationError(f"{session.path}: {found.fault}")
 
 
 def judge_sessions(

@@ -69,6 +69,12 @@ def sort_commands() -> None:
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, all else on stderr.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
+AsRecorded = Annotated[
+    bool,
+    typer.Option(
+        "--as-recorded", help="Take the frames as they are where they seem out of step with the plan."
+    ),
+]
 RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
 PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]

@@ -15,6 +15,8 @@ class ScanCause(StrEnum):
     """The projector lights next to nothing of what the camera sees."""
     STALE_CALIBRATION = "stale_calibration"
     """The rig is no longer the one that was calibrated."""
+    WRONG_PLAN = "wrong_plan"
+    """The plan does not describe the images."""
     WRONG_AXIS = "wrong_axis"
     """The fringes' coordinate hardly changes with depth."""
     SATURATED = "saturated"
@@ -43,6 +45,7 @@ REMEDIES = {
     ScanCause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
     ScanCause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
     ScanCause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
+    ScanCause.WRONG_PLAN: "mend the plan; 'fpplab plan guess' writes one for images of another program",
     ScanCause.WRONG_AXIS: "use a plan with fringes along the other axis, or along both",
     ScanCause.SATURATED: "shorten exposure_s, dim the lamp, or coat shiny parts",
     ScanCause.UNDEREXPOSED: "lengthen exposure_s, open the camera's aperture, or brighten the lamp",

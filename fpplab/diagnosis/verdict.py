@@ -12,6 +12,7 @@ from fpplab.core.errors import DataError
 from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import focus_finding, light_findings
+from fpplab.diagnosis.plan import plan_finding
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
@@ -22,7 +23,7 @@ USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
-USELESS_EXCESS = {ScanCause.STALE_CALIBRATION: 10.0}
+USELESS_EXCESS = {ScanCause.STALE_CALIBRATION: 10.0, ScanCause.WRONG_PLAN: 1.0}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
 
@@ -159,11 +160,12 @@ def diagnose_scan(
     """
     plan = recording.plan
     sample = FrameSample(recording, {axis: decoded.u if axis == "x" else decoded.v for axis in plan.axes})
+    wrong = plan_finding(recording, decoded, sample, cloud, calibration)
     if cloud is None:
-        return Diagnosis(Verdict.USELESS, "there are no points", _ranked(_of_frames(sample, None)))
+        return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *_of_frames(sample, None)]))
     points = PointSample(cloud, calibration)
     scale = float(points.projector_px_per_px["xy".index(plan.axes[0])])
-    findings = _ranked([*_of_frames(sample, scale), *geometry_findings(points, plan)])
+    findings = _ranked([*wrong, *_of_frames(sample, scale), *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)

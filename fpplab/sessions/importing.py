@@ -97,6 +97,44 @@ def import_images(
     return session
 
 
+def read_images(folder: Path, names: str, bits: int = 8, first: int = 0) -> list[Image]:
+    """Read the grey images of a folder, in the order of their indices.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the images are.
+    names : str
+        A format of the index, such as "f_{index:02d}.png".
+    bits : int
+        Depth of the images' grey levels, as for `import_images`.
+    first : int
+        Index of the first image.
+
+    Returns
+    -------
+    list of ndarray of uint8 or uint16, (height, width) each
+        All that there are.
+
+    Raises
+    ------
+    ConfigError
+        The folder or the format of the names is wrong.
+    DataError
+        There is no image, one is missing between two others, or as for `import_images`.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: is not a folder")
+    _name(names, first)
+    last = max((index for index in _indices(folder, names) if index >= first), default=None)
+    if last is None:
+        raise DataError(f"{folder}: has no image '{names}' from index {first}")
+    paths = [folder / _name(names, index) for index in range(first, last + 1)]
+    _check_all_there(folder, paths, names, first)
+    size, shift = _check_images(paths, bits, ignore)
+    return [(_read_grey(path, bits, size) >> shift).astype(raw_dtype(bits)) for path in paths]
+
+
 def _name(names: str, index: int) -> str:
     try:
         fields = [field for _, field, _, _ in string.Formatter().parse(names) if field is not None]

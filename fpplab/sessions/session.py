@@ -224,6 +224,11 @@ class Session:
         return config.parse_yaml(config.read_text(path), path) if path.is_file() else None
 
     @property
+    def is_imported(self) -> bool:
+        """Whether the images were recorded by another program."""
+        return "name" not in (self.rig() or {})
+
+    @property
     def records(self) -> list[FrameRecord]:
         """The journal, in the order of the plan."""
         return [self._records[i] for i in sorted(self._records)]

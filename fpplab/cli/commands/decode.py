@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, AsRecorded, Force, Json, Out, app
 from fpplab.core.errors import DataError
 
 
@@ -16,13 +16,15 @@ from fpplab.core.errors import DataError
 def decode_command(
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
     out: Out,
+    as_recorded: AsRecorded = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Projector coordinates of every camera pixel, as NPZ.
 
     Arrays `u`, `v` (projector pixels), `modulation` (grey levels of 255) and `sigma` (projector
-    pixels), float32, NaN where not measured.
+    pixels), float32, NaN where not measured. A plan that does not describe the frames is refused,
+    with what to write instead.
     """
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.pipeline import decode_session
@@ -31,7 +33,7 @@ def decode_command(
     need_suffix(out, ".npz")
     refuse_existing(out, force)
     with console.stopwatch() as seconds, console.progress("Decoding") as report:
-        decoded = decode_session(Session.open(session), report)
+        decoded = decode_session(Session.open(session), report, as_recorded=as_recorded)
         if not decoded.valid.any():
             raise DataError(
                 f"{session}: no pixel could be measured; see that the fringes reach the object, "

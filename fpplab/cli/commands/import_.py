@@ -36,10 +36,12 @@ def import_command(
     """Import image files that other programs recorded as a session.
 
     Every file is checked first: none missing, none left over, greyscale, of one size and of the bit depth
-    given.
+    given. A plan that does not seem to describe the images is told as a warning, with what to write instead;
+    `fpplab plan guess` writes one from the images.
 
     Example: `fpplab import captures/pose1 --plan plan_slstudio_board --frames '{index:02d}.png' --out pose1`
     """
+    from fpplab import pipeline
     from fpplab.patterns.plan import Plan
     from fpplab.sessions.importing import import_images
 
@@ -51,6 +53,7 @@ def import_command(
             folder, Plan.load(plan), frames, out, bits, force, report,
             first=first, projector_size=projector_size, lattice=lattice, warn=warnings.append,
         )  # fmt: skip
+        warnings += pipeline.doubts(session)
     for warning in warnings:
         console.say(f"warning: {warning}")
     console.answer({"frames": len(session.records), "session": str(session.path), "warnings": warnings}, json)

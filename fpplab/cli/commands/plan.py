@@ -1,4 +1,4 @@
-"""`fpplab plan`: look at a plan before it is measured."""
+"""`fpplab plan`: look at a plan before it is measured, or guess one from images."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, RigName, app
+from fpplab.cli.app import PREPARE, Force, Json, Out, RigName, app
+from fpplab.core.errors import DataError
 
-plan_app = typer.Typer(help="Look at a plan before it is measured.", no_args_is_help=True)
+plan_app = typer.Typer(help="Look at a plan before it is measured, or guess one.", no_args_is_help=True)
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)
 
 
 @plan_app.callback()
 def _plan() -> None:
-    """Look at a plan before it is measured."""
+    """Look at a plan before it is measured, or guess one from images."""
 
 
 @plan_app.command("show")
@@ -54,3 +55,56 @@ def show_command(
         drawn = pattern_sheet(patterns)
         write_atomic(out, lambda stream: stream.write(drawn))
     console.answer(asdict(found), json)
+
+
+@plan_app.command("guess")
+def guess_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of grey images of one scene, in the order shown.")],
+    frames: Annotated[
+        str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
+    ],
+    projector_size: Annotated[
+        tuple[int, int], typer.Option("--projector-size", help="Width and height of the projector in px.")
+    ],
+    out: Out,
+    bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
+    first: Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")] = 0,
+    finest: Annotated[
+        float | None, typer.Option("--finest", min=1, help="Stripes of the finest set, where they are known.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write the plan that images of another program show: sets, steps, axes, stripes, signs.
+
+    The images must be sets of phase-shifted sinusoids with equal steps, one after the other. What they do not
+    tell is assumed as usual, and written at the head of the plan.
+
+    Example: `fpplab plan guess images --frames '{index:02d}.png' --projector-size 912 1140 --out p.yaml`
+    """
+    from fpplab.core.config import dump
+    from fpplab.core.files import need_suffix, refuse_existing, write_text
+    from fpplab.plan_check import guess_plan
+    from fpplab.sessions.importing import read_images
+
+    need_suffix(out, ".yaml", ".yml")
+    refuse_existing(out, force)
+    images = read_images(folder, frames, bits, first)
+    try:
+        found = guess_plan(images, bits, projector_size, finest)
+    except DataError as error:
+        raise DataError(f"{folder}: {error}") from error
+    head = "".join(f"# Assumed: {sentence}.\n" for sentence in found.assumed)
+    write_text(out, f"# Of the images in {folder.name}.\n{head}{dump(found.plan)}")
+    for sentence in found.assumed:
+        console.say(f"assumed: {sentence}")
+    sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in found.plan.fringes]
+    console.answer(
+        {
+            "fringes": sets,
+            "disagreement": found.disagreement,
+            "assumed": list(found.assumed),
+            "plan": str(out),
+        },
+        json,
+    )

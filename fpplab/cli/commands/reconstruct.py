@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, app
+from fpplab.cli.app import MEASURE, AsRecorded, CalibrationOption, DepthOption, Force, Json, Out, app
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
@@ -22,6 +22,7 @@ def reconstruct_command(
         typer.Option("--filter/--no-filter", help="Remove points that lie on no surface; as the plan says."),
     ] = None,
     depth: DepthOption = None,
+    as_recorded: AsRecorded = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -48,7 +49,9 @@ def reconstruct_command(
     recorded = Session.open(session)
     used = pipeline.depth_range_of(recorded, depth)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        decoded, cloud = pipeline.reconstruct(recorded, known, report, filtering=filtering, depth_mm=depth)
+        decoded, cloud = pipeline.reconstruct(
+            *(recorded, known, report), filtering=filtering, depth_mm=depth, as_recorded=as_recorded
+        )
         diagnosis = pipeline.diagnose(recorded, decoded, cloud, known)
         write_scan_report(page, recorded, decoded, cloud, used, diagnosis)
         diagnosis.require_usable(str(session))

@@ -1,0 +1,10 @@
+"""Does a plan describe its images? Tries the plans next to it, and guesses one from images alone.
+
+Stages: `sample` measures phases and how they change along the image, `edits` are the mistakes that people
+make in plans, `check` decides which plan fits, `guess` writes one.
+"""
+
+from fpplab.plan_check.check import PlanCheck, check_plan_fit
+from fpplab.plan_check.guess import PlanGuess, guess_plan
+
+__all__ = ["PlanCheck", "PlanGuess", "check_plan_fit", "guess_plan"]

@@ -1,0 +1,164 @@
+"""Decide whether a plan describes its images, and which plan next to it does better.
+
+A plan whose sets have wrong stripes, order, signs or origins decodes to positions on which the sets do not
+agree. One figure alone does not tell: a right heterodyne plan with a bent response may disagree more than a
+wrong one of few stripes. So the plans next to it are tried too, and a plan is called wrong only where another
+one fits much better. Signs and axes that are wrong in all sets mirror or turn the result without any
+disagreement; with both axes coded a mirrored one is impossible, with one axis it is unusual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpplab.core.errors import ConfigError
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.patterns.unwrapping import unwrapping_methods
+from fpplab.phase import decode
+from fpplab.plan_check.edits import Edit, Sets, edits, is_mirrored, upright
+from fpplab.plan_check.sample import PhaseSample, directions
+
+AGREES = 1.5
+"""Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried."""
+MOST_AGREEING = 15.0
+"""Greatest disagreement of a plan that is proposed: right ones reach it where the response is bent."""
+MUCH_BETTER = 0.4
+"""A plan that fits better has at most this share of the disagreement."""
+AS_GOOD = 1.5
+"""Of plans whose disagreement is within this factor of the least, the simplest is told."""
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """What the images say of their plan.
+
+    Attributes
+    ----------
+    disagreement : float
+        Median over the lit pixels, in units of what noise explains; infinite where most are not decoded.
+    better : Edit or None
+        A plan that fits much better.
+    better_disagreement : float
+        Its disagreement.
+    unusual : Edit or None
+        Another plan that fits as well, by which camera and projector stand upright.
+    mirrored : bool
+        Whether the plan has the scene mirrored, so that it cannot be right.
+    """
+
+    disagreement: float
+    better: Edit | None = None
+    better_disagreement: float = np.nan
+    unusual: Edit | None = None
+    mirrored: bool = False
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong with the plan, and what to write; None where nothing is known to be."""
+        if self.better is not None:
+            return (
+                f"the plan does not fit its images: {self.better.mistake} (the sets disagree by "
+                f"{_shown(self.disagreement)} times their noise, and then by "
+                f"{self.better_disagreement:.1f}); {self.better.remedy}"
+            )
+        if self.mirrored and self.unusual is not None:
+            return (
+                "the plan does not fit its images: it has the scene mirrored, and "
+                f"{self.unusual.mistake}; {self.unusual.remedy}"
+            )
+        return None
+
+    @property
+    def note(self) -> str | None:
+        """What is unusual, and right only where a device is turned; None where nothing is."""
+        if self.fault is not None or self.unusual is None:
+            return None
+        return (
+            f"{self.unusual.mistake}: this is right where camera or projector is turned or stands on its "
+            f"head; otherwise {self.unusual.remedy}"
+        )
+
+
+def check_plan_fit(recording: Recording) -> PlanCheck | None:
+    """Ask the images of a recording whether their plan describes them.
+
+    Parameters
+    ----------
+    recording : Recording
+        All frames of a plan.
+
+    Returns
+    -------
+    PlanCheck or None
+        None where too few pixels see the fringes, or the plan has sets of other kinds than sinusoids.
+    """
+    sets = tuple(s for s in recording.plan.fringes if isinstance(s, Sinusoid))
+    if len(sets) < len(recording.plan.fringes):
+        return None
+    sample = PhaseSample.of(recording.frames, [s.images for s in sets], recording.full_scale)
+    if sample is None:
+        return None
+    few = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
+    given = disagreement(few, recording.plan, sample)
+    if given > AGREES and (found := _better(few, sets, sample, given)):
+        return found
+    return _orientation(sets, sample, given)
+
+
+def _better(few: Recording, sets: Sets, sample: PhaseSample, given: float) -> PlanCheck | None:
+    """Find the simplest of the plans that fit much better."""
+    tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
+    fitting = [(edit, d) for edit, d in tried if d <= min(MUCH_BETTER * given, MOST_AGREEING)]
+    if not fitting:
+        return None
+    least = min(d for _, d in fitting)
+    good = [(edit, d) for edit, d in fitting if d <= AS_GOOD * max(least, 1.0)]
+    # Reversed and late steps differ in the direction of the fringes alone.
+    standing = [one for one in good if _orientation(one[0].sets, sample, one[1]).unusual is None]
+    edit, found = (standing or good)[0]
+    return PlanCheck(given, edit, found)
+
+
+def _orientation(sets: Sets, sample: PhaseSample, given: float) -> PlanCheck:
+    finest = max(range(len(sets)), key=lambda k: sets[k].stripes)
+    return PlanCheck(
+        given, unusual=upright(sets, directions(sample, finest)), mirrored=is_mirrored(sets, sample)
+    )
+
+
+def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> float:
+    """Decode some pixels by a plan and say how much its sets disagree.
+
+    Parameters
+    ----------
+    few : Recording
+        Frames of the pixels of a sample.
+    plan : Plan
+        That is tried.
+    sample : PhaseSample
+        Which of the pixels are lit.
+
+    Returns
+    -------
+    float
+        Median, infinite where most pixels are not decoded or the plan cannot be unwrapped; NaN where it has
+        one set for each axis, or needs a calibration to be unwrapped.
+    """
+    alone = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
+    if alone or unwrapping_methods()[plan.unwrapping].guided:
+        return np.nan
+    try:
+        decoded = decode(replace(few, plan=plan.model_copy(update={"order_vote": None})))
+    except ConfigError:
+        return np.inf
+    assert decoded.disagreement is not None
+    found = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
+    return float(np.median(found))
+
+
+def _shown(value: float) -> str:
+    return f"{value:.1f}" if np.isfinite(value) else "so much that most pixels are lost, more than 100"

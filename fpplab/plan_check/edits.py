@@ -1,0 +1,426 @@
+"""Mistakes that people make in plans, each as the edit that mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import TWO_PI, Axis, Floats
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.plan_check.sample import Direction, PhaseSample, directions, wrapped
+
+SAME_STRIPES = 0.005
+"""Relative difference of stripes from which on they are measured anew."""
+ORIGIN_RAD = 0.3
+"""Least phase origin that is told."""
+SEARCHED = 0.04
+"""Share of the stripes by which the search for better ones reaches to each side, at least one."""
+USUAL = 0.85
+"""Whole stripes without a phase origin are believed where they agree by this share of the best."""
+
+Sets = tuple[Sinusoid, ...]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """A plan next to the one given.
+
+    Attributes
+    ----------
+    mistake : str
+        What would be wrong with the given plan, as a clause.
+    remedy : str
+        What to write in it.
+    sets : tuple of Sinusoid
+        The fringe sets of the plan that is right then.
+    """
+
+    mistake: str
+    remedy: str
+    sets: Sets
+
+    def plan(self, given: Plan) -> Plan:
+        """Give the whole plan.
+
+        Parameters
+        ----------
+        given : Plan
+            The plan that is edited.
+
+        Returns
+        -------
+        Plan
+            With other fringe sets.
+        """
+        return given.model_copy(update={"fringes": self.sets})
+
+
+def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
+    """Go through the plans next to one, the simplest first.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        Of the plan given.
+    sample : PhaseSample
+        What the images show.
+
+    Yields
+    ------
+    Edit
+        Another plan.
+    """
+    yield from _other_steps(sets)
+    finest = max(range(len(sets)), key=lambda k: sets[k].stripes)
+    seen = directions(sample, finest)
+    for found in (_other_axes(sets, seen, finest), _other_order(sets, seen), _other_signs(sets, seen)):
+        if found is not None:
+            yield found
+    yield from _other_stripes(sets, seen, sample)
+    if (moved := _other_origins(sets, sample)) is not None:
+        yield moved
+
+
+def _other_steps(sets: Sets) -> Iterator[Edit]:
+    """All sets with their images in reverse, or one image late or early."""
+    yield Edit(
+        "the images of each set were taken in reverse order",
+        "reverse the images of each set, or write 'shift_sign' with the other sign and 'phase_origin_rad' "
+        "one step further in every set",
+        tuple(_turned(_moved(s, s.shift_sign * TWO_PI / s.steps)) for s in sets),
+    )
+    for late, word in ((1, "late"), (-1, "early")):
+        yield Edit(
+            f"the images of each set are one step {word}, or in reverse order",
+            f"begin each set one image {'later' if late > 0 else 'earlier'}, or write 'phase_origin_rad' one "
+            "step further in every set",
+            tuple(_moved(s, late * s.shift_sign * TWO_PI / s.steps) for s in sets),
+        )
+
+
+def _other_axes(sets: Sets, seen: list[Direction], finest: int) -> Edit | None:
+    """Sets whose fringes run along the other axis than the plan says, relative to the finest."""
+    own = sets[finest].axis
+    axes: list[Axis] = [own if each.parallel else _other(own) for each in seen]
+    wrong = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
+    if not wrong:
+        return None
+    return Edit(
+        f"the fringes of {_named(sets, wrong)} run along the other axis than those of "
+        f"{_named(sets, [finest])}",
+        _written(sets, wrong, "axis", lambda k: axes[k]),
+        tuple(s.model_copy(update={"axis": axis}) for s, axis in zip(sets, axes, strict=True)),
+    )
+
+
+def _other_order(sets: Sets, seen: list[Direction]) -> Edit | None:
+    """Along each axis the same stripes, in the order in which the images have them."""
+    stripes = [s.stripes for s in sets]
+    for axis in ("x", "y"):
+        along = [k for k, s in enumerate(sets) if s.axis == axis]
+        speed = [float(np.hypot(seen[k].right, seen[k].down)) for k in along]
+        ranked = sorted(stripes[k] for k in along)
+        for rank, place in enumerate(np.argsort(speed)):
+            stripes[along[place]] = ranked[rank]
+    if stripes == [s.stripes for s in sets]:
+        return None
+    return Edit(
+        "the sets are in another order",
+        "in the order of the images they have " + ", ".join(f"{s:g}" for s in stripes) + " stripes",
+        tuple(s.model_copy(update={"stripes": n}) for s, n in zip(sets, stripes, strict=True)),
+    )
+
+
+def _other_signs(sets: Sets, seen: list[Direction]) -> Edit | None:
+    """Sets whose phase runs against that of the finest set of their axis."""
+    wrong = []
+    for axis in ("x", "y"):
+        along = [k for k, s in enumerate(sets) if s.axis == axis]
+        if along:
+            ways = {k: sets[k].shift_sign * _way(seen[k], sets[along[0]].axis, seen, along) for k in along}
+            most = np.sign(sum(ways.values())) or ways[max(along, key=lambda k: sets[k].stripes)]
+            wrong += [k for k in along if ways[k] != most]
+    if not wrong:
+        return None
+    return Edit(
+        f"the phase of {_named(sets, wrong)} runs against that of the others",
+        _written(sets, wrong, "shift_sign", lambda k: -sets[k].shift_sign),
+        tuple(_turned(s) if k in wrong else s for k, s in enumerate(sets)),
+    )
+
+
+def _way(one: Direction, axis: Axis, seen: list[Direction], along: Sequence[int]) -> int:
+    """Whether a phase rises (1) or falls (-1) in the direction in which its axis' fringes change most."""
+    level = sum(abs(seen[k].right) for k in along) >= sum(abs(seen[k].down) for k in along)
+    return 1 if (one.right if level else one.down) > 0 else -1
+
+
+def _other_stripes(sets: Sets, seen: list[Direction], sample: PhaseSample) -> Iterator[Edit]:
+    """Other numbers of stripes in one set, by the others of its axis, or in every set that differs."""
+    speed = [float(np.hypot(each.right, each.down)) for each in seen]
+    first: dict[int, float] = {}
+    for k, one in enumerate(sets):
+        others = [j for j, s in enumerate(sets) if s.axis == one.axis and j != k]
+        if not others:
+            continue
+        about = speed[k] / float(np.median([speed[j] / sets[j].stripes for j in others]))
+        if abs(about / one.stripes - 1.0) <= SAME_STRIPES:
+            continue
+        for stripes in _stripes_near(sets, others, k, about, sample):
+            if one.stripes > 1.0:
+                first.setdefault(k, stripes)
+            yield _with_stripes(sets, {k: stripes})
+    if len(first) > 1:
+        yield _with_stripes(sets, first)
+
+
+def _with_stripes(sets: Sets, stripes: Mapping[int, float]) -> Edit:
+    return Edit(
+        "; ".join(f"{_named(sets, [k])} shows {number:g} stripes" for k, number in stripes.items()),
+        _written(sets, list(stripes), "stripes", lambda k: f"{stripes[k]:g}"),
+        tuple(s.model_copy(update={"stripes": stripes.get(k, s.stripes)}) for k, s in enumerate(sets)),
+    )
+
+
+def _stripes_near(
+    sets: Sets, others: Sequence[int], k: int, about: float, sample: PhaseSample
+) -> Sequence[float]:
+    """Stripes that a set may have, other than those it is said to have."""
+    if min(sets[j].stripes for j in others) <= 1.0 < about:
+        near = [refined(sets, others, k, about, sample)]
+    else:
+        near = [float(round(about) + by) for by in (0, -1, 1, -2, 2)]
+    return [stripes for stripes in near if stripes > 0 and stripes != sets[k].stripes]
+
+
+def refined(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
+    """Measure the stripes of a set by the positions that coarser sets tell.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        All sets.
+    along : sequence of int
+        Indices of those of the same axis, one of them coarser.
+    k : int
+        Of the set.
+    about : float
+        Its stripes, to `SEARCHED`.
+    sample : PhaseSample
+        What the images show.
+
+    Returns
+    -------
+    float
+        A whole number where it nearly is one.
+    """
+    others = [j for j in along if j != k and sets[j].stripes < about]
+    position = unwrapped(sets, others, sample) / sets[max(others, key=lambda j: sets[j].stripes)].stripes
+    phase = phases_of(sets, sample)[k]
+
+    def agreement(stripes: float) -> complex:
+        return complex(np.mean(np.exp(1j * (phase - stripes * position))))
+
+    reach = max(SEARCHED * about, 1.0)
+    whole = np.arange(max(round(about - reach), 1), round(about + reach) + 1)
+    usual = max(whole, key=lambda stripes: agreement(stripes).real)  # a whole number, and no origin
+    tried = np.linspace(about - reach, about + reach, 401)
+    best = max(tried, key=lambda stripes: abs(agreement(stripes)))
+    if agreement(usual).real >= USUAL * abs(agreement(best)):
+        return float(usual)
+    return _nearly_whole(float(best))
+
+
+def _nearly_whole(stripes: float) -> float:
+    return (
+        float(round(stripes)) if abs(stripes - round(stripes)) < 0.2 and stripes > 0.5 else round(stripes, 2)
+    )
+
+
+def _other_origins(sets: Sets, sample: PhaseSample) -> Edit | None:
+    """Phase origins with which finer sets continue coarser ones."""
+    moved = with_origins(sets, sample)
+    wrong = [k for k, s in enumerate(sets) if moved[k] != s]
+    if not wrong:
+        return None
+    return Edit(
+        f"the phase of {_named(sets, wrong)} does not begin where that of the coarser sets does",
+        _written(sets, wrong, "phase_origin_rad", lambda k: f"{moved[k].phase_origin_rad:.3f}"),
+        moved,
+    )
+
+
+def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
+    """Give each set the phase origin with which it continues the coarser ones of its axis.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        With the right axes, stripes and signs.
+    sample : PhaseSample
+        What the images show.
+
+    Returns
+    -------
+    tuple of Sinusoid
+        The coarsest of each axis as given.
+    """
+    found = list(sets)
+    for axis in ("x", "y"):
+        along = sorted((k for k, s in enumerate(sets) if s.axis == axis), key=lambda k: sets[k].stripes)
+        for coarse, fine in pairwise(along):
+            seen = unwrapped(tuple(found), along[: along.index(fine)], sample)
+            predicted = seen * found[fine].stripes / found[coarse].stripes
+            left = phases_of(tuple(found), sample)[fine] - predicted
+            origin = float(np.angle(np.mean(np.exp(1j * left))))
+            if abs(origin) > ORIGIN_RAD:
+                found[fine] = _moved(found[fine], origin)
+    return tuple(found)
+
+
+def phases_of(sets: Sets, sample: PhaseSample) -> Floats:
+    """Give the phases that a plan's sets have in the images.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        S sets.
+    sample : PhaseSample
+        Of P pixels.
+
+    Returns
+    -------
+    ndarray of float64, (S, P)
+        In rad, 2π stripes (u + 0.5)/W but for whole turns.
+    """
+    return np.stack(
+        [s.shift_sign * phase - s.phase_origin_rad for s, phase in zip(sets, sample.phases, strict=True)]
+    )
+
+
+def unwrapped(sets: Sets, along: Sequence[int], sample: PhaseSample) -> Floats:
+    """Unwrap the finest of some sets by the coarser ones.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        All sets.
+    along : sequence of int
+        Indices of sets of one axis.
+    sample : PhaseSample
+        Of P pixels.
+
+    Returns
+    -------
+    ndarray of float64, (P,)
+        Phase in rad of the set with most stripes.
+    """
+    ranked = sorted(along, key=lambda k: sets[k].stripes)
+    seen = phases_of(sets, sample)
+    phase = seen[ranked[0]] % TWO_PI
+    for coarse, fine in pairwise(ranked):
+        predicted = phase * sets[fine].stripes / sets[coarse].stripes
+        phase = predicted + wrapped(seen[fine] - predicted)
+    return np.asarray(phase)
+
+
+def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
+    """Give axes and signs by which columns run to the right in the image and rows down.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        Of the plan given.
+    seen : list of Direction
+        Of its sets.
+
+    Returns
+    -------
+    Edit or None
+        None where they do already.
+    """
+    level = [abs(each.right) >= abs(each.down) for each in seen]
+    axes: list[Axis] = ["x" if is_level else "y" for is_level in level]
+    ways = [
+        1 if (each.right if flat else each.down) > 0 else -1 for each, flat in zip(seen, level, strict=True)
+    ]
+    other_axes = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
+    other_signs = [k for k, way in enumerate(ways) if way * sets[k].shift_sign < 0]
+    if not other_axes and not other_signs:
+        return None
+    mistakes, remedies = [], []
+    if other_axes:
+        mistakes.append(f"the fringes of {_named(sets, other_axes)} run along the other axis of the image")
+        remedies.append(_written(sets, other_axes, "axis", lambda k: axes[k]))
+    if other_signs:
+        mistakes.append(f"the phase of {_named(sets, other_signs)} rises to the left or upwards")
+        remedies.append(_written(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign))
+    edited = tuple(
+        _turned(s.model_copy(update={"axis": axes[k]}))
+        if k in other_signs
+        else s.model_copy(update={"axis": axes[k]})
+        for k, s in enumerate(sets)
+    )
+    return Edit(", and ".join(mistakes), "; ".join(remedies), edited)
+
+
+def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
+    """Tell whether the plan has the scene mirrored, which no camera beside a projector sees.
+
+    Both look at the same side of a surface, so columns and rows of the projector turn in the same sense in
+    the image.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        Of the plan.
+    sample : PhaseSample
+        What the images show.
+
+    Returns
+    -------
+    bool
+        False too where only one axis is coded.
+    """
+    finest: dict[Axis, int] = {s.axis: k for k, s in sorted(enumerate(sets), key=lambda one: one[1].stripes)}
+    if len(finest) < 2:
+        return False
+    x, y = (sets[finest[a]].shift_sign * sample.gradients[finest[a]] for a in ("x", "y"))
+    return bool(np.median(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0)
+
+
+def _moved(one: Sinusoid, by: float) -> Sinusoid:
+    origin = float(wrapped(np.asarray(one.phase_origin_rad + by)))
+    return one.model_copy(update={"phase_origin_rad": origin})
+
+
+def _turned(one: Sinusoid) -> Sinusoid:
+    return one.model_copy(update={"shift_sign": -one.shift_sign})
+
+
+def _other(axis: Axis) -> Axis:
+    return "y" if axis == "x" else "x"
+
+
+def _named(sets: Sets, which: Sequence[int]) -> str:
+    """Name sets by index and stripes, or all along an axis at once."""
+    names = []
+    for axis in ("x", "y"):
+        wanted = [k for k in which if sets[k].axis == axis]
+        if len(wanted) == sum(s.axis == axis for s in sets) > 1:
+            names.append(f"every set along {axis}")
+        else:
+            names += [f"'fringes[{k}]' ({axis}, {sets[k].stripes:g} stripes)" for k in wanted]
+    return " and ".join(names)
+
+
+def _written(sets: Sets, which: Sequence[int], key: str, value: Callable[[int], object]) -> str:
+    """Say what to write in which sets."""
+    by_value: dict[str, list[int]] = {}
+    for k in which:
+        by_value.setdefault(str(value(k)), []).append(k)
+    return "; ".join(f"write '{key}: {text}' in {_named(sets, ks)}" for text, ks in by_value.items())

@@ -1,0 +1,251 @@
+"""Guess a plan from images alone: sets, steps, axes, stripes, signs.
+
+What images cannot tell is taken as usual: sinusoids with equal steps, columns that run to the right in the
+image and rows down, a coarsest set of one stripe (or whole numbers of stripes that fit the ratios measured)
+whose phase has no origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.core.conventions import Axis, Floats, Image, full_scale, phase_steps
+from fpplab.core.errors import DataError
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.patterns.unwrapping.heterodyne import Heterodyne
+from fpplab.patterns.unwrapping.hierarchical import Hierarchical
+from fpplab.plan_check.check import AGREES, disagreement
+from fpplab.plan_check.edits import Sets, refined, upright, with_origins
+from fpplab.plan_check.sample import PhaseSample, directions
+
+PIXELS = 4_000
+"""About as many pixels decide which images form a set."""
+MISFIT = 0.04
+"""Misfit of a sinusoid, as a share of its modulation, that is usual."""
+PER_SET = 12.0
+"""By how many squares of the usual misfit another set must lessen what is left."""
+WORST_MISFIT = 0.2
+"""RMS misfit, as a share of the modulation, up to which images are taken for sets of sinusoids."""
+FEWEST_STEPS = 3
+WHOLE = 0.004
+"""Greatest relative difference from whole numbers of stripes."""
+MOST_STRIPES = 400
+VISIBLE_TURNS = 1.2
+"""Periods of the coarsest set that may be seen if it has one stripe: gradients are known to a tenth."""
+
+
+@dataclass(frozen=True)
+class PlanGuess:
+    """A plan that describes some images.
+
+    Attributes
+    ----------
+    plan : Plan
+        The plan.
+    disagreement : float
+        Of its sets, in units of what noise explains; NaN where there is one set for each axis.
+    assumed : tuple of str
+        What the images do not tell, one sentence each.
+    """
+
+    plan: Plan
+    disagreement: float
+    assumed: tuple[str, ...]
+
+
+def guess_plan(
+    frames: Sequence[Image], bits: int, projector_size: tuple[int, int], finest: float | None = None
+) -> PlanGuess:
+    """Find a plan that describes images.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, (height, width) each
+        Raw frames in the order shown: phase-shifted sinusoids, set after set.
+    bits : int
+        Depth of their grey levels.
+    projector_size : tuple of int
+        (width, height) in px.
+    finest : float, optional
+        Stripes of the finest set across the whole projector, where they are known.
+
+    Returns
+    -------
+    PlanGuess
+        With what was assumed.
+
+    Raises
+    ------
+    DataError
+        The images are no sets of phase-shifted sinusoids, too few pixels see them, or their stripes cannot
+        be told.
+    """
+    images = set_sizes(frames, full_scale(bits))
+    sample = PhaseSample.of(frames, images, full_scale(bits))
+    if sample is None:
+        raise DataError("too few pixels see the fringes of every set; look at the images")
+    standing = _axes_and_signs(images, sample, projector_size)
+    few = Recording(
+        [np.ascontiguousarray(f[sample.rows]) for f in frames], Plan(fringes=standing), projector_size, bits
+    )
+    for sets in _with_stripes(standing, sample, finest):
+        coarsest = max(min(s.stripes for s in sets if s.axis == axis) for axis in {s.axis for s in sets})
+        method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
+        plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
+        found = disagreement(few, plan, sample)
+        if not found > AGREES:
+            return PlanGuess(plan, found, _assumed(coarsest, finest))
+    raise DataError(
+        f"the images show sets of {_counted(images)} steps, but how many stripes they have across the whole "
+        "projector cannot be told; say with --finest how many the finest set has"
+    )
+
+
+def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
+    said = ["camera and projector stand upright: columns run to the right in the image, rows down"]
+    if coarsest <= 1.0:
+        said.append("the coarsest set of each axis has one stripe across the whole projector")
+    elif finest is None:
+        said.append("stripes are the least whole numbers with the ratios that the images show")
+    return *said, "the phase of the coarsest set has no origin; a wrong one shifts all coordinates alike"
+
+
+def _counted(images: Sequence[int]) -> str:
+    return ", ".join(map(str, images))
+
+
+def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
+    """Find which runs of images are sets of phase-shifted sinusoids.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, (height, width) each
+        Raw frames in the order shown.
+    full : int
+        Raw value of a saturated pixel.
+
+    Returns
+    -------
+    list of int
+        How many images each set has.
+
+    Raises
+    ------
+    DataError
+        There are none, or they do not make up all images.
+    """
+    count = len(frames)
+    if count < FEWEST_STEPS:
+        raise DataError(f"{count} images are too few: a set has at least {FEWEST_STEPS}")
+    moments = _moments(frames, full)
+    cost, last = [0.0] + [np.inf] * count, [0] * (count + 1)
+    for end in range(FEWEST_STEPS, count + 1):
+        for start in range(end - FEWEST_STEPS + 1):
+            worth = cost[start] + _left(moments[start:end, start:end]) / MISFIT**2 + PER_SET
+            if worth < cost[end]:
+                cost[end], last[end] = worth, start
+    sizes: list[int] = []
+    end = count
+    while end > 0 and np.isfinite(cost[end]):
+        sizes.insert(0, end - last[end])
+        end = last[end]
+    starts = np.cumsum([0, *sizes])
+    left = sum(_left(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False))
+    if np.sqrt(left / max(count - 2 * len(sizes), 1)) > WORST_MISFIT:
+        raise DataError(
+            f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
+            "set after the other; leave out white, black and other images"
+        )
+    return sizes
+
+
+def _moments(frames: Sequence[Image], full: int) -> Floats:
+    """Second moments (K, K) of what frames differ from their mean, in squares of the modulation."""
+    height, width = frames[0].shape
+    step = max(1, int(np.sqrt(height * width / PIXELS)))
+    levels = np.stack([frame[::step, ::step].ravel() for frame in frames]).astype(np.float64)
+    levels = levels[:, levels.max(axis=0) < full]
+    ripple = levels - levels.mean(axis=0)
+    strength = np.sqrt(2.0 * np.mean(ripple * ripple, axis=0))
+    lit = strength > 0.5 * np.quantile(strength, 0.95) if strength.size else np.zeros(0, np.bool_)
+    if lit.sum() < FEWEST_STEPS * 10:
+        raise DataError("too few pixels see fringes that are not saturated; look at the images")
+    ripple = ripple[:, lit] / strength[lit]
+    return np.asarray(ripple @ ripple.T / ripple.shape[1])
+
+
+def _left(moments: Floats) -> float:
+    """What a sinusoid around the mean of all images leaves of a run of images, in squares of modulation."""
+    shift = phase_steps(len(moments))
+    waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(moments))
+    return float(np.trace(moments) - np.sum((waves @ moments) * waves))
+
+
+def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int]) -> Sets:
+    """Sets with the axes and signs of devices that stand upright; stripes as fast as in the image."""
+    reference = int(np.argmax(np.median(np.hypot(*np.moveaxis(sample.gradients, -1, 0)), axis=1)))
+    seen = directions(sample, reference)
+    level = abs(seen[reference].right) >= abs(seen[reference].down)
+    own, other = ("x", "y") if level else ("y", "x")
+    axes: list[Axis] = [own if each.parallel else other for each in seen]  # type: ignore[misc]
+    speed = [float(np.hypot(each.right, each.down)) for each in seen]
+    sets = tuple(
+        Sinusoid(axis=axis, stripes=fast, steps=n, projector_size=size)
+        for axis, fast, n in zip(axes, speed, images, strict=True)
+    )
+    standing = upright(sets, seen)
+    return sets if standing is None else standing.sets
+
+
+def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iterator[Sets]:
+    """Numbers of stripes that have the ratios measured, the least first."""
+    axes = [axis for axis in ("x", "y") if any(s.axis == axis for s in sets)]
+    by_axis = [_along(sets, axis) for axis in axes]
+    scaled = [_scaled(_ratios(sets, along), _turns_seen(sample, along[0]), finest) for along in by_axis]
+    for numbers in zip(*scaled, strict=False):
+        found = list(sets)
+        for along, stripes in zip(by_axis, numbers, strict=True):
+            for k, number in zip(along, stripes, strict=True):
+                found[k] = found[k].model_copy(update={"stripes": float(number)})
+            for k in along[1:] if stripes[0] <= 1.0 else []:
+                exact = refined(tuple(found), along, k, found[k].stripes, sample)
+                found[k] = found[k].model_copy(update={"stripes": exact})
+        yield tuple(found)
+
+
+def _along(sets: Sets, axis: str) -> list[int]:
+    return sorted((k for k, s in enumerate(sets) if s.axis == axis), key=lambda k: sets[k].stripes)
+
+
+def _ratios(sets: Sets, along: Sequence[int]) -> Floats:
+    return np.array([sets[k].stripes for k in along]) / sets[along[0]].stripes
+
+
+def _turns_seen(sample: PhaseSample, k: int) -> float:
+    """Periods of a set across the lit pixels."""
+    places = np.argwhere(sample.lit)
+    steps = np.array([part.step for part in sample.rows])
+    height, width = (places.max(axis=0) - places.min(axis=0)) * steps
+    right, down = np.abs(np.median(sample.gradients[k], axis=0))
+    return float(max(right * width, down * height) / (2.0 * np.pi))
+
+
+def _scaled(ratios: Floats, turns: float, finest: float | None) -> Iterator[Floats]:
+    """Go through stripes of the sets of one axis, coarsest first."""
+    if finest is not None:
+        stripes = ratios * finest / ratios[-1]
+        yield np.where(np.abs(stripes - np.rint(stripes)) < WHOLE * stripes, np.rint(stripes), stripes)
+        yield stripes
+        return
+    if turns <= VISIBLE_TURNS:
+        yield ratios
+        return
+    for coarsest in range(max(int(turns / VISIBLE_TURNS), 2), MOST_STRIPES):
+        stripes = ratios * coarsest
+        if len(ratios) > 1 and np.all(np.abs(stripes - np.rint(stripes)) < WHOLE * stripes):
+            yield np.rint(stripes)

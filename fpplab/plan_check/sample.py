@@ -1,0 +1,165 @@
+"""Phases of every fringe set at some pixels, and how fast they change along the image.
+
+How fast the phase of a set changes from pixel to pixel depends on its stripes, its axis and the sign of its
+steps, and on no phase origin. Relative to another set's it tells them apart on any surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fpplab.core.conventions import TWO_PI, Floats, Image, Mask, phase_steps
+
+ANCHORS = 12_000
+"""About as many pixels are looked at."""
+LAGS = (1, 2, 4, 8, 16, 32, 64)
+"""Distances in px over which phases are compared."""
+MOST_TURN = 1.2
+"""Greatest typical change of phase in rad over the distance chosen, so that it is unambiguous."""
+LIT_SHARE = 0.2
+"""A pixel is lit where each set's fringes are at least this share of their strongest."""
+FEWEST = 200
+"""Fewest lit pixels from which anything is concluded."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSample:
+    """Phases of S sets at P pixels that see all of them.
+
+    Attributes
+    ----------
+    phases : ndarray of float64, (S, P)
+        In rad, as if every set had equal steps, no origin, and the usual sign.
+    gradients : ndarray of float64, (S, P, 2)
+        Change of phase in rad per px to the right and down.
+    rows : tuple of slice
+        Which pixels of a frame the sample was taken from.
+    lit : ndarray of bool
+        Of those, the P pixels.
+    """
+
+    phases: Floats
+    gradients: Floats
+    rows: tuple[slice, slice]
+    lit: Mask
+
+    @classmethod
+    def of(cls, frames: Sequence[Image], images: Sequence[int], full_scale: int) -> PhaseSample | None:
+        """Measure phases at pixels spread over the image.
+
+        Parameters
+        ----------
+        frames : sequence of ndarray, (height, width) each
+            Raw frames, set after set.
+        images : sequence of int
+            How many each of the S sets has.
+        full_scale : int
+            Raw value of a saturated pixel.
+
+        Returns
+        -------
+        PhaseSample or None
+            None where too few pixels see all sets.
+        """
+        height, width = frames[0].shape
+        step = max(1, int(np.sqrt(height * width / ANCHORS)))
+        lags = [lag for lag in LAGS if 4 * lag < min(height, width)]
+        rows = slice(0, height - lags[-1], step), slice(0, width - lags[-1], step)
+        here = _phasors(frames, images, rows, (0, 0))
+        strength = np.abs(here)
+        lit = np.all(strength >= LIT_SHARE * np.quantile(strength, 0.95, axis=(1, 2), keepdims=True), axis=0)
+        lit &= np.max([frame[rows] for frame in frames], axis=0) < full_scale
+        if lit.sum() < FEWEST:
+            return None
+        gradients = np.zeros((*here[:, lit].shape, 2))
+        for axis in (0, 1):
+            known = np.ones(len(images), np.bool_)
+            for lag in lags:
+                there = _phasors(frames, images, rows, (0, lag) if axis == 0 else (lag, 0))
+                turn = np.angle(there[:, lit] * here[:, lit].conj())
+                known &= (np.median(np.abs(turn), axis=1) <= MOST_TURN) | (lag == lags[0])
+                gradients[known, :, axis] = turn[known] / lag
+        return cls(np.angle(here)[:, lit], gradients, rows, lit)
+
+
+def _phasors(
+    frames: Sequence[Image], images: Sequence[int], rows: tuple[slice, slice], offset: tuple[int, int]
+) -> Floats:
+    """Sum of each set's frames times exp(iδ_n), (S, rows, columns), some pixels further on."""
+    moved = tuple(
+        slice(part.start + by, part.stop + by, part.step) for part, by in zip(rows, offset, strict=True)
+    )
+    starts = np.cumsum([0, *images])
+    sums = []
+    for (first, end), count in zip(pairwise(starts), images, strict=True):
+        levels = np.stack([frame[moved] for frame in frames[first:end]]).astype(np.float64)
+        sums.append(np.tensordot(np.exp(1j * phase_steps(count)), levels, 1) * (2.0 / count))
+    return np.stack(sums)
+
+
+def wrapped(phase: Floats) -> Floats:
+    """Bring phases into [-π, π).
+
+    Parameters
+    ----------
+    phase : ndarray of float64
+        In rad, any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Of the same shape.
+    """
+    return np.asarray((phase + np.pi) % TWO_PI - np.pi)
+
+
+@dataclass(frozen=True)
+class Direction:
+    """How a set's phase changes beside that of another, the reference.
+
+    Attributes
+    ----------
+    along, across : float
+        Change along the reference's gradient and across it, as shares of the reference's.
+    right, down : float
+        Typical change in rad per px to the right and down.
+    """
+
+    along: float
+    across: float
+    right: float
+    down: float
+
+    @property
+    def parallel(self) -> bool:
+        """Whether the set codes the same axis as the reference."""
+        return abs(self.along) > abs(self.across)
+
+
+def directions(sample: PhaseSample, reference: int) -> list[Direction]:
+    """Compare the gradients of all sets with those of one.
+
+    Parameters
+    ----------
+    sample : PhaseSample
+        Of S sets.
+    reference : int
+        Index of the set with which all are compared.
+
+    Returns
+    -------
+    list of Direction
+        One for each set.
+    """
+    u, v = sample.gradients[reference].T
+    square = np.maximum(u * u + v * v, 1e-12)
+    found = []
+    for gradient in sample.gradients:
+        right, down = gradient.T
+        along, across = (right * u + down * v) / square, (down * u - right * v) / square
+        found.append(Direction(*(float(np.median(each)) for each in (along, across, right, down))))
+    return found
