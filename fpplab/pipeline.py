@@ -148,7 +148,7 @@ def decode_session(
     """
     recording = session.recording(progress=lambda share: progress(0.5 * share))
     if not as_recorded:
-        require_in_step(recording, _advice(session))
+        require_in_step(recording, _advice(session), session.is_imported)
         if (found := check_plan_fit(recording)) and found.fault:
             raise DataError(f"{session.path}: {found.fault}; --as-recorded decodes it nevertheless")
     return decode(recording, lambda share: progress(0.5 + 0.5 * share))
@@ -156,9 +156,8 @@ def decode_session(
 
 def _advice(session: Session) -> str:
     """What to do about frames that are out of step with their plan."""
-    if session.is_imported:
-        return "look at the order of the image files; --as-recorded takes them as they are"
-    return "take it again, with --force; --as-recorded takes the frames as they are"
+    again = "" if session.is_imported else "take it again, with --force, or "
+    return f"{again}--as-recorded takes the frames as they are"
 
 
 def doubts(session: Session) -> list[str]:
@@ -176,7 +175,11 @@ def doubts(session: Session) -> list[str]:
     """
     recording = session.recording(verify=False)
     found = check_plan_fit(recording)
-    said = [fault_in_step(recording), found.fault if found else None, found.note if found else None]
+    said = [
+        fault_in_step(recording, session.is_imported),
+        found.fault if found else None,
+        found.note if found else None,
+    ]
     return [f"{session.path}: {sentence}" for sentence in said if sentence]
 
 
@@ -248,7 +251,7 @@ def _checked_recording(
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=progress)
     if not as_recorded:
-        require_in_step(recording, _advice(session))
+        require_in_step(recording, _advice(session), session.is_imported)
     return recording
 
 
@@ -666,7 +669,7 @@ def _observe_sessions(
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
     name, recording = session.path.name, session.recording()
-    if fault := fault_in_step(recording):
+    if fault := fault_in_step(recording, session.is_imported):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
     return observe(name, recording.mean_image(), decode(recording), target, periods)
 

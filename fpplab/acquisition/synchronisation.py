@@ -1,9 +1,9 @@
 """Check that frame k shows pattern k, from the frames alone.
 
-The frames of a set add up to the same image for all sets, and a pixel sees a sinusoid in each: all
-frames of a plan lie in a space of few dimensions, whatever the scene. Each synchronisation fault is
-a hypothesis that says which pattern each frame shows, and so another space. The frames decide between these
-spaces.
+The frames of a set add up to the same image for all sets, unless the light of the room changed between
+them, and a pixel sees a sinusoid in each: all frames of a plan lie in a space of few dimensions, whatever the
+scene. Each synchronisation fault is a hypothesis that says which pattern each frame shows, and so another
+space. The frames decide between these spaces.
 
 Only their second moments over a sample of pixels are needed, the (K, K) matrix `Moments.all`, so that a
 hundred hypotheses cost milliseconds. A hypothesis is rated by its marginal likelihood: the sinusoids'
@@ -24,6 +24,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import DataError
@@ -47,6 +48,8 @@ EQUAL_LOG_RATIO = 0.05
 PRIOR = 0.5
 """Prior variance, in squares of modulation, of a sinusoid's coefficients and of a frame that shows no
 pattern."""
+IMPORTED_REMEDY = "look at the order of the image files, and of the plan's sets and steps"
+"""Advice on images that another program recorded."""
 LINEAR, NONLINEAR = 1, 2
 """Harmonics of a fringe that a pixel may see: with a linear response, and with a nonlinear one."""
 
@@ -65,7 +68,7 @@ class Cause(StrEnum):
     FOREIGN = "foreign"
     """One frame shows none of the patterns."""
     SWAPPED = "swapped"
-    """Two neighbouring frames show each other's pattern."""
+    """Two frames show each other's pattern."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +81,13 @@ class SyncFault:
         What happened.
     frame : int
         Index of the frame where it begins, from 0.
+    other : int or None
+        Index of the later of two swapped frames; by default the next.
     """
 
     cause: Cause
     frame: int = 0
+    other: int | None = None
 
     def shown(self, frames: int) -> list[int | None]:
         """List the patterns that the frames show under this fault.
@@ -109,7 +115,12 @@ class SyncFault:
             case Cause.FOREIGN:
                 return [*k[:at], None, *k[at + 1 :]]
             case Cause.SWAPPED:
-                return [*k[:at], at + 1, at, *k[at + 2 :]]
+                return [*k[:at], self.partner, *k[at + 1 : self.partner], at, *k[self.partner + 1 :]]
+
+    @property
+    def partner(self) -> int:
+        """The later of two swapped frames."""
+        return self.frame + 1 if self.other is None else self.other
 
     def describe(self) -> str:
         """Describe what was seen, and what probably happened.
@@ -130,7 +141,7 @@ class SyncFault:
             Cause.DOUBLED: f"frame {at} shows pattern {at - 1} again, and so on: there was one trigger too "
             f"many before frame {at}",
             Cause.FOREIGN: f"frame {at} shows none of the plan's patterns: it is dark, or shows parts of two",
-            Cause.SWAPPED: f"frames {at} and {at + 1} show each other's pattern",
+            Cause.SWAPPED: f"frames {at} and {self.partner} show each other's pattern",
         }[self.cause]
 
 
@@ -154,6 +165,23 @@ def faults(frames: int) -> Iterator[SyncFault]:
     yield from (SyncFault(Cause.DOUBLED, k) for k in range(1, frames))
     yield from (SyncFault(Cause.FOREIGN, k) for k in range(frames))
     yield from (SyncFault(Cause.SWAPPED, k) for k in range(frames - 1))
+
+
+def far_swaps(frames: int) -> Iterator[SyncFault]:
+    """Iterate over exchanges of two frames that are not neighbours: files in a wrong order.
+
+    Parameters
+    ----------
+    frames : int
+        Number of frames.
+
+    Yields
+    ------
+    SyncFault
+        All of them.
+    """
+    for first in range(frames - 2):
+        yield from (SyncFault(Cause.SWAPPED, first, other) for other in range(first + 2, frames))
 
 
 @dataclass(frozen=True)
@@ -249,13 +277,15 @@ def check_synchronisation(recording: Recording) -> SyncVerdict:
     return SyncVerdict(provable=False) if moments is None else _decide(moments, recording.plan)
 
 
-def fault_in_step(recording: Recording) -> str | None:
+def fault_in_step(recording: Recording, imported: bool = False) -> str | None:
     """Say how the frames of a recording are out of step with their plan.
 
     Parameters
     ----------
     recording : Recording
         All frames of a plan.
+    imported : bool
+        Whether another program recorded them, so that files may be in a wrong order.
 
     Returns
     -------
@@ -263,10 +293,11 @@ def fault_in_step(recording: Recording) -> str | None:
         What happened and what to check, None when the frames show their patterns.
     """
     verdict = check_synchronisation(recording)
-    return None if verdict.in_step else f"{verdict.describe()}; {remedy(recording.plan)}"
+    advice = IMPORTED_REMEDY if imported else remedy(recording.plan)
+    return None if verdict.in_step else f"{verdict.describe()}; {advice}"
 
 
-def require_in_step(recording: Recording, advice: str) -> None:
+def require_in_step(recording: Recording, advice: str, imported: bool = False) -> None:
     """Refuse a recording whose frames do not show their patterns.
 
     Parameters
@@ -275,13 +306,15 @@ def require_in_step(recording: Recording, advice: str) -> None:
         All frames of a plan.
     advice : str
         What to do then, the end of the message.
+    imported : bool
+        Whether another program recorded them.
 
     Raises
     ------
     DataError
         The frames are out of step with the plan; says how, and what to see to.
     """
-    if fault := fault_in_step(recording):
+    if fault := fault_in_step(recording, imported):
         raise DataError(f"{recording.name}: {fault}; {advice}")
 
 
@@ -344,13 +377,15 @@ def _ripple(levels: Map) -> Map:
 
 def _waves(plan: Plan, harmonics: int) -> Floats:
     """Basis of what a pixel may see of every pattern: one common offset, own harmonics for each set."""
-    columns = 2 * harmonics
-    waves = np.zeros((plan.images, 1 + columns * len(plan.fringes)))
-    waves[:, 0] = 1.0
-    for index, (fringe, start) in enumerate(zip(plan.fringes, plan.set_starts, strict=False)):
-        column = 1 + columns * index
-        waves[start : start + fringe.images, column : column + columns] = fringe.waves(harmonics)
-    return waves
+    parts = [fringe.waves(harmonics) for fringe in plan.fringes]
+    return np.concatenate([np.ones((plan.images, 1)), block_diag(*parts)], axis=1)
+
+
+def _waves_with_own_offsets(plan: Plan, harmonics: int) -> Floats:
+    """The same where the room's light changed between the sets, which their phases do not see."""
+    ones = [np.ones((fringe.images, 1)) for fringe in plan.fringes]
+    parts = [fringe.waves(harmonics) for fringe in plan.fringes]
+    return np.concatenate([block_diag(*ones), block_diag(*parts)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,8 +429,18 @@ def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _S
     shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]
     known = np.array([[k is not None for k in row] for row in shown], np.float64)
     waves = _waves(plan, harmonics)[[[k or 0 for k in row] for row in shown]] * known[..., None]
+    return _spaces_of(waves, known)
+
+
+@lru_cache(maxsize=8)
+def _space_of_changed_light(plan: Plan, harmonics: int) -> _Spaces:
+    """The space of frames in step whose sets were taken in different light."""
+    return _spaces_of(_waves_with_own_offsets(plan, harmonics)[None], np.ones((1, plan.images)))
+
+
+def _spaces_of(waves: Floats, known: Floats) -> _Spaces:
     square, directions = np.linalg.eigh(waves.transpose(0, 2, 1) @ waves)
-    free = square > 1e-9 * count
+    free = square > 1e-9 * waves.shape[1]
     rest = known.sum(axis=1).astype(int) - free.sum(axis=1)
     return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, rest)
 
@@ -409,7 +454,24 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))
     misfit = spaces[-1].misfit(moments)
     best = likelihood.max()
+    changed = [_space_of_changed_light(plan, harmonics) for harmonics in (LINEAR, NONLINEAR)]
+    if max(float(space.likelihood(moments)[0]) for space in changed) > best:
+        return SyncVerdict(provable=provable(plan), misfit=changed[-1].misfit(moments))
+    causes: tuple[SyncFault, ...] = ()
     if best > likelihood[0] + LEAST_LOG_RATIO:
         causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUAL_LOG_RATIO))
-        return SyncVerdict(causes, misfit=misfit)
-    return SyncVerdict(fits=misfit <= MISFIT_FOREIGN, provable=provable(plan), misfit=misfit)
+    fits = bool(causes) or misfit <= MISFIT_FOREIGN
+    if not fits or (causes and all(fault.cause is Cause.FOREIGN for fault in causes)):
+        swaps = _swaps(moments, plan, float(best) + LEAST_LOG_RATIO)
+        causes, fits = swaps or causes, fits or bool(swaps)
+    return SyncVerdict(causes, fits=fits, provable=provable(plan) or bool(causes), misfit=misfit)
+
+
+def _swaps(moments: Moments, plan: Plan, least: float) -> tuple[SyncFault, ...]:
+    """Exchanges of two distant frames that are likelier than that."""
+    named = tuple(far_swaps(plan.images))
+    spaces = [_spaces(plan, harmonics, named) for harmonics in (LINEAR, NONLINEAR)]
+    likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))[1:]
+    if not named or likelihood.max() <= least:
+        return ()
+    return tuple(named[i] for i in np.flatnonzero(likelihood > likelihood.max() - EQUAL_LOG_RATIO))

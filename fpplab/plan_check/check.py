@@ -26,7 +26,7 @@ AGREES = 1.5
 """Median disagreement of the sets, in units of what noise explains, up to which nothing else is tried."""
 MOST_AGREEING = 15.0
 """Greatest disagreement of a plan that is proposed: right ones reach it where the response is bent."""
-MUCH_BETTER = 0.4
+MUCH_BETTER = 0.6
 """A plan that fits better has at most this share of the disagreement."""
 AS_GOOD = 1.5
 """Of plans whose disagreement is within this factor of the least, the simplest is told."""

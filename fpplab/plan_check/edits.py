@@ -80,6 +80,7 @@ def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     for found in (_other_axes(sets, seen, finest), _other_order(sets, seen), _other_signs(sets, seen)):
         if found is not None:
             yield found
+            yield from _with_origins_too(found, sample)
     yield from _other_stripes(sets, seen, sample)
     if (moved := _other_origins(sets, sample)) is not None:
         yield moved
@@ -252,6 +253,13 @@ def _other_origins(sets: Sets, sample: PhaseSample) -> Edit | None:
         _written(sets, wrong, "phase_origin_rad", lambda k: f"{moved[k].phase_origin_rad:.3f}"),
         moved,
     )
+
+
+def _with_origins_too(edit: Edit, sample: PhaseSample) -> Iterator[Edit]:
+    """The same with phase origins that fit then: images in reverse order within one set, for instance."""
+    moved = _other_origins(edit.sets, sample)
+    if moved is not None:
+        yield Edit(f"{edit.mistake}; {moved.mistake}", f"{edit.remedy}; {moved.remedy}", moved.sets)
 
 
 def with_origins(sets: Sets, sample: PhaseSample) -> Sets:

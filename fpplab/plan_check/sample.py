@@ -22,6 +22,8 @@ MOST_TURN = 1.2
 """Greatest typical change of phase in rad over the distance chosen, so that it is unambiguous."""
 LIT_SHARE = 0.2
 """A pixel is lit where each set's fringes are at least this share of their strongest."""
+LEAST_GREYS = 1.0
+"""And at least so strong, in 8-bit grey levels."""
 FEWEST = 200
 """Fewest lit pixels from which anything is concluded."""
 
@@ -71,7 +73,8 @@ class PhaseSample:
         rows = slice(0, height - lags[-1], step), slice(0, width - lags[-1], step)
         here = _phasors(frames, images, rows, (0, 0))
         strength = np.abs(here)
-        lit = np.all(strength >= LIT_SHARE * np.quantile(strength, 0.95, axis=(1, 2), keepdims=True), axis=0)
+        strongest = np.quantile(strength, 0.95, axis=(1, 2), keepdims=True)
+        lit = np.all(strength >= np.maximum(LIT_SHARE * strongest, LEAST_GREYS * full_scale / 255), axis=0)
         lit &= np.max([frame[rows] for frame in frames], axis=0) < full_scale
         if lit.sum() < FEWEST:
             return None
