@@ -6,6 +6,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
+from fpplab.core.conventions import Axis, Floats
 from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.recording import Recording
@@ -18,6 +19,14 @@ DISAGREEING = 3.0
 """Typical disagreement of the sets, in units of what noise explains, above which the plan is checked."""
 SAMPLING_STRIDE = 4
 """Stride in rows and columns at which the typical disagreement is sampled."""
+GRADIENT_STRIDE = 8
+"""Stride in rows and columns at which the coordinate's change from pixel to pixel is sampled."""
+FEWEST = 100
+"""Fewest pixels from which the direction of the fringes is concluded."""
+LEAST_CHANGE = 0.1
+"""Least typical change of a coordinate along the image, as a share of that on a surface at constant depth."""
+DISTANCE_BASELINES = 3.0
+"""Distance in baselines of the surface on which the change is computed; it hardly depends on it."""
 RUINOUS = 1e3
 """Excess of a plan that is wrong: every other finding follows from it."""
 
@@ -49,20 +58,21 @@ def plan_finding(
     list of ScanFinding
         One where another plan fits the images, otherwise none.
     """
-    if not _is_suspicious(recording, decoded, sample, cloud):
+    against = _runs_against(decoded, calibration, recording.plan.axes)
+    if against is None and not _is_suspicious(recording, decoded, sample, cloud):
         return []
     found = check_plan_fit(recording)
-    if found is None:
-        return []
-    if found.fault is not None:
+    if found is not None and found.fault is not None:
         return [ScanFinding(ScanCause.WRONG_PLAN, found.fault, RUINOUS)]
-    if found.unusual is not None and _stand_alike(calibration):
-        evidence = (
-            f"{found.unusual.mistake}, but by the calibration camera and projector stand alike; "
-            f"{found.unusual.remedy}"
-        )
-        return [ScanFinding(ScanCause.WRONG_PLAN, evidence, RUINOUS)]
-    return []
+    if against is None:
+        return []
+    evidence = (
+        f"the coordinate along {against} does not run along the image as the calibration says, by which "
+        "camera and projector stand otherwise"
+    )
+    if found is not None and found.unusual is not None:
+        evidence += f": {found.unusual.mistake}; {found.unusual.remedy}"
+    return [ScanFinding(ScanCause.WRONG_PLAN, evidence, RUINOUS)]
 
 
 def _is_suspicious(recording: Recording, decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -> bool:
@@ -76,13 +86,33 @@ def _is_suspicious(recording: Recording, decoded: Decoded, sample: FrameSample, 
     return bool(known.size == 0 or np.median(known) > DISAGREEING)
 
 
-def _stand_alike(calibration: Calibration) -> bool:
-    """Whether the projector's columns run to the right in the image and its rows down."""
+def _runs_against(decoded: Decoded, calibration: Calibration, axes: tuple[Axis, ...]) -> Axis | None:
+    """Find the axis along which the coordinate changes otherwise than on any surface that both devices see.
+
+    On a surface at constant depth the calibration tells how the coordinate changes along the image. A slope
+    of the surface makes it change faster or slower, but never backwards: both devices see its front.
+    """
+    expected = _change_along_image(calibration)
+    for axis in axes:
+        coordinate = decoded.u if axis == "x" else decoded.v
+        rows, columns = coordinate.shape
+        here = coordinate[: rows - 1 : GRADIENT_STRIDE, : columns - 1 : GRADIENT_STRIDE]
+        right = coordinate[: rows - 1 : GRADIENT_STRIDE, 1::GRADIENT_STRIDE][:, : here.shape[1]] - here
+        down = coordinate[1::GRADIENT_STRIDE, : columns - 1 : GRADIENT_STRIDE][: here.shape[0]] - here
+        known = np.isfinite(right) & np.isfinite(down)
+        if known.sum() < FEWEST:
+            continue
+        wanted = expected["xy".index(axis)]
+        share = (np.median(right[known]) * wanted[0] + np.median(down[known]) * wanted[1]) / (wanted @ wanted)
+        if share < LEAST_CHANGE:
+            return axis
+    return None
+
+
+def _change_along_image(calibration: Calibration) -> Floats:
+    """Change of the projector's coordinates (u, v) by a pixel to the right and down, (2, 2)."""
     camera, pose = calibration.camera, calibration.T_projector_camera
-    middle = np.array(camera.size) / 2.0
-    pixels = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    pixels = np.array(camera.size) / 2.0 + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     rays = np.concatenate([camera.normalise(pixels), np.ones((3, 1))], axis=1)
-    distance = 3.0 * calibration.baseline_mm
-    seen = calibration.projector.project(distance * rays, pose)
-    right, down = seen[1] - seen[0], seen[2] - seen[0]
-    return bool(right[0] > abs(right[1]) and down[1] > abs(down[0]))
+    seen = calibration.projector.project(DISTANCE_BASELINES * calibration.baseline_mm * rays, pose)
+    return np.stack([seen[1] - seen[0], seen[2] - seen[0]], axis=1)

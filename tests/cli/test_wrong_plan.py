@@ -1,0 +1,124 @@
+"""Plans that do not describe their images, by the commands that meet them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from fpplab.core import config
+from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.sessions.session import Session
+from tests.diagnosis.scenes import Bench, plan_of
+from tests.support.commands import Command
+
+SIZE = ("--projector-size", "912", "1140")
+
+
+def images(recording: Recording, folder: Path) -> tuple[object, ...]:
+    """Write a recording as image files, and give the words that name them."""
+    folder.mkdir()
+    for index, image in enumerate(recording.frames):
+        cv2.imwrite(str(folder / f"f_{index:02d}.png"), image)
+    return folder, "--frames", "f_{index:02d}.png"
+
+
+def written(plan: Plan, path: Path, **fields: object) -> Path:
+    """Write a plan with other fields in its last set."""
+    last = plan.fringes[-1].model_copy(update=fields)
+    path.write_text(config.dump(plan.model_copy(update={"fringes": (*plan.fringes[:-1], last)})))
+    return path
+
+
+def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -> None:
+    plan = plan_of("x", (4, 4, 6), (1, 8, 48))
+    words = images(Bench(plan=plan, seed=71).recording(), tmp_path / "images")
+    guessed = fpplab("plan", "guess", *words, *SIZE, "--out", tmp_path / "right.yaml", "--json")
+    assert guessed.code == 0, guessed.err
+    assert [s["stripes"] for s in guessed.json["fringes"]] == [1.0, 8.0, 48.0]
+    assert "# Assumed: " in (tmp_path / "right.yaml").read_text()
+    right = fpplab("import", *words, "--plan", tmp_path / "right.yaml", "--out", tmp_path / "right", "--json")
+    assert right.code == 0, right.err
+    assert right.json["warnings"] == []
+
+    wrong = written(plan, tmp_path / "wrong.yaml", stripes=45.0)
+    imported = fpplab("import", *words, *SIZE, "--plan", wrong, "--out", tmp_path / "wrong", "--json")
+    assert imported.code == 0, imported.err
+    [warning] = imported.json["warnings"]
+    assert "'fringes[2]' (x, 45 stripes) shows 48 stripes" in warning
+    refused = fpplab("decode", tmp_path / "wrong", "--out", tmp_path / "wrong.npz")
+    assert refused.code == 4, refused.err
+    assert "write 'stripes: 48' in 'fringes[2]'" in refused.err
+    assert not (tmp_path / "wrong.npz").exists()
+    taken = fpplab("decode", tmp_path / "wrong", "--as-recorded", "--out", tmp_path / "wrong.npz")
+    assert taken.code == 0, taken.err
+
+
+def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
+    fpplab: Command, tmp_path: Path
+) -> None:
+    bench = Bench(plan=plan_of("x", (4, 4, 6), (1, 8, 48)), seed=72)
+    recording = bench.recording()
+    frames = list(recording.frames)
+    frames[1], frames[9] = frames[9], frames[1]
+    words = images(Recording(frames, recording.plan, recording.projector_size), tmp_path / "images")
+    plan = written(recording.plan, tmp_path / "plan.yaml")
+    imported = fpplab("import", *words, *SIZE, "--plan", plan, "--out", tmp_path / "s", "--json")
+    assert imported.code == 0, imported.err
+    assert "frames 1 and 9 show each other's pattern" in imported.json["warnings"][0]
+    assert "look at the order of the image files" in imported.json["warnings"][0]
+    bench.rig().save(tmp_path / "c.yaml")
+    cloud = "--calibration", tmp_path / "c.yaml", "--out", tmp_path / "cloud.ply"
+    refused = fpplab("reconstruct", tmp_path / "s", *cloud)
+    assert refused.code == 4
+    assert "--as-recorded takes the frames as they are" in refused.err
+    taken = fpplab("reconstruct", tmp_path / "s", *cloud, "--as-recorded", "--json")
+    assert "out of step" not in taken.err
+    assert "show each other's pattern" not in taken.err
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"stripes": 45.0}, "write 'stripes: 48' in 'fringes[2]'"),
+        ({"shift_sign": -1}, "write 'shift_sign: 1' in 'fringes[2]'"),
+    ],
+    ids=["stripes", "sign"],
+)
+def test_a_reconstruction_by_a_wrong_plan_is_useless(
+    fpplab: Command, tmp_path: Path, fields: dict[str, object], told: str
+) -> None:
+    bench = Bench(plan=plan_of("x", (4, 4, 6), (1, 8, 48)), seed=73)
+    recording = bench.recording()
+    last = bench.plan.fringes[-1].model_copy(update=fields)
+    plan = bench.plan.model_copy(update={"fringes": (*bench.plan.fringes[:-1], last)})
+    done = _reconstructed(fpplab, recording, plan, tmp_path)
+    assert done["verdict"] == "useless"
+    assert done["findings"][0]["cause"] == "wrong_plan"
+    assert told in done["findings"][0]["evidence"]
+
+
+def test_a_sign_that_is_wrong_throughout_is_named_by_the_calibration(fpplab: Command, tmp_path: Path) -> None:
+    bench = Bench(plan=plan_of("x", (4, 4, 6), (1, 8, 48)), seed=74)
+    sets = tuple(s.model_copy(update={"shift_sign": -1}) for s in bench.plan.fringes)
+    plan = bench.plan.model_copy(update={"fringes": sets})
+    done = _reconstructed(fpplab, bench.recording(), plan, tmp_path)
+    assert done["findings"][0]["cause"] == "wrong_plan"
+    assert "does not run along the image as the calibration says" in done["findings"][0]["evidence"]
+    assert "write 'shift_sign: 1' in every set along x" in done["findings"][0]["evidence"]
+
+
+def _reconstructed(fpplab: Command, recording: Recording, plan: Plan, folder: Path) -> dict[str, object]:
+    rig = {"resolved": {"projector": {"size": list(recording.projector_size), "lattice": "square"}}}
+    session = Session.create(folder / "session", plan, rig)
+    for index, ((_, _, pattern), image) in enumerate(zip(plan.steps(), recording.frames, strict=True)):
+        session.write(Frame(image, index, CameraSettings(0.02, 0.0, 8), 0.0, pattern_id=pattern))
+    Bench().rig().save(folder / "c.yaml")
+    words = "--calibration", folder / "c.yaml", "--out", folder / "cloud.ply", "--json"
+    done = fpplab("reconstruct", folder / "session", *words)
+    assert done.code == 4, done.err
+    assert not (folder / "cloud.ply").exists()
+    return dict(done.json)
