@@ -15,7 +15,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 import shutil
+import time
 from collections.abc import Container
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -47,6 +49,8 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Curve
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
+
+_log = logging.getLogger(__name__)
 
 RigRecord = dict[str, Any] | None
 """A rig as `Rig.described` gives it, or None for images from elsewhere."""
@@ -134,6 +138,7 @@ class Session:
         if path.exists():
             _remove(path)
         make_directory(path, lambda draft: _furnish(draft, plan, rig))
+        _log.info("session %s made for %d frames", path, plan.images)
         return cls(path, plan, {})
 
     @classmethod
@@ -159,7 +164,9 @@ class Session:
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
         plan = config.load_document(path / PLAN, Plan)
-        return cls(path, plan, _read_journal(path, plan))
+        records = _read_journal(path, plan)
+        _log.info("session %s opened: %d of %d frames", path, len(records), plan.images)
+        return cls(path, plan, records)
 
     @classmethod
     def resume(
@@ -361,7 +368,7 @@ class Session:
                 f"{self.path}: {len(missing)} of {self.plan.images} frames are missing ({shown}); "
                 "run the same scan again to complete it"
             )
-        images = []
+        images, start = [], time.perf_counter()
         with ThreadPoolExecutor(2) as readers:  # checksums do not hold Python's lock
             for i, record in enumerate(self.records):
                 if record.format != self.format:
@@ -372,6 +379,10 @@ class Session:
             for image in readers.map(lambda i: self.read(i, verify), range(self.plan.images)):
                 images.append(image)
                 progress(len(images) / self.plan.images)
+        seconds = time.perf_counter() - start
+        _log.info(
+            "%d frames of %s read from %s, %.3f s", len(images), _shown(self.format), self.path, seconds
+        )
         return images
 
     def recording(self, verify: bool = True, progress: Progress = no_progress) -> Recording:

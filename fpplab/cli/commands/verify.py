@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
+from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
 from fpplab.core.errors import ConfigError, DataError
 
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 
 @app.command("verify", cls=TakesLists, rich_help_panel=JUDGE)
 def verify_command(
-    standard: Annotated[str, typer.Option("--standard", help="Standard file: the standards and limits.")],
+    standard: Annotated[
+        str,
+        typer.Option(
+            "--standard", help="Standard file: the standards and limits.", autocompletion=names_of("standard")
+        ),
+    ],
     out: Out,
     spheres: Annotated[
         list[Path] | None, typer.Option("--spheres", help="Clouds or sessions of the ball bar, any number.")
@@ -42,7 +48,10 @@ def verify_command(
         ),
     ] = "",
     rig: Annotated[
-        str | None, typer.Option("--rig", help="Measure the standard's items now, on this rig.")
+        str | None,
+        typer.Option(
+            "--rig", help="Measure the standard's items now, on this rig.", autocompletion=names_of("rig")
+        ),
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
