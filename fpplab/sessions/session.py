@@ -18,7 +18,7 @@ import json
 import logging
 import shutil
 import time
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -36,7 +36,9 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import (
     append_line,
     cut_torn_line,
+    disk_bytes,
     make_directory,
+    need_space,
     refuse_existing,
     whole_lines,
     write_parts,
@@ -583,6 +585,42 @@ def refuse_foreign(path: Path) -> None:
     """
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")
+
+
+def need_space_for_frames(
+    paths: Sequence[Path], plan: Plan, size: tuple[int, int], bits: int, force: bool = False
+) -> None:
+    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written.
+
+    Frames that interrupted sessions have already need no more space, and a session that is replaced frees its
+    own.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Directories of the sessions, on one disk.
+    plan : Plan
+        What each of them records.
+    size : tuple of int
+        (width, height) of a frame in px.
+    bits : int
+        Depth of its grey levels.
+    force : bool
+        Whether sessions that are there already are replaced.
+
+    Raises
+    ------
+    DataError
+        There is too little space.
+    """
+    images = freed = 0
+    for path in paths:
+        begun = (path / JOURNAL).is_file()
+        images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
+        freed += disk_bytes(path) if begun and force else 0
+    each = size[0] * size[1] * raw_dtype(bits).itemsize
+    what = f"{images} frames of {_shown((*size, bits))}"
+    need_space(paths[0] if len(paths) == 1 else paths[0].parent, images * each, what, freed)
 
 
 def recorded_sessions(paths: list[Path]) -> list[Session]:

@@ -148,7 +148,7 @@ def _measured(
             f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
         )
     from fpplab.devices.rig import Rig
-    from fpplab.pipeline import check_plan, finish_scan, take
+    from fpplab.pipeline import check_plan, check_space, finish_scan, take
 
     loaded = Rig.load(rig)
     check_plan(plan, "--plan", calibration, loaded)
@@ -160,6 +160,7 @@ def _measured(
         calibration.check_projector(caps.size, caps.lattice, "--calibration")
         for item in (*items.ball_bar, *items.plane):
             fixture.check(item)
+        check_space(bench, plan, [folder / item for item in (*items.ball_bar, *items.plane)], force)
         for item in (*items.ball_bar, *items.plane):
             with console.progress(f"Scanning {item}") as report:
                 session = take(
