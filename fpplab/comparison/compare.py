@@ -262,9 +262,11 @@ def compare(
     ------
     ConfigError
         The density or a length is not above 0.
+    UnseenMeshError
+        Nothing of the mesh is visible, or no point's camera ray meets it.
     DataError
-        The mesh is inside out or not in the cloud's unit, nothing of it is visible, no point's camera ray
-        meets it, no alignment is found, or the points do not span a surface.
+        The mesh is inside out or not in the cloud's unit, no alignment is found, or the points do not span a
+        surface.
     """
     for name, value in (("density", density), ("outlier_mm", outlier_mm), ("near_mm", near_mm)):
         if not (np.isfinite(value) and value > 0.0):
@@ -366,7 +368,7 @@ def visible_samples(
 
     Raises
     ------
-    DataError
+    UnseenMeshError
         Nothing is visible.
     """
     centres = [np.zeros(3)]
