@@ -48,7 +48,7 @@ from fpplab.plan_check import check_plan_fit
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
-from fpplab.sessions.session import PLAN, RIG, Session
+from fpplab.sessions.session import PLAN, RIG, Session, need_space_for_frames
 from fpplab.targets import Target
 
 DECODED, CLOUD, CALIBRATION, REPORT = "decoded.npz", "cloud.ply", "calibration.yaml", "report.html"
@@ -105,6 +105,7 @@ def take(
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
+    check_space(rig, plan, [out], force)
     session = Session.resume(out, plan, rig.described(mount), force, complete_too)
     if plan.stage_mm is not None and session.missing():
         rig.place_stage(plan.stage_mm)
@@ -117,6 +118,29 @@ def take(
 
     acquire(rig, plan, session, seen)
     return session
+
+
+def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> None:
+    """Refuse sessions that do not fit on the disk, before anything is projected or written.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What each session records.
+    paths : sequence of path
+        Folders of the sessions.
+    force : bool
+        Whether sessions that are there already are replaced.
+
+    Raises
+    ------
+    DataError
+        Names what the frames need, what is free, and the folder.
+    """
+    bits = rig.camera_settings(plan.exposure_s, plan.bits).bits
+    need_space_for_frames(paths, plan, rig.camera.caps.size, bits, force)
 
 
 def decode_session(
@@ -535,12 +559,14 @@ def take_poses(
     ConfigError, DeviceError, DataError
         As `take`.
     """
+    paths = [folder / f"pose_{pose:02d}" for pose in range(poses)]
+    check_space(rig, plan, paths, force)
 
     def one(pose: int) -> Session:
         return take(
             rig,
             plan,
-            folder / f"pose_{pose:02d}",
+            paths[pose],
             (item, pose),
             force=force,
             complete_too=True,

@@ -184,7 +184,7 @@ def board_target(name: str, item: BoardItem) -> Target:
         The target file is missing or not valid; the message names the field.
     """
     with _named(f"items.{name}.target"):
-        path = config.find_config(item.target)
+        path = config.find_config(item.target, "target")
         target = _target(path, path.stat().st_mtime_ns)
     own = {"background": item.reflectance, "foreground": item.ink}
     return target.model_copy(update={field: value for field, value in own.items() if value is not None})

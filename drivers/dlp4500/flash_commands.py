@@ -15,6 +15,7 @@ import typer
 from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
+from fpplab.cli.completion import names_of
 from fpplab.core.errors import Cancelled
 
 if TYPE_CHECKING:
@@ -23,7 +24,12 @@ if TYPE_CHECKING:
 
 @dlp4500.command()
 def build(
-    plan: Annotated[str, typer.Argument(metavar="PLAN", help="Plan file: the patterns to put in.")],
+    plan: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLAN", help="Plan file: the patterns to put in.", autocompletion=names_of("plan")
+        ),
+    ],
     base: Annotated[Path, typer.Option("--base", help="The maker's firmware file, or one built before.")],
     out: Out,
     force: Force = False,

@@ -184,7 +184,7 @@ class Standard(Document):
         ConfigError
             The file is missing or has a field that is not valid.
         """
-        return config.load_document(config.find_config(name), cls)
+        return config.load_document(config.find_config(name, "standard"), cls)
 
     def permitted_um(self, quantity: str) -> float | None:
         """Look up the maximum permissible error (MPE) of a quantity.

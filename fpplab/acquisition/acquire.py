@@ -8,6 +8,7 @@ white.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
@@ -24,6 +25,8 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.frame_writer import write_frames
 from fpplab.sessions.session import Session
+
+_log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S = 10.0
 """How long beyond its exposure a frame may take, in s."""
@@ -65,6 +68,7 @@ def acquire(rig: Rig, plan: Plan, session: Session, observe: FrameObserver = ign
     patterns = make_patterns(plan, caps.size, caps.lattice)
     wanted = session.missing()
     ends = end_markers(plan, caps.size) if wanted else []
+    _log.info("%d frames are to be taken, %g s each", len(wanted), settings.exposure_s)
     brightness = []
     with (
         write_frames(session, observe) as record,

@@ -4,6 +4,7 @@ Heavy modules are imported where they are used, so that `--help` is at once.
 """
 
 import sys
+from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 
@@ -20,7 +21,7 @@ for _name in plugins.plugin_names(plugins.COMMANDS):
 
 def main() -> None:
     """Run the command that `sys.argv` names and leave with its exit code."""
-    console.run_program(app, as_json="--json" in sys.argv)
+    console.run_program(partial(app, prog_name="fpplab"), as_json="--json" in sys.argv)
 
 
 __all__ = ["app", "main"]

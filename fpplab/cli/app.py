@@ -2,17 +2,73 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from fpplab.core.errors import Cancelled
+from fpplab.cli import logs
+from fpplab.cli.advice import unknown_command, unknown_option
+from fpplab.cli.completion import names_of
+from fpplab.cli.lists import global_first
+from fpplab.core.errors import Cancelled, ConfigError
+from fpplab.core.version import __version__
 
 
 class Commands(TyperGroup):
-    """A group of commands that reports Ctrl-C as `Cancelled`, with its exit code."""
+    """A group of commands that says which one was meant, and reports Ctrl-C as `Cancelled`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the options of the group; those of the program may also follow its command.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            Of the command line.
+        args : list of str
+            The words behind the group's name.
+
+        Returns
+        -------
+        list of str
+            The command, and what follows it.
+
+        Raises
+        ------
+        ConfigError
+            There is no such option; names the one that was probably meant.
+        """
+        try:
+            return super().parse_args(ctx, args if ctx.parent else global_first(args))
+        except Exception as error:
+            _explain(error)
+            raise
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that was named.
+
+        Parameters
+        ----------
+        ctx : click.Context
+            Of the command line.
+        args : list of str
+            The command, and what follows it.
+
+        Returns
+        -------
+        tuple
+            Its name, the command, and what follows it.
+
+        Raises
+        ------
+        ConfigError
+            There is no such command; names the one that was probably meant.
+        """
+        if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
+            raise ConfigError(unknown_command(ctx.command_path, args[0], list(self.commands)))
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that was named.
@@ -31,20 +87,33 @@ class Commands(TyperGroup):
         ------
         Cancelled
             The user pressed Ctrl-C.
+        ConfigError
+            The command has no such option; names the one that was probably meant.
         """
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Cancelled("cancelled") from None
+        except Exception as error:
+            _explain(error)
+            raise
+
+
+def _explain(error: Any) -> None:
+    """Raise `ConfigError` for an unknown option; its class is typer's or click's own, by their versions."""
+    if type(error).__name__ == "NoSuchOption" and error.ctx is not None:
+        params = error.ctx.command.get_params(error.ctx)
+        options = [name for param in params for name in (*param.opts, *param.secondary_opts)]
+        raise ConfigError(unknown_option(error.ctx.command_path, error.option_name, options)) from error
 
 
 app = typer.Typer(
     name="fpplab",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["--help", "-h"]},
     help="""Measure surfaces by fringe projection, on a bench or on its digital twin.
 
 A **rig** file says which devices, a **plan** what to project, a **target** which board. The usual
@@ -53,6 +122,29 @@ of it on the virtual bench and leaves a report to look at.
 
 Exit codes: 0 done, 2 wrong input, 3 device, 4 data, 5 calibration, 130 cancelled.""",
 )
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"fpplab {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _fpplab(
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_show_version)
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Say on stderr what is done, and how long it takes.")
+    ] = False,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="Append the same, with all details, to this file.")
+    ] = None,
+) -> None:
+    """Options that stand before every command, or behind it."""
+    logs.start_logging(verbose, log, sys.argv[1:])
+
 
 START, PREPARE, MEASURE = "Start here", "Prepare a rig", "Measure"
 JUDGE, TWIN, INSTRUMENTS = "Compare with the true shape", "Use the digital twin", "Instruments"
@@ -75,8 +167,16 @@ AsRecorded = Annotated[
         "--as-recorded", help="Take the frames as they are where they seem out of step with the plan."
     ),
 ]
-RigName = Annotated[str, typer.Option("--rig", help="Rig file, or the name of one that comes with fpplab.")]
-PlanName = Annotated[str, typer.Option("--plan", help="Plan file: what to project and capture.")]
+RigName = Annotated[
+    str,
+    typer.Option(
+        "--rig", help="Rig file, or the name of one that comes with fpplab.", autocompletion=names_of("rig")
+    ),
+]
+PlanName = Annotated[
+    str,
+    typer.Option("--plan", help="Plan file: what to project and capture.", autocompletion=names_of("plan")),
+]
 CalibrationOption = Annotated[Path, typer.Option("--calibration", help="Written by `fpplab characterise`.")]
 DepthOption = Annotated[
     tuple[float, float] | None,

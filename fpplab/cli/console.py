@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import sys
@@ -24,6 +25,8 @@ from fpplab.core.progress import Progress, no_progress
 stderr = Console(stderr=True, highlight=False)
 stdout = Console(highlight=False, soft_wrap=True)
 
+_log = logging.getLogger(__name__)
+
 
 @contextmanager
 def progress(what: str) -> Iterator[Progress]:
@@ -39,6 +42,16 @@ def progress(what: str) -> Iterator[Progress]:
     callable
         Told the share done, 0 … 1.
     """
+    start = time.perf_counter()
+    try:
+        with _bar(what) as report:
+            yield report
+    finally:
+        _log.info("%s: %.3f s", what, time.perf_counter() - start)
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Progress]:
     if not stderr.is_terminal:
         say(f"{what} …")
         yield no_progress
@@ -151,14 +164,17 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     try:
         command()
     except FppError as error:
+        _log.debug("refused with exit code %d", error.exit_code, exc_info=True)
         _fail(str(error), error.exit_code, as_json, error.details)
     except SystemExit as end:  # wrong usage has been explained on stderr
         if as_json and end.code and not isinstance(end, Answered):
             _answer_fault("wrong usage; see stderr", int(end.code))
         raise
     except MemoryError as error:
+        _log.debug("refused for want of memory", exc_info=True)
         _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)
     except Exception as error:  # noqa: BLE001 - a fault of ours is still one sentence, and one JSON object
+        _log.debug("a fault of fpplab itself", exc_info=True)
         if os.environ.get(TRACEBACK):
             traceback.print_exc()
         sentence = f"a fault of fpplab itself: {type(error).__name__}: {error}"

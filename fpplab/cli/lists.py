@@ -1,4 +1,8 @@
-"""Options that are followed by any number of paths: `--spheres A B C`."""
+"""Words of the command line that are put in order before they are parsed.
+
+Options may be followed by any number of paths, `--spheres A B C`, and those of the program itself may follow
+the command.
+"""
 
 from __future__ import annotations
 
@@ -65,3 +69,34 @@ def spread(words: Sequence[str]) -> list[str]:
             plain.append(word)
             current = ""
     return plain[:-1]
+
+
+GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v"), "--log"
+"""Options of the program itself, and the one of them that is followed by a value."""
+
+
+def global_first(words: Sequence[str]) -> list[str]:
+    """Put the options of the program before its command: `scan -v` becomes `-v scan`.
+
+    Parameters
+    ----------
+    words : sequence of str
+        The words behind the program.
+
+    Returns
+    -------
+    list of str
+        The same, with `--verbose` and `--log FILE` in front; what follows `--` stays as it is.
+    """
+    front: list[str] = []
+    rest: list[str] = []
+    left = list(words)
+    while left and left[0] != "--":
+        word = left.pop(0)
+        if word in GLOBAL or word.startswith(f"{GLOBAL_WITH_VALUE}="):
+            front.append(word)
+        elif word == GLOBAL_WITH_VALUE and left:
+            front += [word, left.pop(0)]
+        else:
+            rest.append(word)
+    return [*front, *rest, *left]

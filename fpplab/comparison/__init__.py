@@ -1,7 +1,18 @@
 """Comparing a measured cloud with the true shape: distances, alignment, visibility."""
 
-from fpplab.comparison.compare import Comparison, compare, mcd, smcd
+from fpplab.comparison.compare import Comparison, UnseenMeshError, compare, mcd, smcd
 from fpplab.comparison.lengths import MeasuredLength
+from fpplab.comparison.misplacement import Misplacement, find_misplacement
 from fpplab.comparison.scale import FittedScale
 
-__all__ = ["Comparison", "FittedScale", "MeasuredLength", "compare", "mcd", "smcd"]
+__all__ = [
+    "Comparison",
+    "FittedScale",
+    "MeasuredLength",
+    "Misplacement",
+    "UnseenMeshError",
+    "compare",
+    "find_misplacement",
+    "mcd",
+    "smcd",
+]

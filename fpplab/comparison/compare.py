@@ -45,6 +45,10 @@ LARGEST_RATIO = 50.0
 _UM = 1e3
 
 
+class UnseenMeshError(DataError):
+    """Nothing of the mesh is where the cloud was measured: one of the two may stand elsewhere."""
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The distances between a cloud and a true mesh.
@@ -258,9 +262,11 @@ def compare(
     ------
     ConfigError
         The density or a length is not above 0.
+    UnseenMeshError
+        Nothing of the mesh is visible, or no point's camera ray meets it.
     DataError
-        The mesh is inside out or not in the cloud's unit, nothing of it is visible, no point's camera ray
-        meets it, no alignment is found, or the points do not span a surface.
+        The mesh is inside out or not in the cloud's unit, no alignment is found, or the points do not span a
+        surface.
     """
     for name, value in (("density", density), ("outlier_mm", outlier_mm), ("near_mm", near_mm)):
         if not (np.isfinite(value) and value > 0.0):
@@ -276,9 +282,9 @@ def compare(
     samples, visible_share = visible_samples(mesh, shape, calibration, density, seed)
     counted = np.ones(len(points), np.bool_) if calibration is None else _camera_rays_meet(shape, points)
     if not counted.any():
-        raise DataError(
+        raise UnseenMeshError(
             "cloud: no point's camera ray meets the true mesh; check that both are in the camera's frame, or "
-            "use `align`"
+            "align them (--align)"
         )
     distances, feet = _to_mesh(points, mesh)
     measured, error = points[counted], np.abs(distances[counted])
@@ -362,7 +368,7 @@ def visible_samples(
 
     Raises
     ------
-    DataError
+    UnseenMeshError
         Nothing is visible.
     """
     centres = [np.zeros(3)]
@@ -372,8 +378,9 @@ def visible_samples(
     area = np.asarray(mesh.area_faces) * facing
     count = int(np.ceil(density * area.sum()))
     if count == 0:
-        raise DataError(
-            "true mesh: no side of it faces both devices; are cloud and mesh in the camera's frame?"
+        raise UnseenMeshError(
+            "true mesh: no side of it faces both devices; check that cloud and mesh are in the camera's "
+            "frame, or align them (--align)"
         )
     samples, faces = trimesh.sample.sample_surface(mesh, count, face_weight=area, seed=seed)
     samples = np.asarray(samples, np.float64)
@@ -385,8 +392,9 @@ def visible_samples(
         for centre in centres:
             seen[seen] = shape.unoccluded(centre, samples[seen])
     if not seen.any():
-        raise DataError(
-            "true mesh: both devices see nothing of it; are cloud and mesh in the camera's frame?"
+        raise UnseenMeshError(
+            "true mesh: both devices see nothing of it; check that cloud and mesh are in the camera's frame, "
+            "or align them (--align)"
         )
     return samples[seen], float(np.mean(seen) * area.sum() / mesh.area)
 

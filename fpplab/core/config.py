@@ -7,15 +7,19 @@ ignored: an operator's typing error must never become a default.
 from __future__ import annotations
 
 import json
+import logging
 import re
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.errors import ConfigError
 from fpplab.core.strict_yaml import load_yaml
+
+_log = logging.getLogger(__name__)
 
 
 class Document(BaseModel):
@@ -298,7 +302,30 @@ def resolve_beside(name: str, folder: Path) -> str:
     return str(near.resolve()) if name and near.exists() else name
 
 
-def find_config(name: str | Path) -> Path:
+ConfigKind = Literal["calibration", "dataset", "plan", "rig", "standard", "study", "target", "world"]
+"""What a configuration describes: the first word in the names of those that come with fpplab."""
+
+_PACKAGE, _CHECKOUT = (Path(__file__).parents[up] / "configs" for up in (1, 2))
+
+
+def shipped_configs(kind: ConfigKind | None = None) -> list[str]:
+    """List the configurations that come with fpplab.
+
+    Parameters
+    ----------
+    kind : str, optional
+        Of this kind; by default all.
+
+    Returns
+    -------
+    list of str
+        Their names, sorted, without `.yaml`.
+    """
+    names = {path.stem for folder in (_PACKAGE, _CHECKOUT) for path in folder.glob("*.yaml")}
+    return sorted(name for name in names if kind is None or name.split("_")[0] == kind)
+
+
+def find_config(name: str | Path, kind: ConfigKind | None = None) -> Path:
     """Find a configuration by path, or by name among those that come with fpplab.
 
     Looks at the path itself, then in the installed package, then beside the checkout.
@@ -307,6 +334,8 @@ def find_config(name: str | Path) -> Path:
     ----------
     name : str or Path
         Path, or name with or without `.yaml`.
+    kind : str, optional
+        What it should describe; the message then suggests only these.
 
     Returns
     -------
@@ -316,18 +345,28 @@ def find_config(name: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        There is no such file; lists those that come with fpplab.
+        There is no such file; names the one that was probably meant, and those that come with fpplab.
     """
     path = Path(name)
     if path.exists():
         return path
-    package = Path(__file__).parents[1] / "configs"
-    checkout = Path(__file__).parents[2] / "configs"
     if path.parent in (Path(), Path("configs")):
-        for folder in (package, checkout):
+        for folder in (_PACKAGE, _CHECKOUT):
             for candidate in (folder / path.name, folder / f"{path.name}.yaml"):
                 if candidate.is_file():
+                    _log.debug("%s is %s", name, candidate)
                     return candidate
-    known = sorted({p.name for folder in (package, checkout) for p in folder.glob("*.yaml")})
-    alike = [other for other in known if other.split("_")[0] == path.name.split("_")[0]]
-    raise ConfigError(f"{name}: there is no such file; fpplab brings {', '.join(alike or known)}")
+    raise ConfigError(f"{name}: there is no such file; {_suggestion(path, kind)}")
+
+
+def _suggestion(path: Path, kind: ConfigKind | None) -> str:
+    """What may have been meant by the path of a configuration that does not exist."""
+    known = shipped_configs(kind)
+    if kind is None:
+        known = [name for name in known if name.split("_")[0] == path.name.split("_")[0]] or known
+    others = {other for other in get_args(ConfigKind) if other != kind}
+    files = [p for p in sorted(path.parent.glob("*.yaml")) if p.name.split("_")[0] not in others or not kind]
+    beside = {p.stem: str(p) for p in files}
+    meant = get_close_matches(path.name.removesuffix(".yaml"), [*beside, *known], n=1, cutoff=0.7)
+    question = f"did you mean {beside.get(meant[0], meant[0])}? " if meant else ""
+    return f"{question}fpplab brings {', '.join(known)}"

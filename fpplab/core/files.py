@@ -5,9 +5,10 @@ from __future__ import annotations
 import errno
 import io
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -296,3 +297,71 @@ def refuse_existing(path: Path, force: bool) -> None:
     """
     if path.exists() and not force:
         raise ConfigError(f"{path}: exists already; name another output, or add --force to replace it")
+
+
+def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
+    """Refuse work whose files do not fit on the disk, before any of them is written.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are to be written; it may not exist yet.
+    needed : int
+        Their size in bytes.
+    what : str
+        What needs it, for the message.
+    freed : int
+        Bytes there that are deleted before, such as those of a session that is replaced.
+
+    Raises
+    ------
+    DataError
+        There is less space; names what is needed, what is free, and the folder.
+    """
+    place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    with writing(folder):
+        free = shutil.disk_usage(place).free + freed
+    if needed > free:
+        raise DataError(
+            f"{folder}: {what} need {readable_bytes(needed)}, but only {readable_bytes(free)} are free "
+            "there; free some space, or name an output on another disk"
+        )
+
+
+def disk_bytes(folder: Path) -> int:
+    """Measure the space that a folder's files take on the disk.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; it may not exist.
+
+    Returns
+    -------
+    int
+        Bytes, 0 where there is no such folder.
+    """
+    total = 0
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):  # another process has deleted it
+            total += path.lstat().st_blocks * 512
+    return total
+
+
+def readable_bytes(count: int) -> str:
+    """Write a number of bytes as a person reads it.
+
+    Parameters
+    ----------
+    count : int
+        Bytes.
+
+    Returns
+    -------
+    str
+        Three digits and a unit, such as `1.23 GB`.
+    """
+    for unit, size in (("PB", 10**15), ("TB", 10**12), ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)):
+        if count >= 0.9995 * size:
+            return f"{count / size:#.3g} {unit}".replace(". ", " ")
+    return f"{count} bytes"

@@ -12,13 +12,14 @@ from fpplab.acquisition.acquire import expose
 from fpplab.core import config
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import disk_bytes, need_space
 from fpplab.core.progress import Progress, no_progress
 from fpplab.dataset.arrays import sample_arrays
 from fpplab.dataset.card import dataset_fields, make_card, prepare_folder, split_of
 from fpplab.dataset.fields import Arrays, dimension_sizes
 from fpplab.dataset.labels import trace_labels
 from fpplab.dataset.scenes import SceneRanges, draw_scene, draw_stage
-from fpplab.dataset.shard import ShardWriter, check_shard, claim_shard, shard_name
+from fpplab.dataset.shard import ShardWriter, check_shard, claim_shard, draft_name, shard_name
 from fpplab.devices.rig import Rig, load_backend
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
@@ -145,6 +146,10 @@ class DatasetMaker:
             From the rig.
         """
         card, request = self.card(), self._request
+        missing = [n for n in range(card["shards"]) if not (folder / shard_name(n)).exists()]
+        samples = sum(len(request.shard(number)) for number in missing)
+        drafts = sum(disk_bytes(folder / draft_name(number)) for number in missing)
+        need_space(folder, samples * card["bytes_per_sample"], f"{samples} samples", drafts)
         prepare_folder(folder, card)
         for number in range(card["shards"]):
             if (folder / shard_name(number)).exists():

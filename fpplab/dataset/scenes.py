@@ -125,7 +125,7 @@ class SceneRanges(Document):
         ConfigError
             The file cannot be read, or names an artefact or a board that does not exist.
         """
-        found = config.find_config(path)
+        found = config.find_config(path, "dataset")
         scenes = config.load_document(found, cls)
         for name in scenes.artefacts:
             artefacts.make(name)

@@ -44,6 +44,22 @@ def shard_name(number: int) -> str:
     return f"shard_{number:05d}"
 
 
+def draft_name(number: int) -> str:
+    """Name the folder in which a shard is made.
+
+    Parameters
+    ----------
+    number : int
+        Number of the shard.
+
+    Returns
+    -------
+    str
+        For example ".shard_00000".
+    """
+    return f".{shard_name(number)}"
+
+
 @contextmanager
 def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
     """Open an empty draft of a shard, which is renamed to the shard when the block ends.
@@ -66,7 +82,7 @@ def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
         It cannot be written.
     """
     final = folder / shard_name(number)
-    draft = folder / f".{final.name}"
+    draft = folder / draft_name(number)
     with writing(final), ExitStack() as stack:
         if final.exists():
             yield None

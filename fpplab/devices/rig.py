@@ -15,6 +15,8 @@ state none. A relative file name is looked for beside the rig file first.
 from __future__ import annotations
 
 import importlib
+import logging
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -31,6 +33,8 @@ from fpplab.devices.shared import SharedBackend
 from fpplab.patterns.response import Curve, with_named_response
 
 Dev = TypeVar("Dev", bound=Device)
+
+_log = logging.getLogger(__name__)
 
 Mounted = tuple[str, int]
 """An item and its pose, in a fixture's words."""
@@ -139,7 +143,7 @@ class Rig:
         ConfigError
             There is no such file, or it is wrong.
         """
-        found = config.find_config(path)
+        found = config.find_config(path, "rig")
         data = config.parse_yaml(config.read_text(found), found)
         return cls(config.validate(with_named_response(data, found), RigFile, found), found.parent, found)
 
@@ -313,8 +317,10 @@ class Rig:
         backend = load_backend(section.backend, self._source, name)
         if not issubclass(backend, kind):
             raise ConfigError(f"{self._source}: '{name}.backend' is '{section.backend}': not a {kind.kind}")
+        start = time.perf_counter()
         device: Dev = self._made(backend, name, self._options(section), shared)
         stack.enter_context(device)
+        _log.info("%s opened: %s, %.3f s", name, section.backend, time.perf_counter() - start)
         return device
 
     def _made(self, backend: Any, *arguments: Any) -> Any:

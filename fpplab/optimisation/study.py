@@ -194,7 +194,7 @@ class Study(Document):
         ConfigError
             The file cannot be read or is not a study; names file, field, value and allowed range.
         """
-        found = config.find_config(path)
+        found = config.find_config(path, "study")
         data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict):
             data = _resolved(data, found.parent)

@@ -172,7 +172,7 @@ class Plan(Document):
             The plan or its response file is missing or wrong; the message names file, field and what is
             allowed.
         """
-        found = config.find_config(path)
+        found = config.find_config(path, "plan")
         data = config.parse_yaml(config.read_text(found), found)
         return config.validate(with_named_response(data, found), cls, found)
 

@@ -192,13 +192,13 @@ def _stripes_near(
 ) -> Sequence[float]:
     """Stripes that a set may have, other than those it is said to have."""
     if min(sets[j].stripes for j in others) <= 1.0 < about:
-        near = [refined(sets, others, k, about, sample)]
+        near = [refined_stripes(sets, others, k, about, sample)]
     else:
         near = [float(round(about) + by) for by in (0, -1, 1, -2, 2)]
     return [stripes for stripes in near if stripes > 0 and stripes != sets[k].stripes]
 
 
-def refined(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
+def refined_stripes(sets: Sets, along: Sequence[int], k: int, about: float, sample: PhaseSample) -> float:
     """Measure the stripes of a set by the positions that coarser sets tell.
 
     Parameters

@@ -20,7 +20,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
 from fpplab.plan_check.check import AGREES, disagreement
-from fpplab.plan_check.edits import Sets, refined, upright, with_origins
+from fpplab.plan_check.edits import Sets, refined_stripes, upright, with_origins
 from fpplab.plan_check.sample import PhaseSample, directions
 
 PIXELS = 4_000
@@ -213,7 +213,7 @@ def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iter
             for k, number in zip(along, stripes, strict=True):
                 found[k] = found[k].model_copy(update={"stripes": float(number)})
             for k in along[1:] if stripes[0] <= 1.0 else []:
-                exact = refined(tuple(found), along, k, found[k].stripes, sample)
+                exact = refined_stripes(tuple(found), along, k, found[k].stripes, sample)
                 found[k] = found[k].model_copy(update={"stripes": exact})
         yield tuple(found)
 

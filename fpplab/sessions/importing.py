@@ -17,7 +17,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.session import RigRecord, Session
+from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
 
 
 def import_images(
@@ -84,6 +84,7 @@ def import_images(
     paths = [folder / _name(names, first + i) for i in range(plan.images)]
     _check_all_there(folder, paths, names, first)
     size, shift = _check_images(paths, bits, warn)
+    need_space_for_frames([out], plan, size, bits, force)
     session = Session.create(out, plan, rig, force)
     try:
         for index, (_, _, pattern) in enumerate(plan.steps()):

@@ -15,8 +15,10 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 import shutil
-from collections.abc import Container
+import time
+from collections.abc import Container, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -34,7 +36,9 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import (
     append_line,
     cut_torn_line,
+    disk_bytes,
     make_directory,
+    need_space,
     refuse_existing,
     whole_lines,
     write_parts,
@@ -47,6 +51,8 @@ from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Curve
 
 PLAN, RIG, JOURNAL, FRAMES = "plan.yaml", "rig.yaml", "journal.jsonl", "frames"
+
+_log = logging.getLogger(__name__)
 
 RigRecord = dict[str, Any] | None
 """A rig as `Rig.described` gives it, or None for images from elsewhere."""
@@ -134,6 +140,7 @@ class Session:
         if path.exists():
             _remove(path)
         make_directory(path, lambda draft: _furnish(draft, plan, rig))
+        _log.info("session %s made for %d frames", path, plan.images)
         return cls(path, plan, {})
 
     @classmethod
@@ -159,7 +166,9 @@ class Session:
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
         plan = config.load_document(path / PLAN, Plan)
-        return cls(path, plan, _read_journal(path, plan))
+        records = _read_journal(path, plan)
+        _log.info("session %s opened: %d of %d frames", path, len(records), plan.images)
+        return cls(path, plan, records)
 
     @classmethod
     def resume(
@@ -366,7 +375,7 @@ class Session:
                 f"{self.path}: {len(missing)} of {self.plan.images} frames are missing ({shown}); "
                 "run the same scan again to complete it"
             )
-        images = []
+        images, start = [], time.perf_counter()
         with ThreadPoolExecutor(2) as readers:  # checksums do not hold Python's lock
             for i, record in enumerate(self.records):
                 if record.format != self.format:
@@ -377,6 +386,10 @@ class Session:
             for image in readers.map(lambda i: self.read(i, verify), range(self.plan.images)):
                 images.append(image)
                 progress(len(images) / self.plan.images)
+        seconds = time.perf_counter() - start
+        _log.info(
+            "%d frames of %s read from %s, %.3f s", len(images), _shown(self.format), self.path, seconds
+        )
         return images
 
     def recording(self, verify: bool = True, progress: Progress = no_progress) -> Recording:
@@ -577,6 +590,42 @@ def refuse_foreign(path: Path) -> None:
     """
     if path.exists() and not (path / JOURNAL).is_file():
         raise ConfigError(f"{path}: exists and is not a session; name another output")
+
+
+def need_space_for_frames(
+    paths: Sequence[Path], plan: Plan, size: tuple[int, int], bits: int, force: bool = False
+) -> None:
+    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written.
+
+    Frames that interrupted sessions have already need no more space, and a session that is replaced frees its
+    own.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Directories of the sessions, on one disk.
+    plan : Plan
+        What each of them records.
+    size : tuple of int
+        (width, height) of a frame in px.
+    bits : int
+        Depth of its grey levels.
+    force : bool
+        Whether sessions that are there already are replaced.
+
+    Raises
+    ------
+    DataError
+        There is too little space.
+    """
+    images = freed = 0
+    for path in paths:
+        begun = (path / JOURNAL).is_file()
+        images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
+        freed += disk_bytes(path) if begun and force else 0
+    each = size[0] * size[1] * raw_dtype(bits).itemsize
+    what = f"{images} frames of {_shown((*size, bits))}"
+    need_space(paths[0] if len(paths) == 1 else paths[0].parent, images * each, what, freed)
 
 
 def recorded_sessions(paths: list[Path]) -> list[Session]:

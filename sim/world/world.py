@@ -193,7 +193,7 @@ class World(Document):
         ConfigError
             A file is missing or not valid; the message names the file, field and allowed values.
         """
-        found = config.find_config(path)
+        found = config.find_config(path, "world")
         data = config.parse_yaml(config.read_text(found), found)
         if isinstance(data, dict) and isinstance(name := data.get("calibration"), str):
             measured = config.load_document(

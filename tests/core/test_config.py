@@ -111,7 +111,7 @@ def test_a_configuration_is_found_by_name(tmp_path: Path, monkeypatch: pytest.Mo
     assert found == config.find_config("world_demo.yaml") == config.find_config("configs/world_demo.yaml")
     assert found.name == "world_demo.yaml"
     with pytest.raises(
-        ConfigError, match=r"no_such_world: there is no such file; fpplab brings .*world_demo.yaml"
+        ConfigError, match=r"no_such_world: there is no such file; fpplab brings .*world_demo"
     ):
         config.find_config("no_such_world")
     with pytest.raises(ConfigError, match="there is no such file"):

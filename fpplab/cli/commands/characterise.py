@@ -11,6 +11,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, app
+from fpplab.cli.completion import names_of
 from fpplab.core.errors import CalibrationError, ConfigError, FppError
 
 if TYPE_CHECKING:
@@ -37,12 +38,18 @@ def characterise_command(
         list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
     ] = None,
     target: Annotated[
-        str | None, typer.Option("--target", help="Target file: the board that was shown.")
+        str | None,
+        typer.Option(
+            "--target", help="Target file: the board that was shown.", autocompletion=names_of("target")
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Where the result goes; with --judge, the report, if wanted.")
     ] = None,
-    rig: Annotated[str | None, typer.Option("--rig", help="Take the poses now, on this rig.")] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option("--rig", help="Take the poses now, on this rig.", autocompletion=names_of("rig")),
+    ] = None,
     plan: PlanName = "plan_board.yaml",
     poses: Annotated[int, typer.Option("--poses", min=3, help="How many poses to take with --rig.")] = 12,
     item: Annotated[str, typer.Option("--item", help="What the rig's fixture calls the board.")] = "board",

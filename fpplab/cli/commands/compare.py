@@ -9,8 +9,13 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, app
+from fpplab.core.errors import DataError
 
 if TYPE_CHECKING:
+    import trimesh
+
+    from fpplab.calibration.model import Calibration
+    from fpplab.clouds import Cloud
     from fpplab.comparison import Comparison
 
 
@@ -40,11 +45,15 @@ def compare_command(
     the best-fit similarity in ppm with its standard uncertainty, is given beside them, and for meshes written
     by `fpplab artefact` lengths such as step heights, measured and true. `warnings` tells where these
     contradict the distances.
+
+    The first line tells how far the cloud is from the shape. Where that is far only because the mesh stands
+    elsewhere, such as one of `fpplab artefact`, which stands on z = 0, it says so instead.
+
+    Example: `fpplab compare pyramid/cloud.ply pyramid.stl --align --out errors.png`
     """
-    from fpplab import comparison
-    from fpplab.artefacts.recognition import recognise
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import load_cloud, load_mesh
+    from fpplab.comparison import find_misplacement
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.pipeline import CALIBRATION
     from fpplab.report import figures
@@ -60,18 +69,55 @@ def compare_command(
         known.check_camera(measured.size, source or cloud)
     with console.progress("Comparing"):
         truth = load_mesh(mesh)
-        artefact = recognise(truth) if align else None
-        result = comparison.compare(measured, truth, known, align=align, artefact=artefact)
+        result = _aligned(measured, truth, known) if align else _as_placed(measured, truth, known, mesh)
+        misplaced = None if align else find_misplacement(measured, truth)
     if out:
         picture = figures.error_map(measured, result.distances_mm, result.counted)
         write_atomic(out, lambda stream: stream.write(picture))
     for warning in result.warnings():
         console.say(warning)
-    console.answer(result.summary(), json, lambda: _show(result))
+    summary = result.summary()
+    if misplaced:
+        summary["warnings"] = [misplaced.describe(), *result.warnings()]
+    console.answer(summary, json, lambda: _show(result, misplaced.describe() if misplaced else None))
 
 
-def _show(result: Comparison) -> None:
-    """Print the figures, and the lengths as a table."""
+def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, calibration: Calibration | None) -> Comparison:
+    from fpplab.artefacts.recognition import recognise
+    from fpplab.comparison import compare
+
+    return compare(cloud, mesh, calibration, align=True, artefact=recognise(mesh))
+
+
+def _as_placed(
+    cloud: Cloud, mesh: trimesh.Trimesh, calibration: Calibration | None, source: Path
+) -> Comparison:
+    """Compare without an alignment; where nothing can be compared for want of one, say so: `DataError`."""
+    from fpplab.comparison import UnseenMeshError, compare, find_misplacement
+
+    try:
+        return compare(cloud, mesh, calibration)
+    except UnseenMeshError as error:
+        misplaced = find_misplacement(cloud, mesh)
+        if misplaced is None:
+            raise
+        raise DataError(f"{source}: {misplaced.describe()}") from error
+
+
+def _headline(result: Comparison) -> str:
+    """What matters, in one line."""
+    mean_um, kind = result.surface_smcd_um, "surface SMCD"
+    if mean_um is None:
+        mean_um, kind = result.smcd_um, "SMCD"
+    return (
+        f"{mean_um:.1f} µm from the true shape ({kind}), {result.surface_rms_um:.1f} µm RMS, "
+        f"{100 * result.completeness:.1f} % complete, {'aligned' if result.alignment else 'not aligned'}"
+    )
+
+
+def _show(result: Comparison, misplaced: str | None) -> None:
+    """Print what matters, then the figures, and the lengths as a table."""
+    console.stdout.print(misplaced or _headline(result), markup=False)
     apart = ("lengths", "warnings", "scale")
     console.answer({name: value for name, value in result.summary().items() if name not in apart}, False)
     if (scale := result.scale) is not None:

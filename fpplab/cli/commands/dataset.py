@@ -8,6 +8,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName, app
+from fpplab.cli.completion import names_of
 
 
 @app.command("dataset", rich_help_panel=TWIN)
@@ -17,7 +18,10 @@ def dataset_command(
     out: Out,
     plan: PlanName = "plan_paper.yaml",
     scenes: Annotated[
-        str, typer.Option("--scenes", help="Ranges that scenes are drawn from.")
+        str,
+        typer.Option(
+            "--scenes", help="Ranges that scenes are drawn from.", autocompletion=names_of("dataset")
+        ),
     ] = "dataset_demo.yaml",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other scenes.")] = 0,
     shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,

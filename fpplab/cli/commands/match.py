@@ -10,13 +10,21 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out, app
+from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
 from fpplab.core.errors import ConfigError
 
 
 @app.command("match", cls=TakesLists, rich_help_panel=TWIN)
 def match_command(
-    twin: Annotated[str, typer.Option("--twin", help="Rig file of the nominal twin: what data sheets tell.")],
+    twin: Annotated[
+        str,
+        typer.Option(
+            "--twin",
+            help="Rig file of the nominal twin: what data sheets tell.",
+            autocompletion=names_of("rig"),
+        ),
+    ],
     reference: Annotated[
         list[Path],
         typer.Option("--reference", help="The bench's sessions of a board, or the folder that holds them."),
@@ -30,7 +38,12 @@ def match_command(
         typer.Option("--scan", help="ITEM=SESSION: the bench's scan of an artefact, for the judgement."),
     ] = None,
     target: Annotated[
-        str | None, typer.Option("--target", help="Target file of the board; the twin's own by default.")
+        str | None,
+        typer.Option(
+            "--target",
+            help="Target file of the board; the twin's own by default.",
+            autocompletion=names_of("target"),
+        ),
     ] = None,
     item: Annotated[str, typer.Option("--item", help="What the twin's fixture calls the board.")] = "board",
     epochs: Annotated[int, typer.Option("--epochs", min=1, help="At most so many.")] = 25,

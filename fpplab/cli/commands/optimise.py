@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, RigName, app
+from fpplab.cli.completion import names_of
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.scope import SearchScope
 
@@ -26,7 +27,10 @@ def optimise_command(
         Path, typer.Option("--out", help="The plan (.yaml); of `pareto` the folder of its plans.")
     ],
     study: Annotated[
-        str | None, typer.Option("--study", help="Study file: space, limits, objectives, method.")
+        str | None,
+        typer.Option(
+            "--study", help="Study file: space, limits, objectives, method.", autocompletion=names_of("study")
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -48,7 +52,11 @@ def optimise_command(
     ] = None,
     confirm: Annotated[
         str | None,
-        typer.Option("--confirm", help="Rig on which the start's plan and the one found are then compared."),
+        typer.Option(
+            "--confirm",
+            help="Rig on which the start's plan and the one found are then compared.",
+            autocompletion=names_of("rig"),
+        ),
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
     force: Force = False,

@@ -9,10 +9,13 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, Out, RigName, app
+from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, RigName, app
+from fpplab.cli.completion import names_of
 from fpplab.core.errors import DataError
 
-plan_app = typer.Typer(help="Look at a plan before it is measured, or guess one.", no_args_is_help=True)
+plan_app = typer.Typer(
+    cls=Commands, help="Look at a plan before it is measured, or guess one.", no_args_is_help=True
+)
 app.add_typer(plan_app, name="plan", rich_help_panel=PREPARE)
 
 
@@ -24,7 +27,12 @@ def _plan() -> None:
 @plan_app.command("show")
 def show_command(
     plan: Annotated[
-        str, typer.Argument(metavar="PLAN", help="Plan file, or the name of one that comes with fpplab.")
+        str,
+        typer.Argument(
+            metavar="PLAN",
+            help="Plan file, or the name of one that comes with fpplab.",
+            autocompletion=names_of("plan"),
+        ),
     ],
     rig: RigName,
     out: Annotated[Path | None, typer.Option("--out", help="Picture of all patterns, as PNG.")] = None,

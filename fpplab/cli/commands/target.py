@@ -10,12 +10,18 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, app
+from fpplab.cli.completion import names_of
 
 
 @app.command("target", rich_help_panel=PREPARE)
 def target_command(
     name: Annotated[
-        str, typer.Argument(metavar="TARGET", help="Target file, or the name of one that comes with fpplab.")
+        str,
+        typer.Argument(
+            metavar="TARGET",
+            help="Target file, or the name of one that comes with fpplab.",
+            autocompletion=names_of("target"),
+        ),
     ],
     make: Annotated[Path, typer.Option("--make", help="The page to write: .pdf or .svg.")],
     paper: Annotated[

@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
+from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
 from fpplab.core.errors import ConfigError, DataError
 
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 
 @app.command("verify", cls=TakesLists, rich_help_panel=JUDGE)
 def verify_command(
-    standard: Annotated[str, typer.Option("--standard", help="Standard file: the standards and limits.")],
+    standard: Annotated[
+        str,
+        typer.Option(
+            "--standard", help="Standard file: the standards and limits.", autocompletion=names_of("standard")
+        ),
+    ],
     out: Out,
     spheres: Annotated[
         list[Path] | None, typer.Option("--spheres", help="Clouds or sessions of the ball bar, any number.")
@@ -42,7 +48,10 @@ def verify_command(
         ),
     ] = "",
     rig: Annotated[
-        str | None, typer.Option("--rig", help="Measure the standard's items now, on this rig.")
+        str | None,
+        typer.Option(
+            "--rig", help="Measure the standard's items now, on this rig.", autocompletion=names_of("rig")
+        ),
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
@@ -139,7 +148,7 @@ def _measured(
             f"standard '{standard.name}': 'items' is empty; name what the rig's fixture holds, by position"
         )
     from fpplab.devices.rig import Rig
-    from fpplab.pipeline import check_plan, finish_scan, take
+    from fpplab.pipeline import check_plan, check_space, finish_scan, take
 
     loaded = Rig.load(rig)
     check_plan(plan, "--plan", calibration, loaded)
@@ -151,6 +160,7 @@ def _measured(
         calibration.check_projector(caps.size, caps.lattice, "--calibration")
         for item in (*items.ball_bar, *items.plane):
             fixture.check(item)
+        check_space(bench, plan, [folder / item for item in (*items.ball_bar, *items.plane)], force)
         for item in (*items.ball_bar, *items.plane):
             with console.progress(f"Scanning {item}") as report:
                 session = take(

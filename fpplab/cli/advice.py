@@ -1,0 +1,143 @@
+"""What to say of a command or an option that does not exist: the one that was probably meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+PURPOSES = {
+    "artefact": "writes the true shape of an artefact",
+    "cache": "shows and clears what is kept to save time",
+    "characterise": "finds camera and projector",
+    "check": "finds out what is wrong with a rig",
+    "compare": "measures how far a cloud is from the true shape",
+    "convert": "exchanges calibrations with OpenCV",
+    "dataset": "makes labelled captures of random scenes",
+    "decode": "finds the projector coordinates of a session",
+    "demo": "shows a whole measurement on the virtual bench",
+    "devices": "lists what is connected",
+    "emulate": "runs an emulated device",
+    "gamma": "fits the response of projector and camera",
+    "import": "brings images of other programs into a session",
+    "match": "fits a twin to the recordings of a bench",
+    "optimise": "searches for a better plan",
+    "plan": "shows what a plan projects",
+    "reconstruct": "makes the points of a recorded session",
+    "scan": "measures, on a real or a simulated rig",
+    "target": "draws a board for printing",
+    "verify": "is the acceptance test",
+    "view": "shows a recorded session",
+}
+"""What each command does, in the words that follow its name in a sentence."""
+
+_MEANT = {
+    ("artefact",): "artifact shape stl mesh truth",
+    ("cache",): "clear clean purge",
+    ("characterise",): "calibrate calibration calib characterize characterization characterisation poses",
+    ("check",): "sync synchronise synchronize synchronisation synchronization diagnose doctor test",
+    ("compare",): "evaluate evaluation align alignment register registration icp accuracy error distance",
+    ("convert", "reconstruct"): "export save",
+    ("convert",): "opencv exchange",
+    ("dataset",): "data-set train training generate",
+    ("decode",): "unwrap unwrapping phase demodulate decoding",
+    ("demo", "scan"): "simulate simulation sim virtual",
+    ("demo",): "example tutorial start quickstart try",
+    ("devices",): "list detect discover cameras projectors hardware ports",
+    ("emulate",): "emulator emulators emulation",
+    ("gamma",): "response linearise linearize linearity nonlinearity",
+    ("import",): "load read open ingest",
+    ("match",): "twin digital-twin fit",
+    ("optimise",): "optimize optimisation optimization search tune",
+    ("plan",): "plans pattern patterns fringe fringes project preview",
+    ("reconstruct",): "triangulate triangulation cloud pointcloud point-cloud points reconstruction 3d",
+    ("scan",): "measure measurement acquire acquisition capture record recording grab run shoot",
+    ("target",): "board boards checkerboard chessboard charuco print",
+    ("verify",): "acceptance certify vdi validate verification",
+    ("view",): "show display viewer visualise visualize plot see",
+}
+SYNONYMS = {word: commands for commands, words in _MEANT.items() for word in words.split()}
+"""The commands that may be meant by a word that is none."""
+
+_OPTIONS_MEANT = {
+    ("--align",): "--aligned --register --registration --icp",
+    ("--bits",): "--bit-depth --depth-bits",
+    ("--calibration",): "--calib --cal -c --calibration-file",
+    ("--count", "--poses", "--repeats"): "--number --num -n --samples",
+    ("--depth",): "--distance --range --depth-range --depth-mm",
+    ("--force",): "--overwrite --replace --yes -f -y",
+    ("--frames",): "--names --filenames --images",
+    ("--item",): "--object --artefact --artifact --part",
+    ("--model",): "--distortion",
+    ("--out", "--make"): "--output --outfile --output-file --output-dir --save --to -o",
+    ("--plan",): "--pattern --patterns --fringes -p",
+    ("--rig",): "--bench --setup --config -r",
+    ("--target",): "--board --checkerboard -t",
+    ("--view",): "--show --watch --live",
+    ("--workers",): "--jobs --threads --processes -j",
+}
+OPTION_SYNONYMS = {word: options for options, words in _OPTIONS_MEANT.items() for word in words.split()}
+"""The options that may be meant by one that a command has not; the first that it has is named."""
+
+
+def unknown_command(path: str, word: str, commands: Sequence[str]) -> str:
+    """Say of a command that there is none of this name, and which was probably meant.
+
+    Parameters
+    ----------
+    path : str
+        The program, or its command that has commands of its own: `fpplab plan`.
+    word : str
+        What was given as a command.
+    commands : sequence of str
+        Those that there are.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    said = f"there is no command '{' '.join([*path.split()[1:], word])}'"
+    lower = word.lower()
+    if lower in ("help", "version"):
+        return f"{said}; say `{path} --{lower}`"
+    meant = SYNONYMS.get(lower, ())
+    if meant and all(command in commands for command in meant):
+        purposes = ", ".join(f"{command} {PURPOSES[command]}" for command in meant)
+        helps = " or ".join(f"`{path} {command} --help`" for command in meant)
+        return f"{said}; {purposes}: see {helps}"
+    usable = {name: found for name, found in SYNONYMS.items() if all(one in commands for one in found)}
+    alike = _alike(lower, [*commands, *usable])
+    if alike is None:
+        return f"{said}; `{path} --help` lists those that there are"
+    return f"{said}; did you mean `{path} {usable.get(alike, (alike,))[0]}`?"
+
+
+def unknown_option(path: str, word: str, options: Sequence[str]) -> str:
+    """Say of an option that a command has none of this name, and which was probably meant.
+
+    Parameters
+    ----------
+    path : str
+        The command: `fpplab scan`.
+    word : str
+        What was given as an option, with its dashes.
+    options : sequence of str
+        Those that the command has, with their dashes.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    said = f"`{path}` has no option {word}"
+    for option in OPTION_SYNONYMS.get(word, ()):
+        if option in options:
+            return f"{said}; it is {option}"
+    alike = _alike(word, [option for option in options if option.startswith("--")])
+    return f"{said}; " + (f"did you mean {alike}?" if alike else f"see `{path} --help`")
+
+
+def _alike(word: str, names: Sequence[str]) -> str | None:
+    """The name that is most like a word, or that the word begins."""
+    begun = [name for name in names if len(word) > 2 and name.startswith(word)]
+    return next(iter(begun or get_close_matches(word, names, n=1)), None)

@@ -1,0 +1,69 @@
+"""`fpplab cache`: what is kept to save time."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, Commands, Json, app
+
+if TYPE_CHECKING:
+    from fpplab.core.caches import CacheFolder
+
+HELP = """Show what is kept to save time, and how much space it takes; `fpplab cache clear` deletes it.
+
+Rendered light of simulated scenes, at most 2 GiB, is kept in the user's cache folder ($XDG_CACHE_HOME/fpplab,
+or else ~/.cache/fpplab), so that the next scan of a scene need not render it. What numba compiles stays
+beside the sources, in `__pycache__`, and is not counted here."""
+
+cache_app = typer.Typer(cls=Commands, help=HELP)
+app.add_typer(cache_app, name="cache", rich_help_panel=TWIN)
+
+
+@cache_app.callback(invoke_without_command=True)
+def _cache(context: typer.Context, json: Json = False) -> None:
+    """Show what is kept, unless it is to be cleared."""
+    context.obj = json
+    if context.invoked_subcommand is None:
+        from fpplab.core.caches import cache_folders
+
+        found = cache_folders()
+        console.answer(_summary(found), json, lambda: _show(found, "Kept"))
+
+
+@cache_app.command("clear")
+def clear_command(context: typer.Context, json: Json = False) -> None:
+    """Delete all that is kept; results of measurements are not among it.
+
+    A simulated scene that is scanned next is rendered anew, which takes seconds to minutes.
+    """
+    from fpplab.core.caches import clear_caches
+
+    cleared = clear_caches()
+    console.answer(_summary(cleared), json or bool(context.obj), lambda: _show(cleared, "Deleted"))
+
+
+def _summary(folders: list[CacheFolder]) -> dict[str, Any]:
+    from fpplab.core.system import cache_directory
+
+    return {
+        "directory": cache_directory(),
+        "bytes": sum(folder.bytes for folder in folders),
+        "folders": [asdict(folder) for folder in folders],
+    }
+
+
+def _show(folders: list[CacheFolder], title: str) -> None:
+    from fpplab.core.files import readable_bytes
+    from fpplab.core.system import cache_directory
+
+    if not folders:
+        console.stdout.print(f"{cache_directory()}: nothing is kept", markup=False)
+    for folder in folders:
+        console.stdout.print(
+            f"{title}: {folder.path}: {readable_bytes(folder.bytes)} in {folder.files} files, {folder.holds}",
+            markup=False,
+        )

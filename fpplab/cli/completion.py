@@ -1,0 +1,32 @@
+"""Names that a shell completes: the configurations that come with fpplab, and files beside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from fpplab.core.config import ConfigKind, shipped_configs
+
+
+def names_of(kind: ConfigKind) -> Callable[[str], list[str]]:
+    """Make what completes an option that takes a configuration of one kind.
+
+    Parameters
+    ----------
+    kind : str
+        The kind, such as `rig`.
+
+    Returns
+    -------
+    callable
+        Takes the beginning of a name; gives the names that come with fpplab and begin so, and the YAML files.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        shipped = [name for name in shipped_configs(kind) if name.startswith(incomplete)]
+        before = Path(incomplete)
+        folder, start = (before, "") if incomplete.endswith("/") else (before.parent, before.name)
+        files = sorted(path for path in folder.glob("*.yaml") if path.name.startswith(start))
+        return [*shipped, *(str(path) for path in files)]
+
+    return complete

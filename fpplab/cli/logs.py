@@ -1,0 +1,83 @@
+"""What the program logs of its work: `--verbose` shows it on stderr, `--log FILE` writes it to a file."""
+
+from __future__ import annotations
+
+import logging
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+
+from fpplab.cli import console
+from fpplab.core.files import writing
+from fpplab.core.version import __version__
+
+LOGGERS = ("fpplab", "drivers", "sim")
+"""Packages whose loggers are listened to; libraries keep what they say to themselves."""
+
+_log = logging.getLogger(__name__)
+_installed: list[logging.Handler] = []
+
+
+class StderrHandler(logging.Handler):
+    """Prints records on stderr above a progress bar, if there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record.
+
+        Parameters
+        ----------
+        record : logging.LogRecord
+            What was logged. A traceback is left to the log file.
+        """
+        console.say(f"{self._time(record)}{record.getMessage()}")
+
+    def _time(self, record: logging.LogRecord) -> str:
+        """Seconds since the start, but for warnings, which look as without `--verbose`."""
+        return "" if record.levelno >= logging.WARNING else f"{record.relativeCreated / 1e3:8.3f} s  "
+
+
+def start_logging(verbose: bool, file: Path | None, words: Sequence[str]) -> None:
+    """Write what the packages log, as the options say; without options everything stays as Python has it.
+
+    Parameters
+    ----------
+    verbose : bool
+        Whether what is done is printed on stderr.
+    file : Path or None
+        File to which the same is appended, with all details.
+    words : sequence of str
+        The command line, for the first line.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    stop_logging()
+    if not (verbose or file):
+        return
+    # With a handler of ours Python no longer prints warnings itself: they go to stderr in any case.
+    shown = StderrHandler(logging.INFO if verbose else logging.WARNING)
+    _installed.append(shown)
+    if file:
+        with writing(file):
+            written = logging.FileHandler(file, encoding="utf-8")
+        written.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        _installed.append(written)
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.DEBUG if file else logging.INFO)
+        for handler in _installed:
+            logging.getLogger(name).addHandler(handler)
+    _log.info("fpplab %s: %s", __version__, " ".join(words))
+    _log.debug("Python %s on %s", platform.python_version(), platform.platform())
+
+
+def stop_logging() -> None:
+    """Close what `start_logging` opened, and leave Python's logging as it was."""
+    for handler in _installed:
+        for name in LOGGERS:
+            logging.getLogger(name).removeHandler(handler)
+        handler.close()
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.NOTSET)
+    _installed.clear()

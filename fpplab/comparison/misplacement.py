@@ -1,0 +1,88 @@
+"""Whether a mesh that is far from a cloud only stands elsewhere: then an alignment is what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+import trimesh
+
+from fpplab.clouds import Cloud
+from fpplab.comparison.alignment import COARSE_POINTS, JUDGED_SHARE, align_mesh
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
+
+FAR = 2e-3
+"""Distance between cloud and mesh, in sizes of the mesh, beyond which an alignment is tried."""
+EXPLAINED = 0.2
+"""The most of that distance that may remain after the alignment, for it to be the explanation."""
+
+
+@dataclass(frozen=True)
+class Misplacement:
+    """A mesh that fits the cloud, but stands elsewhere.
+
+    Attributes
+    ----------
+    before_mm : float
+        Root mean square distance in mm of the nearest `JUDGED_SHARE` of the points, as the mesh stands.
+    after_mm : float
+        The same after a rigid alignment.
+    """
+
+    before_mm: float
+    after_mm: float
+
+    def describe(self) -> str:
+        """Say it in one sentence, with what to do.
+
+        Returns
+        -------
+        str
+            The sentence.
+        """
+        return (
+            f"the mesh does not stand where the cloud lies: the points are {self.before_mm:.3g} mm from it, "
+            f"but {self.after_mm:.3g} mm after a rigid alignment; compare with --align"
+        )
+
+
+def find_misplacement(cloud: Cloud, mesh: trimesh.Trimesh, seed: int = 0) -> Misplacement | None:
+    """Find out whether a rigid alignment explains a large distance between a cloud and a mesh.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In mm in the camera's frame.
+    mesh : trimesh.Trimesh
+        The true shape in mm, faces outwards.
+    seed : int
+        Of the random choice of points.
+
+    Returns
+    -------
+    Misplacement or None
+        None where the distance is small, or where it remains after an alignment.
+    """
+    points = cloud.points.astype(np.float64)
+    before = _distance_mm(points, mesh, seed)
+    if before <= FAR * float(np.linalg.norm(mesh.extents)):
+        return None
+    try:
+        alignment = align_mesh(points, mesh, seed)
+    except DataError:
+        return None
+    after = alignment.rms_um / 1e3
+    return Misplacement(before, after) if after <= EXPLAINED * before else None
+
+
+def _distance_mm(points: Floats, mesh: trimesh.Trimesh, seed: int) -> float:
+    """Root mean square distance in mm of the nearest `JUDGED_SHARE` of some of the points."""
+    chosen = np.random.default_rng(seed).permutation(len(points))[:COARSE_POINTS]
+    square = igl.point_mesh_squared_distance(
+        points[chosen],
+        np.ascontiguousarray(mesh.vertices, np.float64),
+        np.ascontiguousarray(mesh.faces, np.int64),
+    )[0]
+    return float(np.sqrt(np.sort(square)[: int(np.ceil(JUDGED_SHARE * len(square)))].mean()))

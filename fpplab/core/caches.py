@@ -1,0 +1,86 @@
+"""What fpplab keeps outside of the user's results to save time, and can compute again.
+
+All of it lies in `cache_directory()`. What numba compiles stays in `__pycache__` beside the sources, is
+renewed when these change, and is none of this.
+"""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from fpplab.core.files import disk_bytes, writing
+from fpplab.core.system import cache_directory
+
+CONTENTS = {"light": "rendered light of simulated scenes; the next scan of a scene renders it again"}
+"""What each folder of the cache directory holds."""
+
+
+@dataclass(frozen=True)
+class CacheFolder:
+    """One folder of the cache directory.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    holds : str
+        What it holds.
+    files : int
+        How many files.
+    bytes : int
+        Space that they take on the disk.
+    """
+
+    path: Path
+    holds: str
+    files: int
+    bytes: int
+
+
+def cache_folders() -> list[CacheFolder]:
+    """List what is kept.
+
+    Returns
+    -------
+    list of CacheFolder
+        In the order of their names; empty where nothing is kept.
+    """
+    return [_described(path) for path in _folders()]
+
+
+def clear_caches() -> list[CacheFolder]:
+    """Delete all that is kept.
+
+    Returns
+    -------
+    list of CacheFolder
+        What was deleted.
+
+    Raises
+    ------
+    DataError
+        Something cannot be deleted.
+    """
+    cleared = cache_folders()
+    for folder in cleared:
+        with writing(folder.path), suppress(FileNotFoundError):  # another process clears it too
+            shutil.rmtree(folder.path)
+    return cleared
+
+
+def _folders() -> list[Path]:
+    directory = cache_directory()
+    return sorted(p for p in directory.iterdir() if _is_folder(p)) if directory.is_dir() else []
+
+
+def _is_folder(path: Path) -> bool:
+    """Whether it is a folder and not a link to one, which may hold anything."""
+    return path.is_dir() and not path.is_symlink()
+
+
+def _described(path: Path) -> CacheFolder:
+    files = [file for file in path.rglob("*") if file.is_file()]
+    return CacheFolder(path, CONTENTS.get(path.name, "unknown to this version"), len(files), disk_bytes(path))

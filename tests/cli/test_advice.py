@@ -1,0 +1,187 @@
+"""What the program answers to words that it does not know, and to questions about itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from fpplab import __version__
+from fpplab.cli import app
+from fpplab.cli.advice import OPTION_SYNONYMS, PURPOSES, SYNONYMS, unknown_command, unknown_option
+from fpplab.cli.lists import global_first
+from fpplab.core.config import find_config, shipped_configs
+from fpplab.core.errors import ConfigError
+from tests.support.commands import ROOT, Command
+
+COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
+
+
+def paths(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every command and sub-command, by the words that call it."""
+    yield above
+    for name, command in getattr(group, "commands", {}).items():
+        yield from paths(command, (*above, name))
+
+
+PATHS = list(paths(get_command(app)))
+
+
+def refusal(*words: str) -> str:
+    """The sentence with which the program refuses words."""
+    result = CliRunner().invoke(app, list(words), prog_name="fpplab")
+    assert isinstance(result.exception, ConfigError), result.output
+    return str(result.exception)
+
+
+def test_version_is_printed(fpplab: Command) -> None:
+    done = fpplab("--version")
+    assert (done.code, done.out, done.err) == (0, f"fpplab {__version__}\n", "")
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: " ".join(path) or "fpplab")
+def test_h_is_help(path: tuple[str, ...]) -> None:
+    long, short = (CliRunner().invoke(app, [*path, option]) for option in ("--help", "-h"))
+    assert (short.exit_code, short.output) == (0, long.output)
+    assert "Usage:" in short.output
+
+
+def test_sub_commands_are_among_those_asked_for_help() -> None:
+    assert {("plan", "show"), ("camera", "save"), ("dlp4500", "build")} <= set(PATHS)
+
+
+def test_a_synonym_is_answered_with_the_command(fpplab: Command) -> None:
+    done = fpplab("calibrate", "--rig", "rig_demo", "--json")
+    assert done.code == 2
+    assert done.json == {
+        "error": "there is no command 'calibrate'; characterise finds camera and projector: "
+        "see `fpplab characterise --help`",
+        "exit_code": 2,
+    }
+    assert done.err == f"fpplab: {done.json['error']}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "command"),
+    [
+        ("calibration", "characterise"), ("capture", "scan"), ("measure", "scan"), ("acquire", "scan"),
+        ("triangulate", "reconstruct"), ("unwrap", "decode"), ("simulate", "demo"), ("optimize", "optimise"),
+        ("evaluate", "compare"), ("export", "convert"), ("export", "reconstruct"), ("show", "view"),
+        ("Calibrate", "characterise"), ("version", "--version"), ("help", "--help"),
+        ("scna", "scan"), ("calibarte", "characterise"), ("recon", "reconstruct"),
+        ("characterize", "characterise"),
+    ],
+)  # fmt: skip
+def test_words_that_are_no_commands_name_the_right_one(word: str, command: str) -> None:
+    said = refusal(word)
+    assert said.startswith(f"there is no command '{word}'; ")
+    assert f"`fpplab {command}" in said
+
+
+def test_a_word_like_nothing_is_sent_to_the_list() -> None:
+    assert refusal("xyzzy") == "there is no command 'xyzzy'; `fpplab --help` lists those that there are"
+
+
+def test_commands_of_commands_are_suggested_too() -> None:
+    assert refusal("plan", "shwo") == "there is no command 'plan shwo'; did you mean `fpplab plan show`?"
+    assert "`fpplab dlp4500 build`" in refusal("dlp4500", "biuld")
+    assert "did you mean" not in refusal("plan", "calibrate")  # a synonym of a command that is not below plan
+
+
+def test_synonyms_lead_to_commands_and_are_none() -> None:
+    assert {command for commands in SYNONYMS.values() for command in commands} <= set(COMMANDS)
+    assert not set(SYNONYMS) & set(COMMANDS)
+    files = {path.stem.strip("_") for path in (ROOT / "fpplab/cli/commands").glob("[a-z]*.py")}
+    assert set(PURPOSES) == files
+
+
+def test_synonyms_of_options_lead_to_options() -> None:
+    params = [param for command in COMMANDS.values() for param in command.params]
+    there = {name for param in params for name in (*param.opts, *param.secondary_opts)}
+    assert {option for options in OPTION_SYNONYMS.values() for option in options} <= there
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("scan", "--output", "x"), "`fpplab scan` has no option --output; it is --out"),
+        (("target", "--output", "x"), "`fpplab target` has no option --output; it is --make"),
+        (("scan", "--calibratio"), "`fpplab scan` has no option --calibratio; did you mean --calibration?"),
+        (("characterise", "--board", "x"), "`fpplab characterise` has no option --board; it is --target"),
+        (("plan", "show", "--rgi", "x"), "`fpplab plan show` has no option --rgi; did you mean --rig?"),
+        (("devices", "--zoom", "x"), "`fpplab devices` has no option --zoom; see `fpplab devices --help`"),
+        (("--verison",), "`fpplab` has no option --verison; did you mean --version?"),
+    ],
+)  # fmt: skip
+def test_an_unknown_option_names_the_right_one(words: tuple[str, ...], said: str) -> None:
+    assert refusal(*words) == said
+
+
+def test_sentences_name_the_program_that_was_called() -> None:
+    assert unknown_command("fpplab plan", "x", ["show"]).endswith(
+        "`fpplab plan --help` lists those that there are"
+    )
+    assert (
+        unknown_option("fpplab scan", "-q", ["--out"])
+        == "`fpplab scan` has no option -q; see `fpplab scan --help`"
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "typo", "meant"),
+    [
+        ("rig", "rig_dmeo", "rig_demo"),
+        ("plan", "plan_papre.yaml", "plan_paper"),
+        ("target", "taget_paper", "target_paper"),
+        ("study", "study_strips", "study_stripes"),
+        ("world", "world_hiden", "world_hidden"),
+        ("standard", "standart_demo", "standard_demo"),
+    ],
+)
+def test_a_typo_in_a_name_suggests_names_of_its_kind(kind: Any, typo: str, meant: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        find_config(typo, kind)
+    said = str(caught.value)
+    assert said.startswith(f"{typo}: there is no such file; did you mean {meant}? fpplab brings ")
+    suggested = set(re.findall(r"\w+_\w+", said.partition("such file;")[2]))
+    assert suggested == set(shipped_configs(kind))
+    assert all(name.startswith(f"{kind}_") for name in suggested)
+
+
+def test_files_beside_are_suggested_but_those_of_other_kinds(tmp_path: Path) -> None:
+    for name in ("bench_left.yaml", "plan_left.yaml"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(ConfigError, match=r"did you mean \S*bench_left\.yaml\?"):
+        find_config(tmp_path / "bench_letf.yaml", "rig")
+    with pytest.raises(ConfigError) as caught:
+        find_config(tmp_path / "plan_letf", "rig")
+    assert "did you mean" not in str(caught.value)
+
+
+def test_commands_ask_for_their_kind(fpplab: Command, tmp_path: Path) -> None:
+    done = fpplab("plan", "show", "plan_paper", "--rig", "rig_dmeo", "--json")
+    assert done.code == 2
+    assert "did you mean rig_demo?" in done.json["error"]
+    assert "plan_" not in done.json["error"]
+    done = fpplab("target", "target_papr", "--make", tmp_path / "x.pdf", "--json")
+    assert done.code == 2
+    assert "did you mean target_paper?" in done.json["error"]
+    assert "rig_" not in done.json["error"]
+
+
+def test_options_of_the_program_may_follow_the_command() -> None:
+    assert global_first(["scan", "--out", "x", "-v", "--log", "f"]) == [
+        "-v",
+        "--log",
+        "f",
+        "scan",
+        "--out",
+        "x",
+    ]
+    assert global_first(["scan", "--log=f", "--", "-v"]) == ["--log=f", "scan", "--", "-v"]
+    assert global_first(["scan", "--log"]) == ["scan", "--log"]
