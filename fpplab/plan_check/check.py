@@ -28,6 +28,8 @@ MOST_AGREEING = 15.0
 """Greatest disagreement of a plan that is proposed: right ones reach it where the response is bent."""
 MUCH_BETTER = 0.6
 """A plan that fits better has at most this share of the disagreement."""
+LOWER = 0.3
+"""And by this quantile of the pixels: where masks leave about half of them, the median is no guide."""
 AS_GOOD = 1.5
 """Of plans whose disagreement is within this factor of the least, the simplest is told."""
 
@@ -112,7 +114,13 @@ def check_plan_fit(recording: Recording) -> PlanCheck | None:
 def _better(few: Recording, sets: Sets, sample: PhaseSample, given: float) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
-    fitting = [(edit, d) for edit, d in tried if d <= min(MUCH_BETTER * given, MOST_AGREEING)]
+    lower = MUCH_BETTER * disagreement(few, few.plan, sample, LOWER)
+    fitting = [
+        (edit, d)
+        for edit, d in tried
+        if d <= min(MUCH_BETTER * given, MOST_AGREEING)
+        and disagreement(few, edit.plan(few.plan), sample, LOWER) <= lower
+    ]
     if not fitting:
         return None
     least = min(d for _, d in fitting)
@@ -130,7 +138,7 @@ def _orientation(sets: Sets, sample: PhaseSample, given: float) -> PlanCheck:
     )
 
 
-def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> float:
+def disagreement(few: Recording, plan: Plan, sample: PhaseSample, quantile: float = 0.5) -> float:
     """Decode some pixels by a plan and say how much its sets disagree.
 
     Parameters
@@ -141,12 +149,14 @@ def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> float:
         That is tried.
     sample : PhaseSample
         Which of the pixels are lit.
+    quantile : float
+        Which of the lit pixels is taken, by rising disagreement; the median by default.
 
     Returns
     -------
     float
-        Median, infinite where most pixels are not decoded or the plan cannot be unwrapped; NaN where it has
-        one set for each axis, or needs a calibration to be unwrapped.
+        Infinite where this pixel and those beyond are not decoded or the plan cannot be unwrapped; NaN where
+        it has one set for each axis, or needs a calibration to be unwrapped.
     """
     alone = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
     if alone or unwrapping_methods()[plan.unwrapping].guided:
@@ -157,7 +167,7 @@ def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> float:
         return np.inf
     assert decoded.disagreement is not None
     found = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
-    return float(np.median(found))
+    return float(np.quantile(found, quantile, method="higher"))
 
 
 def _shown(value: float) -> str:
