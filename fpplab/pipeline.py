@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from fpplab.acquisition.acquire import FrameObserver, acquire, expose
-from fpplab.acquisition.synchronisation import fault_in_step, require_in_step
+from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, remedy
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import (
     Characterisation,
@@ -172,16 +172,31 @@ def decode_session(
     """
     recording = session.recording(progress=lambda share: progress(0.5 * share))
     if not as_recorded:
-        require_in_step(recording, _advice(session), session.is_imported)
-        if (found := check_plan_fit(recording)) and found.fault:
-            raise DataError(f"{session.path}: {found.fault}; --as-recorded decodes it nevertheless")
+        _require_in_step(session, recording)
+        if fault := _plan_fault(recording):
+            raise DataError(f"{session.path}: {fault}; --as-recorded decodes it nevertheless")
     return decode(recording, lambda share: progress(0.5 + 0.5 * share))
 
 
-def _advice(session: Session) -> str:
-    """What to do about frames that are out of step with their plan."""
-    again = "" if session.is_imported else "take it again, with --force, or "
-    return f"{again}--as-recorded takes the frames as they are"
+def _fault_in_step(session: Session, recording: Recording) -> str | None:
+    """How the frames of a session are out of step with their plan, and what to check."""
+    verdict = check_synchronisation(recording)
+    if verdict.in_step:
+        return None
+    return f"{verdict.describe()}; {IMPORTED_REMEDY if session.is_imported else remedy(recording.plan)}"
+
+
+def _require_in_step(session: Session, recording: Recording) -> None:
+    """Refuse frames that do not show their patterns."""
+    if fault := _fault_in_step(session, recording):
+        again = "" if session.is_imported else "take it again, with --force, or "
+        raise DataError(f"{recording.name}: {fault}; {again}--as-recorded takes the frames as they are")
+
+
+def _plan_fault(recording: Recording) -> str | None:
+    """What is wrong with the plan of a recording, by its images."""
+    found = check_plan_fit(recording)
+    return found.fault if found else None
 
 
 def doubts(session: Session) -> list[str]:
@@ -199,11 +214,7 @@ def doubts(session: Session) -> list[str]:
     """
     recording = session.recording(verify=False)
     found = check_plan_fit(recording)
-    said = [
-        fault_in_step(recording, session.is_imported),
-        found.fault if found else None,
-        found.note if found else None,
-    ]
+    said = [_fault_in_step(session, recording), *((found.fault, found.note) if found else ())]
     return [f"{session.path}: {sentence}" for sentence in said if sentence]
 
 
@@ -275,7 +286,7 @@ def _checked_recording(
     calibration.check_projector(*session.projector(), session.path)
     recording = session.recording(progress=progress)
     if not as_recorded:
-        require_in_step(recording, _advice(session), session.is_imported)
+        _require_in_step(session, recording)
     return recording
 
 
@@ -632,9 +643,8 @@ def characterise_sessions(
 
 def _require_plan_fits(session: Session) -> None:
     """Refuse a plan that does not describe the images, before many poses are decoded by it."""
-    found = check_plan_fit(session.recording(verify=False))
-    if found is not None and found.fault is not None:
-        raise CalibrationError(f"{session.path}: {found.fault}")
+    if fault := _plan_fault(session.recording(verify=False)):
+        raise CalibrationError(f"{session.path}: {fault}")
 
 
 def judge_sessions(
@@ -695,7 +705,7 @@ def _observe_sessions(
 def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
     """What one pose tells. Raises `CalibrationError` that names it."""
     name, recording = session.path.name, session.recording()
-    if fault := fault_in_step(recording, session.is_imported):
+    if fault := _fault_in_step(session, recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")
     return observe(name, recording.mean_image(), decode(recording), target, periods)
 

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from fpplab.core.conventions import Floats, Map, Mask
-from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 
@@ -277,47 +276,6 @@ def check_synchronisation(recording: Recording) -> SyncVerdict:
     return SyncVerdict(provable=False) if moments is None else _decide(moments, recording.plan)
 
 
-def fault_in_step(recording: Recording, imported: bool = False) -> str | None:
-    """Say how the frames of a recording are out of step with their plan.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-    imported : bool
-        Whether another program recorded them, so that files may be in a wrong order.
-
-    Returns
-    -------
-    str or None
-        What happened and what to check, None when the frames show their patterns.
-    """
-    verdict = check_synchronisation(recording)
-    advice = IMPORTED_REMEDY if imported else remedy(recording.plan)
-    return None if verdict.in_step else f"{verdict.describe()}; {advice}"
-
-
-def require_in_step(recording: Recording, advice: str, imported: bool = False) -> None:
-    """Refuse a recording whose frames do not show their patterns.
-
-    Parameters
-    ----------
-    recording : Recording
-        All frames of a plan.
-    advice : str
-        What to do then, the end of the message.
-    imported : bool
-        Whether another program recorded them.
-
-    Raises
-    ------
-    DataError
-        The frames are out of step with the plan; says how, and what to see to.
-    """
-    if fault := fault_in_step(recording, imported):
-        raise DataError(f"{recording.name}: {fault}; {advice}")
-
-
 def provable(plan: Plan) -> bool:
     """Tell whether a late, early, missed or doubled trigger shows in the frames of a plan, for any response.
 
@@ -375,17 +333,14 @@ def _ripple(levels: Map) -> Map:
     return np.asarray(ripple, np.float32)
 
 
-def _waves(plan: Plan, harmonics: int) -> Floats:
-    """Basis of what a pixel may see of every pattern: one common offset, own harmonics for each set."""
-    parts = [fringe.waves(harmonics) for fringe in plan.fringes]
-    return np.concatenate([np.ones((plan.images, 1)), block_diag(*parts)], axis=1)
+def _waves(plan: Plan, harmonics: int, own_offsets: bool) -> Floats:
+    """Basis of what a pixel may see of every pattern: own harmonics for each set, and one common offset.
 
-
-def _waves_with_own_offsets(plan: Plan, harmonics: int) -> Floats:
-    """The same where the room's light changed between the sets, which their phases do not see."""
-    ones = [np.ones((fringe.images, 1)) for fringe in plan.fringes]
-    parts = [fringe.waves(harmonics) for fringe in plan.fringes]
-    return np.concatenate([block_diag(*ones), block_diag(*parts)], axis=1)
+    With own offsets the room's light changed between the sets, which their phases do not see.
+    """
+    offsets = [np.ones((fringe.images, 1)) for fringe in plan.fringes]
+    waves = block_diag(*(fringe.waves(harmonics) for fringe in plan.fringes))
+    return np.concatenate([block_diag(*offsets) if own_offsets else np.vstack(offsets), waves], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,25 +377,17 @@ class _Spaces:
         return float(np.sqrt(self.left(moments.alike)[0] / max(self.rest[0], 1)))
 
 
-@lru_cache(maxsize=8)
-def _spaces(plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = ()) -> _Spaces:
+@lru_cache(maxsize=16)
+def _spaces(
+    plan: Plan, harmonics: int, named: tuple[SyncFault, ...] = (), own_offsets: bool = False
+) -> _Spaces:
     """The space of frames in step, and then those of the faults named."""
     count = plan.images
     shown: list[list[int | None]] = [list(range(count)), *(fault.shown(count) for fault in named)]
     known = np.array([[k is not None for k in row] for row in shown], np.float64)
-    waves = _waves(plan, harmonics)[[[k or 0 for k in row] for row in shown]] * known[..., None]
-    return _spaces_of(waves, known)
-
-
-@lru_cache(maxsize=8)
-def _space_of_changed_light(plan: Plan, harmonics: int) -> _Spaces:
-    """The space of frames in step whose sets were taken in different light."""
-    return _spaces_of(_waves_with_own_offsets(plan, harmonics)[None], np.ones((1, plan.images)))
-
-
-def _spaces_of(waves: Floats, known: Floats) -> _Spaces:
+    waves = _waves(plan, harmonics, own_offsets)[[[k or 0 for k in row] for row in shown]] * known[..., None]
     square, directions = np.linalg.eigh(waves.transpose(0, 2, 1) @ waves)
-    free = square > 1e-9 * waves.shape[1]
+    free = square > 1e-9 * count
     rest = known.sum(axis=1).astype(int) - free.sum(axis=1)
     return _Spaces(waves @ directions, np.where(free, square, 1.0), free, known, rest)
 
@@ -450,13 +397,12 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     if _spaces(plan, LINEAR).left(moments.all)[0] <= 2 * LEAST_LOG_RATIO * MISFIT_IN_STEP**2:
         return SyncVerdict(provable=provable(plan), misfit=_spaces(plan, NONLINEAR).misfit(moments))
     named = tuple(faults(plan.images))
-    spaces = [_spaces(plan, harmonics, named) for harmonics in (LINEAR, NONLINEAR)]
-    likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))
-    misfit = spaces[-1].misfit(moments)
+    likelihood = _likelihood(moments, plan, named)
+    misfit = _spaces(plan, NONLINEAR).misfit(moments)
     best = likelihood.max()
-    changed = [_space_of_changed_light(plan, harmonics) for harmonics in (LINEAR, NONLINEAR)]
-    if max(float(space.likelihood(moments)[0]) for space in changed) > best:
-        return SyncVerdict(provable=provable(plan), misfit=changed[-1].misfit(moments))
+    if _likelihood(moments, plan, own_offsets=True)[0] > best:
+        changed = _spaces(plan, NONLINEAR, own_offsets=True)
+        return SyncVerdict(provable=provable(plan), misfit=changed.misfit(moments))
     causes: tuple[SyncFault, ...] = ()
     if best > likelihood[0] + LEAST_LOG_RATIO:
         causes = tuple(named[i - 1] for i in np.flatnonzero(likelihood > best - EQUAL_LOG_RATIO))
@@ -467,11 +413,18 @@ def _decide(moments: Moments, plan: Plan) -> SyncVerdict:
     return SyncVerdict(causes, fits=fits, provable=provable(plan) or bool(causes), misfit=misfit)
 
 
+def _likelihood(
+    moments: Moments, plan: Plan, named: tuple[SyncFault, ...] = (), own_offsets: bool = False
+) -> Floats:
+    """Likelihood of frames in step, and then of the faults named, by the response that suits each better."""
+    spaces = (_spaces(plan, harmonics, named, own_offsets) for harmonics in (LINEAR, NONLINEAR))
+    return np.asarray(np.maximum(*(space.likelihood(moments) for space in spaces)))
+
+
 def _swaps(moments: Moments, plan: Plan, least: float) -> tuple[SyncFault, ...]:
     """Exchanges of two distant frames that are likelier than that."""
     named = tuple(far_swaps(plan.images))
-    spaces = [_spaces(plan, harmonics, named) for harmonics in (LINEAR, NONLINEAR)]
-    likelihood = np.maximum(*(space.likelihood(moments) for space in spaces))[1:]
+    likelihood = _likelihood(moments, plan, named)[1:]
     if not named or likelihood.max() <= least:
         return ()
     return tuple(named[i] for i in np.flatnonzero(likelihood > likelihood.max() - EQUAL_LOG_RATIO))

@@ -167,6 +167,11 @@ AsRecorded = Annotated[
         "--as-recorded", help="Take the frames as they are where they seem out of step with the plan."
     ),
 ]
+FrameNames = Annotated[
+    str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
+]
+ImageBits = Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")]
+FirstIndex = Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")]
 RigName = Annotated[
     str,
     typer.Option(

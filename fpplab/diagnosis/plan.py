@@ -17,8 +17,6 @@ SUSPICIOUS_SHARE = 0.5
 """Share of the lit pixels that become points, below which the plan is checked."""
 DISAGREEING = 3.0
 """Typical disagreement of the sets, in units of what noise explains, above which the plan is checked."""
-SAMPLING_STRIDE = 4
-"""Stride in rows and columns at which the typical disagreement is sampled."""
 GRADIENT_STRIDE = 8
 """Stride in rows and columns at which the coordinate's change from pixel to pixel is sampled."""
 FEWEST = 100
@@ -38,7 +36,10 @@ def plan_finding(
     cloud: Cloud | None,
     calibration: Calibration,
 ) -> list[ScanFinding]:
-    """Try other plans where the sets contradict each other or few pixels become points.
+    """Find a plan that is not that of the images.
+
+    A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
+    where the sets contradict each other, or where few pixels become points.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def plan_finding(
         One where another plan fits the images, otherwise none.
     """
     against = _runs_against(decoded, calibration, recording.plan.axes)
-    if against is None and not _is_suspicious(recording, decoded, sample, cloud):
+    if against is None and not _is_suspicious(decoded, sample, cloud):
         return []
     found = check_plan_fit(recording)
     if found is not None and found.fault is not None:
@@ -75,15 +76,10 @@ def plan_finding(
     return [ScanFinding(ScanCause.WRONG_PLAN, evidence, RUINOUS)]
 
 
-def _is_suspicious(recording: Recording, decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -> bool:
-    lit = float(sample.lit.mean()) * recording.frames[0].size
-    if cloud is None or len(cloud) < SUSPICIOUS_SHARE * lit:
+def _is_suspicious(decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -> bool:
+    if cloud is None or len(cloud) < SUSPICIOUS_SHARE * sample.lit_pixels:
         return True
-    if decoded.disagreement is None:
-        return False
-    some = decoded.disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE]
-    known = some[np.isfinite(some)]
-    return bool(known.size == 0 or np.median(known) > DISAGREEING)
+    return decoded.disagreement is not None and not decoded.typical_disagreement <= DISAGREEING
 
 
 def _runs_against(decoded: Decoded, calibration: Calibration, axes: tuple[Axis, ...]) -> Axis | None:
@@ -94,7 +90,7 @@ def _runs_against(decoded: Decoded, calibration: Calibration, axes: tuple[Axis, 
     """
     expected = _change_along_image(calibration)
     for axis in axes:
-        coordinate = decoded.u if axis == "x" else decoded.v
+        coordinate = decoded.coordinate(axis)
         rows, columns = coordinate.shape
         here = coordinate[: rows - 1 : GRADIENT_STRIDE, : columns - 1 : GRADIENT_STRIDE]
         right = coordinate[: rows - 1 : GRADIENT_STRIDE, 1::GRADIENT_STRIDE][:, : here.shape[1]] - here

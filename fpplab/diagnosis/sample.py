@@ -190,6 +190,11 @@ class FrameSample:
         least = np.maximum(LIT_SHARE * self.strongest, LIT_SIGMAS * self.noise(self.widest.offset))
         return np.asarray((self.widest.modulation >= least) | (self.saturated & (self.widest.offset > 128.0)))
 
+    @property
+    def lit_pixels(self) -> float:
+        """How many pixels of the whole image see the projector's fringes."""
+        return float(self.lit.mean()) * self.recording.frames[0].size
+
     @cached_property
     def measured(self) -> Mask:
         """(rows, columns) which of them are lit and not saturated."""

@@ -159,7 +159,7 @@ def diagnose_scan(
         With everything that is found.
     """
     plan = recording.plan
-    sample = FrameSample(recording, {axis: decoded.u if axis == "x" else decoded.v for axis in plan.axes})
+    sample = FrameSample(recording, {axis: decoded.coordinate(axis) for axis in plan.axes})
     wrong = plan_finding(recording, decoded, sample, cloud, calibration)
     if cloud is None:
         return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *_of_frames(sample, None)]))
@@ -214,7 +214,7 @@ def _judged(
     sample: FrameSample, cloud: Cloud, findings: tuple[ScanFinding, ...], unknown: tuple[str, ...]
 ) -> Diagnosis:
     pixels = sample.recording.frames[0].size
-    lit = float(sample.lit.mean()) * pixels
+    lit = sample.lit_pixels
     share = len(cloud) / max(lit, 1.0)
     counted = f"{len(cloud)} points of {lit:.0f} pixels that see the fringes"
     ruinous = [f for f in findings if f.excess >= USELESS_EXCESS.get(f.cause, float("inf"))]

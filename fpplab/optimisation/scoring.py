@@ -236,7 +236,7 @@ class TrueShape:
         for axis in plan.axes:
             stripes = plan.fringes[plan.finest_set(axis)].stripes
             half = axis_length(calibration.projector.size, axis) / stripes / 2.0
-            coordinate = decoded.u if axis == "x" else decoded.v
+            coordinate = decoded.coordinate(axis)
             u, v = pixels.T
             least, most = (bound[v, u] for bound in self._coordinate_bounds(calibration)[axis])
             suspect = ~_within(coordinate[v, u], least, most, half)

@@ -15,7 +15,7 @@ from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind
-from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.fringe_sets import FringeSet, indices_along
 from fpplab.patterns.response import Curve, with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
@@ -205,8 +205,7 @@ class Plan(Document):
         tuple of int
             Indices into `fringes`, fewest stripes first; empty where the axis is not coded.
         """
-        chosen = [i for i, f in enumerate(self.fringes) if f.axis == axis]
-        return tuple(sorted(chosen, key=lambda i: self.fringes[i].stripes))
+        return indices_along(self.fringes, axis)
 
     def finest_set(self, axis: Axis | None = None) -> int:
         """Find the finest set, the one with the most stripes.

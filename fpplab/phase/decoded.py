@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Map, Mask
+from fpplab.core.conventions import Axis, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_atomic
 from fpplab.phase.outside import OutsideShare
+
+SAMPLING_STRIDE = 4
+"""Stride in rows and columns at which the typical disagreement is sampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,30 @@ class Decoded:
     def sigma_total(self) -> Map:
         """1-sigma of the coordinate in projector px by noise and, where they are known, common errors."""
         return self.sigma if self.sigma_phase_error is None else np.hypot(self.sigma, self.sigma_phase_error)
+
+    @property
+    def typical_disagreement(self) -> float:
+        """Median of `disagreement` at pixels spread over the image; NaN where it is known at none."""
+        if self.disagreement is None:
+            return np.nan
+        some = self.disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE]
+        known = some[np.isfinite(some)]
+        return float(np.median(known)) if known.size else np.nan
+
+    def coordinate(self, axis: Axis) -> Map:
+        """Give the projector coordinate along one axis.
+
+        Parameters
+        ----------
+        axis : str
+            x or y.
+
+        Returns
+        -------
+        ndarray of float32, (height, width)
+            `u` or `v`, in px.
+        """
+        return self.u if axis == "x" else self.v
 
     @property
     def maps(self) -> tuple[Map | None, ...]:

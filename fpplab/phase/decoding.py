@@ -150,7 +150,7 @@ def _repair(
     """Let neighbours vote on doubtful orders of one axis; reject pixels that they contradict."""
     plan, vote = recording.plan, recording.plan.order_vote
     assert vote is not None
-    coordinate = decoded.u if sequence.axis == "x" else decoded.v
+    coordinate = decoded.coordinate(sequence.axis)
     length = axis_length(recording.projector_size, sequence.axis)
     pixels = np.flatnonzero(np.isfinite(coordinate.ravel()) & (doubt > DOUBTFUL))
     seen = _phases_at(recording, sequence, errors, pixels)

@@ -10,6 +10,7 @@ disagreement; with both axes coded a mirrored one is impossible, with one axis i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping import unwrapping_methods
 from fpplab.phase import decode
-from fpplab.plan_check.edits import Edit, Sets, edits, is_mirrored, upright
+from fpplab.plan_check.edits import Edit, Sets, edits, finest_of, is_mirrored, upright
 from fpplab.plan_check.sample import PhaseSample, directions
 
 AGREES = 1.5
@@ -32,6 +33,15 @@ LOWER = 0.3
 """And by this quantile of the pixels: where masks leave about half of them, the median is no guide."""
 AS_GOOD = 1.5
 """Of plans whose disagreement is within this factor of the least, the simplest is told."""
+
+
+class Disagreement(NamedTuple):
+    """How much the sets disagree at the lit pixels, in units of what noise explains; infinite where lost."""
+
+    lower: float
+    """At the `LOWER` quantile of the pixels."""
+    median: float
+    """At half of them."""
 
 
 @dataclass(frozen=True)
@@ -106,20 +116,19 @@ def check_plan_fit(recording: Recording) -> PlanCheck | None:
         return None
     few = replace(recording, frames=[np.ascontiguousarray(f[sample.rows]) for f in recording.frames])
     given = disagreement(few, recording.plan, sample)
-    if given > AGREES and (found := _better(few, sets, sample, given)):
+    if given.median > AGREES and (found := _better(few, sets, sample, given)):
         return found
-    return _orientation(sets, sample, given)
+    return _orientation(sets, sample, given.median)
 
 
-def _better(few: Recording, sets: Sets, sample: PhaseSample, given: float) -> PlanCheck | None:
+def _better(few: Recording, sets: Sets, sample: PhaseSample, given: Disagreement) -> PlanCheck | None:
     """Find the simplest of the plans that fit much better."""
     tried = [(edit, disagreement(few, edit.plan(few.plan), sample)) for edit in edits(sets, sample)]
-    lower = MUCH_BETTER * disagreement(few, few.plan, sample, LOWER)
     fitting = [
-        (edit, d)
-        for edit, d in tried
-        if d <= min(MUCH_BETTER * given, MOST_AGREEING)
-        and disagreement(few, edit.plan(few.plan), sample, LOWER) <= lower
+        (edit, found.median)
+        for edit, found in tried
+        if found.median <= min(MUCH_BETTER * given.median, MOST_AGREEING)
+        and found.lower <= MUCH_BETTER * given.lower
     ]
     if not fitting:
         return None
@@ -127,18 +136,15 @@ def _better(few: Recording, sets: Sets, sample: PhaseSample, given: float) -> Pl
     good = [(edit, d) for edit, d in fitting if d <= AS_GOOD * max(least, 1.0)]
     # Reversed and late steps differ in the direction of the fringes alone.
     standing = [one for one in good if _orientation(one[0].sets, sample, one[1]).unusual is None]
-    edit, found = (standing or good)[0]
-    return PlanCheck(given, edit, found)
+    return PlanCheck(given.median, *(standing or good)[0])
 
 
 def _orientation(sets: Sets, sample: PhaseSample, given: float) -> PlanCheck:
-    finest = max(range(len(sets)), key=lambda k: sets[k].stripes)
-    return PlanCheck(
-        given, unusual=upright(sets, directions(sample, finest)), mirrored=is_mirrored(sets, sample)
-    )
+    seen = directions(sample, finest_of(sets))
+    return PlanCheck(given, unusual=upright(sets, seen), mirrored=is_mirrored(sets, sample))
 
 
-def disagreement(few: Recording, plan: Plan, sample: PhaseSample, quantile: float = 0.5) -> float:
+def disagreement(few: Recording, plan: Plan, sample: PhaseSample) -> Disagreement:
     """Decode some pixels by a plan and say how much its sets disagree.
 
     Parameters
@@ -149,25 +155,23 @@ def disagreement(few: Recording, plan: Plan, sample: PhaseSample, quantile: floa
         That is tried.
     sample : PhaseSample
         Which of the pixels are lit.
-    quantile : float
-        Which of the lit pixels is taken, by rising disagreement; the median by default.
 
     Returns
     -------
-    float
-        Infinite where this pixel and those beyond are not decoded or the plan cannot be unwrapped; NaN where
-        it has one set for each axis, or needs a calibration to be unwrapped.
+    Disagreement
+        Infinite where the plan cannot be unwrapped; NaN where it has one set for each axis, or needs a
+        calibration to be unwrapped.
     """
     alone = all(len(plan.sets_along(axis)) < 2 for axis in plan.axes)
     if alone or unwrapping_methods()[plan.unwrapping].guided:
-        return np.nan
+        return Disagreement(np.nan, np.nan)
     try:
         decoded = decode(replace(few, plan=plan.model_copy(update={"order_vote": None})))
     except ConfigError:
-        return np.inf
+        return Disagreement(np.inf, np.inf)
     assert decoded.disagreement is not None
     found = np.nan_to_num(decoded.disagreement[sample.lit], nan=np.inf, posinf=np.inf)
-    return float(np.quantile(found, quantile, method="higher"))
+    return Disagreement(*np.quantile(found, (LOWER, 0.5), method="higher").tolist())
 
 
 def _shown(value: float) -> str:

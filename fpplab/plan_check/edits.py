@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpplab.core.conventions import TWO_PI, Axis, Floats
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.core.conventions import AXES, TWO_PI, Axis, Floats
+from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.plan_check.sample import Direction, PhaseSample, directions, wrapped
 
@@ -75,7 +75,7 @@ def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
         Another plan.
     """
     yield from _other_steps(sets)
-    finest = max(range(len(sets)), key=lambda k: sets[k].stripes)
+    finest = finest_of(sets)
     seen = directions(sample, finest)
     for found in (_other_axes(sets, seen, finest), _other_order(sets, seen), _other_signs(sets, seen)):
         if found is not None:
@@ -84,6 +84,22 @@ def edits(sets: Sets, sample: PhaseSample) -> Iterator[Edit]:
     yield from _other_stripes(sets, seen, sample)
     if (moved := _other_origins(sets, sample)) is not None:
         yield moved
+
+
+def finest_of(sets: Sets) -> int:
+    """Find the set with most stripes.
+
+    Parameters
+    ----------
+    sets : tuple of Sinusoid
+        All sets.
+
+    Returns
+    -------
+    int
+        Its index.
+    """
+    return max(range(len(sets)), key=lambda k: sets[k].stripes)
 
 
 def _other_steps(sets: Sets) -> Iterator[Edit]:
@@ -121,12 +137,10 @@ def _other_axes(sets: Sets, seen: list[Direction], finest: int) -> Edit | None:
 def _other_order(sets: Sets, seen: list[Direction]) -> Edit | None:
     """Along each axis the same stripes, in the order in which the images have them."""
     stripes = [s.stripes for s in sets]
-    for axis in ("x", "y"):
-        along = [k for k, s in enumerate(sets) if s.axis == axis]
-        speed = [float(np.hypot(seen[k].right, seen[k].down)) for k in along]
-        ranked = sorted(stripes[k] for k in along)
-        for rank, place in enumerate(np.argsort(speed)):
-            stripes[along[place]] = ranked[rank]
+    for axis in AXES:
+        along = indices_along(sets, axis)
+        for k, other in zip(sorted(along, key=lambda k: seen[k].speed), along, strict=True):
+            stripes[k] = sets[other].stripes
     if stripes == [s.stripes for s in sets]:
         return None
     return Edit(
@@ -139,12 +153,13 @@ def _other_order(sets: Sets, seen: list[Direction]) -> Edit | None:
 def _other_signs(sets: Sets, seen: list[Direction]) -> Edit | None:
     """Sets whose phase runs against that of the finest set of their axis."""
     wrong = []
-    for axis in ("x", "y"):
-        along = [k for k, s in enumerate(sets) if s.axis == axis]
+    for axis in AXES:
+        along = indices_along(sets, axis)
         if along:
-            ways = {k: sets[k].shift_sign * _way(seen[k], sets[along[0]].axis, seen, along) for k in along}
-            most = np.sign(sum(ways.values())) or ways[max(along, key=lambda k: sets[k].stripes)]
-            wrong += [k for k in along if ways[k] != most]
+            level = sum(abs(seen[k].right) - abs(seen[k].down) for k in along) >= 0
+            ways = {k: sets[k].shift_sign * seen[k].way(level) for k in along}
+            most = np.sign(sum(ways.values())) or ways[along[-1]]
+            wrong += [k for k in sorted(along) if ways[k] != most]
     if not wrong:
         return None
     return Edit(
@@ -154,21 +169,14 @@ def _other_signs(sets: Sets, seen: list[Direction]) -> Edit | None:
     )
 
 
-def _way(one: Direction, axis: Axis, seen: list[Direction], along: Sequence[int]) -> int:
-    """Whether a phase rises (1) or falls (-1) in the direction in which its axis' fringes change most."""
-    level = sum(abs(seen[k].right) for k in along) >= sum(abs(seen[k].down) for k in along)
-    return 1 if (one.right if level else one.down) > 0 else -1
-
-
 def _other_stripes(sets: Sets, seen: list[Direction], sample: PhaseSample) -> Iterator[Edit]:
     """Other numbers of stripes in one set, by the others of its axis, or in every set that differs."""
-    speed = [float(np.hypot(each.right, each.down)) for each in seen]
     first: dict[int, float] = {}
     for k, one in enumerate(sets):
-        others = [j for j, s in enumerate(sets) if s.axis == one.axis and j != k]
+        others = [j for j in indices_along(sets, one.axis) if j != k]
         if not others:
             continue
-        about = speed[k] / float(np.median([speed[j] / sets[j].stripes for j in others]))
+        about = seen[k].speed / float(np.median([seen[j].speed / sets[j].stripes for j in others]))
         if abs(about / one.stripes - 1.0) <= SAME_STRIPES:
             continue
         for stripes in _stripes_near(sets, others, k, about, sample):
@@ -278,24 +286,23 @@ def with_origins(sets: Sets, sample: PhaseSample) -> Sets:
         The coarsest of each axis as given.
     """
     found = list(sets)
-    for axis in ("x", "y"):
-        along = sorted((k for k, s in enumerate(sets) if s.axis == axis), key=lambda k: sets[k].stripes)
-        for coarse, fine in pairwise(along):
-            seen = unwrapped(tuple(found), along[: along.index(fine)], sample)
-            predicted = seen * found[fine].stripes / found[coarse].stripes
-            left = phases_of(tuple(found), sample)[fine] - predicted
+    for axis in AXES:
+        along = indices_along(sets, axis)
+        for last, (coarse, fine) in enumerate(pairwise(along), 1):
+            predicted = unwrapped(found, along[:last], sample) * sets[fine].stripes / sets[coarse].stripes
+            left = phases_of(found, sample)[fine] - predicted
             origin = float(np.angle(np.mean(np.exp(1j * left))))
             if abs(origin) > ORIGIN_RAD:
                 found[fine] = _moved(found[fine], origin)
     return tuple(found)
 
 
-def phases_of(sets: Sets, sample: PhaseSample) -> Floats:
+def phases_of(sets: Sequence[Sinusoid], sample: PhaseSample) -> Floats:
     """Give the phases that a plan's sets have in the images.
 
     Parameters
     ----------
-    sets : tuple of Sinusoid
+    sets : sequence of Sinusoid
         S sets.
     sample : PhaseSample
         Of P pixels.
@@ -310,12 +317,12 @@ def phases_of(sets: Sets, sample: PhaseSample) -> Floats:
     )
 
 
-def unwrapped(sets: Sets, along: Sequence[int], sample: PhaseSample) -> Floats:
+def unwrapped(sets: Sequence[Sinusoid], along: Sequence[int], sample: PhaseSample) -> Floats:
     """Unwrap the finest of some sets by the coarser ones.
 
     Parameters
     ----------
-    sets : tuple of Sinusoid
+    sets : sequence of Sinusoid
         All sets.
     along : sequence of int
         Indices of sets of one axis.
@@ -351,13 +358,9 @@ def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
     Edit or None
         None where they do already.
     """
-    level = [abs(each.right) >= abs(each.down) for each in seen]
-    axes: list[Axis] = ["x" if is_level else "y" for is_level in level]
-    ways = [
-        1 if (each.right if flat else each.down) > 0 else -1 for each, flat in zip(seen, level, strict=True)
-    ]
+    axes: list[Axis] = ["x" if each.level else "y" for each in seen]
     other_axes = [k for k, axis in enumerate(axes) if axis != sets[k].axis]
-    other_signs = [k for k, way in enumerate(ways) if way * sets[k].shift_sign < 0]
+    other_signs = [k for k, each in enumerate(seen) if each.way(each.level) != sets[k].shift_sign]
     if not other_axes and not other_signs:
         return None
     mistakes, remedies = [], []
@@ -368,9 +371,7 @@ def upright(sets: Sets, seen: list[Direction]) -> Edit | None:
         mistakes.append(f"the phase of {_named(sets, other_signs)} rises to the left or upwards")
         remedies.append(_written(sets, other_signs, "shift_sign", lambda k: -sets[k].shift_sign))
     edited = tuple(
-        _turned(s.model_copy(update={"axis": axes[k]}))
-        if k in other_signs
-        else s.model_copy(update={"axis": axes[k]})
+        s.model_copy(update={"axis": axes[k], "shift_sign": seen[k].way(seen[k].level)})
         for k, s in enumerate(sets)
     )
     return Edit(", and ".join(mistakes), "; ".join(remedies), edited)
@@ -394,10 +395,10 @@ def is_mirrored(sets: Sets, sample: PhaseSample) -> bool:
     bool
         False too where only one axis is coded.
     """
-    finest: dict[Axis, int] = {s.axis: k for k, s in sorted(enumerate(sets), key=lambda one: one[1].stripes)}
-    if len(finest) < 2:
+    along = [indices_along(sets, axis) for axis in AXES]
+    if not all(along):
         return False
-    x, y = (sets[finest[a]].shift_sign * sample.gradients[finest[a]] for a in ("x", "y"))
+    x, y = (sets[ranked[-1]].shift_sign * sample.gradients[ranked[-1]] for ranked in along)
     return bool(np.median(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0)
 
 
@@ -417,9 +418,9 @@ def _other(axis: Axis) -> Axis:
 def _named(sets: Sets, which: Sequence[int]) -> str:
     """Name sets by index and stripes, or all along an axis at once."""
     names = []
-    for axis in ("x", "y"):
+    for axis in AXES:
         wanted = [k for k in which if sets[k].axis == axis]
-        if len(wanted) == sum(s.axis == axis for s in sets) > 1:
+        if len(wanted) == len(indices_along(sets, axis)) > 1:
             names.append(f"every set along {axis}")
         else:
             names += [f"'fringes[{k}]' ({axis}, {sets[k].stripes:g} stripes)" for k in wanted]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpplab.core.conventions import Axis, Floats, Image, full_scale, phase_steps
+from fpplab.core.conventions import AXES, Floats, Image, full_scale, phase_steps
 from fpplab.core.errors import DataError
-from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringe_sets import Sinusoid, indices_along
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.unwrapping.heterodyne import Heterodyne
@@ -94,14 +94,14 @@ def guess_plan(
         [np.ascontiguousarray(f[sample.rows]) for f in frames], Plan(fringes=standing), projector_size, bits
     )
     for sets in _with_stripes(standing, sample, finest):
-        coarsest = max(min(s.stripes for s in sets if s.axis == axis) for axis in {s.axis for s in sets})
+        coarsest = max(sets[along[0]].stripes for axis in AXES if (along := indices_along(sets, axis)))
         method = Hierarchical.name if coarsest <= 1.0 else Heterodyne.name
         plan = Plan(fringes=with_origins(sets, sample) if coarsest <= 1.0 else sets, unwrapping=method)
-        found = disagreement(few, plan, sample)
+        found = disagreement(few, plan, sample).median
         if not found > AGREES:
             return PlanGuess(plan, found, _assumed(coarsest, finest))
     raise DataError(
-        f"the images show sets of {_counted(images)} steps, but how many stripes they have across the whole "
+        f"the images show sets of {str(images)[1:-1]} steps, but how many stripes they have across the whole "
         "projector cannot be told; say with --finest how many the finest set has"
     )
 
@@ -113,10 +113,6 @@ def _assumed(coarsest: float, finest: float | None) -> tuple[str, ...]:
     elif finest is None:
         said.append("stripes are the least whole numbers with the ratios that the images show")
     return *said, "the phase of the coarsest set has no origin; a wrong one shifts all coordinates alike"
-
-
-def _counted(images: Sequence[int]) -> str:
-    return ", ".join(map(str, images))
 
 
 def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
@@ -190,13 +186,10 @@ def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int
     """Sets with the axes and signs of devices that stand upright; stripes as fast as in the image."""
     reference = int(np.argmax(np.median(np.hypot(*np.moveaxis(sample.gradients, -1, 0)), axis=1)))
     seen = directions(sample, reference)
-    level = abs(seen[reference].right) >= abs(seen[reference].down)
-    own, other = ("x", "y") if level else ("y", "x")
-    axes: list[Axis] = [own if each.parallel else other for each in seen]  # type: ignore[misc]
-    speed = [float(np.hypot(each.right, each.down)) for each in seen]
+    own, other = AXES if seen[reference].level else AXES[::-1]
     sets = tuple(
-        Sinusoid(axis=axis, stripes=fast, steps=n, projector_size=size)
-        for axis, fast, n in zip(axes, speed, images, strict=True)
+        Sinusoid(axis=own if each.parallel else other, stripes=each.speed, steps=n, projector_size=size)
+        for each, n in zip(seen, images, strict=True)
     )
     standing = upright(sets, seen)
     return sets if standing is None else standing.sets
@@ -204,8 +197,7 @@ def _axes_and_signs(images: list[int], sample: PhaseSample, size: tuple[int, int
 
 def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iterator[Sets]:
     """Numbers of stripes that have the ratios measured, the least first."""
-    axes = [axis for axis in ("x", "y") if any(s.axis == axis for s in sets)]
-    by_axis = [_along(sets, axis) for axis in axes]
+    by_axis = [along for axis in AXES if (along := indices_along(sets, axis))]
     scaled = [_scaled(_ratios(sets, along), _turns_seen(sample, along[0]), finest) for along in by_axis]
     for numbers in zip(*scaled, strict=False):
         found = list(sets)
@@ -216,10 +208,6 @@ def _with_stripes(sets: Sets, sample: PhaseSample, finest: float | None) -> Iter
                 exact = refined_stripes(tuple(found), along, k, found[k].stripes, sample)
                 found[k] = found[k].model_copy(update={"stripes": exact})
         yield tuple(found)
-
-
-def _along(sets: Sets, axis: str) -> list[int]:
-    return sorted((k for k, s in enumerate(sets) if s.axis == axis), key=lambda k: sets[k].stripes)
 
 
 def _ratios(sets: Sets, along: Sequence[int]) -> Floats:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -141,6 +142,31 @@ class Direction:
     def parallel(self) -> bool:
         """Whether the set codes the same axis as the reference."""
         return abs(self.along) > abs(self.across)
+
+    @property
+    def speed(self) -> float:
+        """Change of the phase in rad per px, whatever its direction."""
+        return float(np.hypot(self.right, self.down))
+
+    @property
+    def level(self) -> bool:
+        """Whether the phase changes along the rows of the image rather than down."""
+        return abs(self.right) >= abs(self.down)
+
+    def way(self, level: bool) -> Literal[1, -1]:
+        """Tell whether the phase rises or falls.
+
+        Parameters
+        ----------
+        level : bool
+            To the right, or else down.
+
+        Returns
+        -------
+        int
+            1 where it rises, -1 where it falls.
+        """
+        return 1 if (self.right if level else self.down) > 0 else -1
 
 
 def directions(sample: PhaseSample, reference: int) -> list[Direction]:

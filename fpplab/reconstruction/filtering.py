@@ -42,8 +42,7 @@ REACH_PX = 3
 SIGNIFICANT = 5.0
 """Least significant loss of modulation, in standard deviations. The greatest of some forty neighbours
 is itself two or three standard deviations too great."""
-SAMPLING_STRIDE = 4
-"""Stride in rows and columns at which the typical disagreement is sampled."""
+
 
 Removed = NDArray[np.uint8]
 """The `Rule` by which each pixel was removed, indexed [v, u]; 0 where it was kept."""
@@ -92,9 +91,7 @@ def filtered(
         return decoded, cloud
     grid, removed = cloud.grid(), np.zeros(decoded.u.shape, np.uint8)
     if plan.order_vote is None and decoded.disagreement is not None:
-        removed[decoded.disagreement > _greatest_disagreement(decoded.disagreement, rules)] = (
-            Rule.CONTRADICTION
-        )
+        removed[decoded.disagreement > _greatest_disagreement(decoded, rules)] = Rule.CONTRADICTION
         _erase(grid.index, grid.w, removed)
     across, down = _links(grid)
     _half_lit(
@@ -135,14 +132,13 @@ def removal(decoded: Decoded) -> dict[str, int | float] | None:
     return {**counts, "share": sum(counts.values()) / int(np.count_nonzero(decoded.valid))}
 
 
-def _greatest_disagreement(disagreement: Map, rules: FilterRules) -> float:
+def _greatest_disagreement(decoded: Decoded, rules: FilterRules) -> float:
     """Return the disagreement beyond which sets contradict one another.
 
     Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
     interreflections), and pixels are judged relative to the typical one.
     """
-    typical = np.nanmedian(disagreement[::SAMPLING_STRIDE, ::SAMPLING_STRIDE])
-    return rules.disagreement_max * max(1.0, float(typical))
+    return rules.disagreement_max * max(1.0, decoded.typical_disagreement)
 
 
 def _phase_noise_per_px(plan: Plan, projector_size: tuple[int, int]) -> float:

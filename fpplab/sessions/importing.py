@@ -78,8 +78,7 @@ def import_images(
         An image is missing, damaged, coloured, of another size or depth, or there twice under two names; or
         there are more than the plan has.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: is not a folder")
+    _check_source(folder, bits)
     rig = _projector_record(plan, projector_size, lattice)
     paths = [folder / _name(names, first + i) for i in range(plan.images)]
     _check_all_there(folder, paths, names, first)
@@ -88,7 +87,7 @@ def import_images(
     session = Session.create(out, plan, rig, force)
     try:
         for index, (_, _, pattern) in enumerate(plan.steps()):
-            image = (_read_grey(paths[index], bits, size) >> shift).astype(raw_dtype(bits))
+            image = _read_raw(paths[index], bits, size, shift)
             settings = CameraSettings(plan.exposure_s, 0.0, bits)
             session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
             progress((index + 1) / plan.images)
@@ -124,8 +123,7 @@ def read_images(folder: Path, names: str, bits: int = 8, first: int = 0) -> list
     DataError
         There is no image, one is missing between two others, or as for `import_images`.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: is not a folder")
+    _check_source(folder, bits)
     _name(names, first)
     last = max((index for index in _indices(folder, names) if index >= first), default=None)
     if last is None:
@@ -133,7 +131,14 @@ def read_images(folder: Path, names: str, bits: int = 8, first: int = 0) -> list
     paths = [folder / _name(names, index) for index in range(first, last + 1)]
     _check_all_there(folder, paths, names, first)
     size, shift = _check_images(paths, bits, ignore)
-    return [(_read_grey(path, bits, size) >> shift).astype(raw_dtype(bits)) for path in paths]
+    return [_read_raw(path, bits, size, shift) for path in paths]
+
+
+def _check_source(folder: Path, bits: int) -> None:
+    if bits not in (8, 10, 12, 16):
+        raise ConfigError(f"--bits is {bits}: one of 8, 10, 12, 16")
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: is not a folder")
 
 
 def _name(names: str, index: int) -> str:
@@ -247,6 +252,11 @@ def _unused_bits(used: int, greatest: int, path: Path, bits: int, warn: Callable
 def _is_jpeg(path: Path) -> bool:
     with Pillow.open(path) as picture:
         return picture.format in ("JPEG", "MPO")
+
+
+def _read_raw(path: Path, bits: int, size: tuple[int, int], shift: int) -> Image:
+    """One grey image as the session has it, without unused lower bits."""
+    return (_read_grey(path, bits, size) >> shift).astype(raw_dtype(bits))
 
 
 def _read_grey(path: Path, bits: int, size: tuple[int, int] | None) -> Image:

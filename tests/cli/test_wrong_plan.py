@@ -57,6 +57,14 @@ def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -
     assert taken.code == 0, taken.err
 
 
+def test_a_depth_that_no_camera_has_is_refused(fpplab: Command, tmp_path: Path) -> None:
+    words = images(Bench(plan=plan_of("x", (4, 4), (1, 8)), seed=75).recording(), tmp_path / "images")
+    done = fpplab("plan", "guess", *words, *SIZE, "--bits", 9, "--out", tmp_path / "plan.yaml")
+    assert done.code == 2, done.err
+    assert "--bits is 9: one of 8, 10, 12, 16" in done.err
+    assert not (tmp_path / "plan.yaml").exists()
+
+
 def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
     fpplab: Command, tmp_path: Path
 ) -> None:

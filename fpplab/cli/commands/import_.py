@@ -8,21 +8,18 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import MEASURE, Force, Json, Out, PlanName, app
+from fpplab.cli.app import MEASURE, FirstIndex, Force, FrameNames, ImageBits, Json, Out, PlanName, app
 from fpplab.core.conventions import Lattice
-from fpplab.core.errors import ConfigError
 
 
 @app.command("import", rich_help_panel=MEASURE)
 def import_command(
     folder: Annotated[Path, typer.Argument(help="Folder of grey images, one per pattern of the plan.")],
     plan: PlanName,
-    frames: Annotated[
-        str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
-    ],
+    frames: FrameNames,
     out: Out,
-    bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
-    first: Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")] = 0,
+    bits: ImageBits = 8,
+    first: FirstIndex = 0,
     projector_size: Annotated[
         tuple[int, int] | None,
         typer.Option("--projector-size", help="Width and height of the projector, if the plan does not say."),
@@ -45,8 +42,6 @@ def import_command(
     from fpplab.patterns.plan import Plan
     from fpplab.sessions.importing import import_images
 
-    if bits not in (8, 10, 12, 16):
-        raise ConfigError(f"--bits is {bits}: one of 8, 10, 12, 16")
     warnings: list[str] = []
     with console.progress("Importing") as report:
         session = import_images(

@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, RigName, app
+from fpplab.cli.app import (
+    PREPARE,
+    Commands,
+    FirstIndex,
+    Force,
+    FrameNames,
+    ImageBits,
+    Json,
+    Out,
+    RigName,
+    app,
+)
 from fpplab.cli.completion import names_of
 from fpplab.core.errors import DataError
 
@@ -68,15 +79,13 @@ def show_command(
 @plan_app.command("guess")
 def guess_command(
     folder: Annotated[Path, typer.Argument(help="Folder of grey images of one scene, in the order shown.")],
-    frames: Annotated[
-        str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
-    ],
+    frames: FrameNames,
     projector_size: Annotated[
         tuple[int, int], typer.Option("--projector-size", help="Width and height of the projector in px.")
     ],
     out: Out,
-    bits: Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")] = 8,
-    first: Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")] = 0,
+    bits: ImageBits = 8,
+    first: FirstIndex = 0,
     finest: Annotated[
         float | None, typer.Option("--finest", min=1, help="Stripes of the finest set, where they are known.")
     ] = None,

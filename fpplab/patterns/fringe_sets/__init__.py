@@ -4,9 +4,9 @@
 """
 
 from fpplab.core.kinds import import_members
-from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet
+from fpplab.patterns.fringe_sets.base import Demodulation, FringeSet, indices_along
 from fpplab.patterns.fringe_sets.sinusoid import Sinusoid
 
 import_members(__name__, __path__)
 
-__all__ = ["Demodulation", "FringeSet", "Sinusoid"]
+__all__ = ["Demodulation", "FringeSet", "Sinusoid", "indices_along"]

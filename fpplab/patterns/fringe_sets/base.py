@@ -9,6 +9,7 @@ synchronisation take it through this class alone.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -194,3 +195,22 @@ class FringeSet(Document):
             Such as `02-x-64-003of12`; names files, so of letters, digits, dots and hyphens.
         """
         return f"{index:02d}-{self.axis}-{self.stripes:g}-{step:03d}of{self.images}"
+
+
+def indices_along(sets: Sequence[FringeSet], axis: Axis) -> tuple[int, ...]:
+    """List the fringe sets along one axis.
+
+    Parameters
+    ----------
+    sets : sequence of FringeSet
+        All sets.
+    axis : str
+        x or y.
+
+    Returns
+    -------
+    tuple of int
+        Their indices, fewest stripes first; empty where the axis is not coded.
+    """
+    chosen = (k for k, one in enumerate(sets) if one.axis == axis)
+    return tuple(sorted(chosen, key=lambda k: sets[k].stripes))
