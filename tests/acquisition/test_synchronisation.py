@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,6 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from tests.support.rigs import BOARD
 
-DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[3] / "shared" / "data")) / "slstudio"
 SIZE = (912, 1140)
 TRIGGERS = (Cause.LATE, Cause.EARLY, Cause.MISSED, Cause.DOUBLED)
 
@@ -264,11 +262,12 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
         pipeline.decode_session(session)  # type: ignore[arg-type]
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
 @pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
-def test_real_captures_are_in_step_until_a_trigger_slips(name: str) -> None:
+def test_real_captures_are_in_step_until_a_trigger_slips(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
-    frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)]
+    frames = [
+        cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)
+    ]
     assert judged(frames, plan).in_step
     assert judged(frames, plan).misfit < 0.03
     # A last set of three coarse stripes seen in part differs from a dark frame by brightness alone.

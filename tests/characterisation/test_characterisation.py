@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +20,6 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
 from fpplab.targets import Target
 from tests.support.rigs import BOARD, CAMERA, DIAMOND, PAIR, SQUARE, observed, poses, truth_of, values
-
-DATA = Path(os.environ.get("FPPLAB_DATA", Path(__file__).parents[2].parent / "shared" / "data")) / "slstudio"
 
 
 @pytest.mark.parametrize("projector", [SQUARE, DIAMOND], ids=["square", "diamond"])
@@ -189,12 +186,11 @@ def test_the_truth_lies_within_its_uncertainty_in_repeats(tolerance: float | Non
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
-def test_real_captures_are_characterised() -> None:
+def test_real_captures_are_characterised(captures: Path) -> None:
     plan, target = Plan.load("plan_slstudio_board"), Target.load("target_slstudio")
     observations = []
     for name in ("calseq1", "calseq2", "calseq3", "calseq4", "calseq5"):
-        frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
+        frames = [cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(12)]
         decoded = decode(Recording(frames, plan, (1824, 1140)))
         periods = finest_periods(plan, (1824, 1140))
         observations.append(observe(name, np.mean(frames[:3], axis=0), decoded, target, periods))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from fpplab.patterns.recording import Recording
 from fpplab.plan_check import check_plan_fit
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
 
-DATA = Path(os.environ.get("FPPLAB_DATA", "data")) / "slstudio"
 PLAN = plan_of("x", (12, 12, 12, 12), (1, 4, 16, 64))
 BOTH = plan_of("xy", (4, 4, 6), (1, 8, 48))
 BEATS = plan_of("x", (6, 6, 6), (49, 56, 64)).model_copy(update={"unwrapping": "heterodyne"})
@@ -163,11 +161,12 @@ def test_too_few_pixels_with_fringes_say_nothing() -> None:
     assert check_plan_fit(replace(recording, frames=[np.full_like(f, 9) for f in recording.frames])) is None
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
 @pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
-def test_plans_of_real_captures_are_left_alone_and_their_mistakes_named(name: str) -> None:
+def test_plans_of_real_captures_are_left_alone_and_their_mistakes_named(captures: Path, name: str) -> None:
     plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
-    frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)]
+    frames = [
+        cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(plan.images)
+    ]
     right = Recording(frames, plan, (1824, 1140))
     found = check_plan_fit(right)
     assert found is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
@@ -13,8 +12,6 @@ from fpplab.core.errors import DataError
 from fpplab.plan_check import guess_plan
 from fpplab.plan_check.guess import set_sizes
 from tests.diagnosis.scenes import PROJECTOR, Bench, plan_of
-
-DATA = Path(os.environ.get("FPPLAB_DATA", "data")) / "slstudio"
 
 PLANS = {
     "twelve steps": ("x", (12, 12, 12, 12), (1, 4, 16, 64)),
@@ -65,11 +62,10 @@ def test_images_that_are_no_fringe_sets_are_refused() -> None:
         set_sizes([white] * 6, 255)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"the real captures are not in {DATA}; set FPPLAB_DATA")
 @pytest.mark.parametrize("name", ["calseq1", "calseq2", "calseq3", "calseq4", "calseq5", "skull_2x3"])
-def test_plans_of_real_captures_are_found(name: str) -> None:
+def test_plans_of_real_captures_are_found(captures: Path, name: str) -> None:
     count = 6 if "skull" in name else 12
-    frames = [cv2.imread(str(DATA / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(count)]
+    frames = [cv2.imread(str(captures / name / f"{i:02d}.png"), cv2.IMREAD_GRAYSCALE) for i in range(count)]
     found = guess_plan(frames, 8, (1824, 1140)).plan
     expected = [("x", 16.0, 3), ("x", 1.0, 3), ("y", 16.0, 3), ("y", 1.0, 3)]
     assert [(s.axis, s.stripes, s.images) for s in found.fringes] == expected[: count // 3]
