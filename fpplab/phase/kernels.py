@@ -299,8 +299,26 @@ def _demodulate(
 
 
 @compiled
+def _alone(coefficients: Any) -> int:
+    """The set whose phase is that of a wavelength by itself; -1 where several are combined."""
+    alone = -1
+    for s in range(len(coefficients)):
+        if coefficients[s] == _ONE and alone < 0:
+            alone = s
+        elif coefficients[s] != _ZERO:
+            return -1
+    return alone
+
+
+@compiled
 def _combined_phase(rows: Any, turns: Any, coefficients: Any, n: int) -> None:
     """Combine measured phases into the wrapped phase of a synthetic wavelength, in turns."""
+    alone = _alone(coefficients)
+    if alone >= 0:  # a phase that is measured is wrapped already
+        measured = turns[alone]
+        for j in range(n):
+            rows[_u(j) + _PHASE] = measured[_u(j)]
+        return
     for j in range(n):
         rows[_u(j) + _PHASE] = _ZERO
     for s in range(len(coefficients)):

@@ -23,6 +23,9 @@ FARTHEST_SIGMAS = 5.0
 LIKELIEST = 50.0
 """Logarithm of the odds beyond which they are not told apart: the order is certainly wrong."""
 
+UNLIKELIEST = 60.0
+"""Logarithm of the odds against a shift beyond which it is not looked at further: it adds less than 1e-17."""
+
 LEAST_INSIDE = 1e-9
 """Least share of a position's own distribution that is taken to lie within the possible positions."""
 MOVES = 8
@@ -125,13 +128,17 @@ def _rivals(
     position = rows[_u(i)]
     beyond = FARTHEST_SIGMAS / math.sqrt(sums[_u(i) + FINEST])
     low, high = ends[0] - position, ends[1] - position
-    best, inside = _evidence(axis, recipe, off, weights, i, 0.0, first, (low, high))
+    best, mean, total = _evidence(axis, recipe, off, weights, i, 0.0, first)
+    inside = max(_share_within(mean, total, low, high), LEAST_INSIDE)
     odds, likeliest, direction, which = 0.0, -1.0, 0.0, first
     for r in range(first, last):
         for sign in (-1.0, 1.0):
             if low - beyond <= sign * recipe.shifts[r] <= high + beyond:
-                other, share = _evidence(axis, recipe, off, weights, i, sign, r, (low, high))
-                own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / max(inside, LEAST_INSIDE)
+                other, mean, total = _evidence(axis, recipe, off, weights, i, sign, r)
+                if other - best > 2.0 * UNLIKELIEST:
+                    continue
+                share = _share_within(mean, total, low, high)
+                own = math.exp(min(0.5 * (best - other), LIKELIEST)) * share / inside
                 odds += own
                 if own > likeliest:
                     likeliest, direction, which = own, sign, r
@@ -210,11 +217,11 @@ def _mark_doubtful(
 
 @compiled
 def _evidence(
-    axis: int, recipe: Any, off: Any, weights: Any, i: int, sign: float, r: int, ends: Any
-) -> tuple[float, float]:
-    """χ² of one pixel's sets with the orders of a shifted position, and how much of it is possible.
+    axis: int, recipe: Any, off: Any, weights: Any, i: int, sign: float, r: int
+) -> tuple[float, float, float]:
+    """χ² of one pixel's sets with the orders of a shifted position, their mean, and its inverse variance.
 
-    That is the share of the mean's distribution that lies between the ends, counted from the position.
+    The mean is counted from the position.
     """
     shift = sign * recipe.shifts[r]
     total, moment, square = 0.0, 0.0, 0.0
@@ -228,6 +235,11 @@ def _evidence(
             total += weight
             moment += weight * distance
             square += weight * distance * distance
-    mean, per_sigma = shift + moment / total, math.sqrt(0.5 * total)
-    share = 0.5 * (math.erfc((ends[0] - mean) * per_sigma) - math.erfc((ends[1] - mean) * per_sigma))
-    return square - moment * moment / total, share
+    return square - moment * moment / total, shift + moment / total, total
+
+
+@compiled
+def _share_within(mean: float, total: float, low: float, high: float) -> float:
+    """Share of a Gaussian distribution of inverse variance `total` that lies between two ends."""
+    per_sigma = math.sqrt(0.5 * total)
+    return 0.5 * (math.erfc((low - mean) * per_sigma) - math.erfc((high - mean) * per_sigma))
