@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,11 @@ from fpplab.acquisition.acquire import expose
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
-from fpplab.core.errors import DeviceError, DeviceTimeoutError
+from fpplab.core.errors import DeviceTimeoutError
 from fpplab.core.progress import Progress
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
+from fpplab.diagnosis import FaultCause, Finding
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
@@ -50,25 +51,10 @@ SETTLE_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Settling times that are tried, in s."""
 PIXELS = 20_000
 """About how many pixels of a frame are evaluated."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One fault of a rig.
-
-    Attributes
-    ----------
-    cause : str
-        What is wrong.
-    evidence : str
-        How it shows.
-    remedy : str
-        What the operator can do.
-    """
-
-    cause: str
-    evidence: str
-    remedy: str
+RUINOUS = 1e4
+"""Excess of frames that are out of step: everything else follows from it."""
+UNCERTAIN = 1.0
+"""Excess of frames that look out of step where another cause may be behind it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,45 +85,6 @@ class MarkerRun:
     def frames(self) -> int:
         """Number of frames that came."""
         return int(np.isfinite(self.levels).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class SyncCheck:
-    """Result of `check_rig`.
-
-    Attributes
-    ----------
-    shown : ndarray of int64, (K,)
-        Grey levels of 255 in the order shown.
-    runs : tuple of MarkerRun
-        The stepped run, and the triggered one where the rig can.
-    findings : tuple of Finding
-        What is wrong; empty when all is well.
-    settle_s : float or None
-        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
-        served.
-    """
-
-    shown: NDArray[np.int64]
-    runs: tuple[MarkerRun, ...]
-    findings: tuple[Finding, ...]
-    settle_s: float | None = None
-
-    def summary(self) -> dict[str, Any]:
-        """Give the result as plain values.
-
-        Returns
-        -------
-        dict
-            The keys of `fpplab check --json`.
-        """
-        return {
-            "ok": not self.findings,
-            "findings": [asdict(finding) for finding in self.findings],
-            "settle_s": self.settle_s,
-            "shown": self.shown.tolist(),
-            "seen": {run.how: [_or_none(level) for level in run.levels.tolist()] for run in self.runs},
-        }
 
 
 def marker() -> NDArray[np.int64]:
@@ -191,63 +138,61 @@ def _departure(greys: NDArray[np.int64], levels: Floats, shown: Sequence[int | N
     )
 
 
-def check_rig(rig: Rig, plan: Plan, item: str, progress: Progress) -> SyncCheck:
-    """Open a rig, show it the marker, stepped and where possible triggered, and report what is wrong.
-
-    What a device raises is a finding too.
+class MarkerInspection:
+    """What the marker tells of an open rig: an error ends it, but what was found before is kept.
 
     Parameters
     ----------
-    rig : Rig
-        A rig that is not open; it is closed afterwards.
     plan : Plan
         Gives exposure and settling time.
-    item : str
-        Name of the item that is mounted where the rig has a fixture, such as an evenly white card.
-    progress : Progress
-        Called with the share that is done.
 
-    Returns
-    -------
-    SyncCheck
-        Levels seen and findings.
-
-    Raises
-    ------
-    ConfigError
-        The rig file is wrong.
+    Attributes
+    ----------
+    runs : list of MarkerRun
+        The stepped run, and the triggered one where the rig can.
+    light : list of Finding
+        Too much light or none.
+    findings : list of Finding
+        Frames that are out of step, and why.
+    settle_s : float or None
+        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
+        served.
     """
-    shown, inspection = marker(), _RigInspection(plan)
-    try:
-        with rig:
-            if rig.fixture:
-                rig.fixture.mount(item)
-            inspection.at(rig, shown, progress)
-    except DeviceError as error:
-        inspection.findings.append(_of_device(error))
-    progress(1.0)
-    return SyncCheck(shown, tuple(inspection.runs), tuple(inspection.findings), inspection.settle_s)
-
-
-class _RigInspection:
-    """State of the check of an open rig: an error ends it, but what was found before is kept."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self.runs: list[MarkerRun] = []
+        self.light: list[Finding] = []
         self.findings: list[Finding] = []
         self.settle_s: float | None = None
+        self._of_stepped: list[Finding] = []
 
-    def at(self, rig: Rig, shown: NDArray[np.int64], progress: Progress) -> None:
+    def at(self, rig: Rig, progress: Progress) -> None:
+        """Show the marker, stepped and where the rig can triggered.
+
+        Parameters
+        ----------
+        rig : Rig
+            Open.
+        progress : Progress
+            Told the share done, 0 … 1.
+
+        Raises
+        ------
+        DeviceError
+            A device failed.
+        """
+        shown = marker()
         stepped = self._plan.model_copy(update={"trigger": "stepped"})
         self.runs.append(run := _run(rig, stepped, shown))
         progress(0.4)
-        self.findings += _of_light(run)
+        self.light = _of_light(run)
         if run.rise < LEAST_RISE:
             return
         if (slipped := matching_faults(shown, run.levels)) != ():
             self.settle_s = _settling(rig, stepped, shown)
             self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s))
+        self._of_stepped = list(self.findings)
         progress(0.7)
         if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
             triggered = self._plan.model_copy(update={"trigger": "triggered"})
@@ -255,6 +200,18 @@ class _RigInspection:
             if run.frames:
                 self.runs.append(run)
             self.findings += self._of_trigger(rig, triggered, shown, run)
+
+    @property
+    def fringe_plan(self) -> Plan | None:
+        """The plan as it is in step: triggered, or stepped and slowly enough; None where neither is."""
+        known = [one for one in self._of_stepped if one.excess > UNCERTAIN]
+        if any(finding.cause is FaultCause.OUT_OF_STEP for finding in known):
+            return None
+        is_triggered = self.runs[-1].how == "triggered" and self._of_stepped == self.findings
+        how = self._plan.trigger if is_triggered else "stepped"
+        return self._plan.model_copy(
+            update={"trigger": how, "settle_s": self.settle_s or self._plan.settle_s}
+        )
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
         """Tell what is wrong with a triggered run, by a second one with more time between triggers."""
@@ -265,22 +222,43 @@ class _RigInspection:
         apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
         if apart.frames and np.ptp(apart.levels[: apart.frames][:-1]) < SAME_LEVEL * self.runs[0].rise:
             return [_wrong_edge()]
+        slipped = matching_faults(shown, run.levels)
         if not _is_in_step(shown, apart):
-            return [_slipped(matching_faults(shown, run.levels), run, remedy(plan))]
+            again = matching_faults(shown, apart.levels)
+            return [
+                _slipped(
+                    slipped, run, remedy(plan), happens_again=bool({*(slipped or ())} & {*(again or ())})
+                )
+            ]
         gap_s = next((s for s in GAPS_S if _is_in_step(shown, _run(rig, plan, shown, s))), APART_S)
         if gap_s == 0.0:
-            once = "when it was repeated, all frames were in step"
-            return [_slipped(matching_faults(shown, run.levels), run, remedy(plan), once)]
+            return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
         timing = _timing(rig, plan, shown, gap_s)
         dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
         return [_not_ready(run, gap_s, dead_s)]
 
 
-def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
-    """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
-    if rig.camera.state is State.FAULT:  # after a run whose frames did not all come
+def recover_camera(rig: Rig) -> None:
+    """Open a camera anew after a run whose frames did not all come.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+
+    Raises
+    ------
+    DeviceError
+        The camera cannot be opened.
+    """
+    if rig.camera.state is State.FAULT:
         rig.camera.close()
         rig.camera.open()
+
+
+def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> MarkerRun:
+    """Show the marker once. A triggered run that ends too early is judged by the frames that came."""
+    recover_camera(rig)
     patterns = uniform_patterns(shown.tolist(), rig.projector.caps.size)
     settings = rig.camera_settings(plan.exposure_s, plan.bits)
     samples: list[NDArray[Any]] = []
@@ -313,28 +291,23 @@ def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
 
 
 def _of_light(run: MarkerRun) -> list[Finding]:
-    seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
     if run.saturated > SATURATED:
         share = f"{100 * run.saturated:.2g} % of the illuminated pixels are at full scale"
-        return [Finding("the image is saturated", share, "shorten the plan's exposure_s or close the lens")]
+        return [Finding(FaultCause.SATURATED, share, run.saturated / SATURATED)]
     if run.rise < LEAST_RISE:
+        seen = f"white is brighter than black by {100 * run.rise:.2g} % of full scale"
         advice = "check the lens caps, the projector's light, where both look, and the plan's exposure_s"
-        return [Finding("the projector's light does not reach the camera", seen, advice)]
+        return [Finding(FaultCause.PROJECTOR_DARK, seen, LEAST_RISE / max(run.rise, 1e-4), advice)]
     return []
 
 
 def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None) -> Finding:
     if needed is not None:
-        return Finding(
-            "the display is slower than the plan waits",
-            f"with settle_s {settle_s:g} s {_words(slipped)}",
-            f"put `settle_s: {needed:g}` into the plan",
-        )
-    return Finding(
-        "stepped frames are out of step",
-        _words(slipped),
-        f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector",
-    )
+        seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
+        return Finding(FaultCause.SLOW_DISPLAY, seen, RUINOUS, f"put `settle_s: {needed:g}` into the plan")
+    advice = f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector"
+    excess = RUINOUS if slipped else UNCERTAIN
+    return Finding(FaultCause.OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
 
 
 def _is_in_step(shown: NDArray[np.int64], run: MarkerRun) -> bool:
@@ -347,44 +320,41 @@ def _timing(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float) -> Pul
     return pulse_timing(rig.camera, rig.projector, patterns, plan.exposure_s, dead_s, gap_s)
 
 
-def _slipped(slipped: tuple[SyncFault, ...] | None, run: MarkerRun, advice: str, more: str = "") -> Finding:
+def _slipped(
+    slipped: tuple[SyncFault, ...] | None,
+    run: MarkerRun,
+    advice: str,
+    more: str = "",
+    happens_again: bool = False,
+) -> Finding:
+    """Frames out of step. A slip that is seen once may be light that flickers, which the fringes tell."""
     lost = len(run.levels) - run.frames
     words = ["the last triggers did not expose a frame"] if slipped == () else [_words(slipped)]
     if lost:
         words.append(f"{lost} of {len(run.levels)} frames did not come")
     if more:
         words.append(more)
-    return Finding("triggered frames are out of step", "; ".join(words), advice)
+    excess = RUINOUS if happens_again or lost else UNCERTAIN
+    return Finding(FaultCause.OUT_OF_STEP, f"triggered: {'; '.join(words)}", excess, advice)
 
 
 def _no_pulse(count: int) -> Finding:
-    return Finding(
-        "no trigger pulse reaches the camera",
-        f"none of {count} frames came",
-        "check the trigger cable, the camera's `line`, its input's voltage, and the projector's output 1",
-    )
+    return Finding(FaultCause.NO_TRIGGER, f"none of {count} frames came", RUINOUS)
 
 
 def _wrong_edge() -> Finding:
-    return Finding(
-        "the camera exposes at the wrong edge of the trigger pulse",
-        "with darkness between the patterns, the frames show the darkness",
-        "choose the other `edge` of the camera's trigger, or the other polarity (`inverted`) of the "
-        "projector's output 1; see to the trigger's delay",
-    )
+    seen = "with darkness between the patterns, the frames show the darkness"
+    return Finding(FaultCause.TRIGGER_EDGE, seen, RUINOUS)
 
 
 def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
     return Finding(
-        "the camera is not ready yet when the next trigger comes",
+        FaultCause.CAMERA_NOT_READY,
         f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
         "come",
+        RUINOUS,
         f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera",
     )
-
-
-def _of_device(error: DeviceError) -> Finding:
-    return Finding(f"{error.device}: {error.operation}: {error.found}", type(error).__name__, error.remedy)
 
 
 def _words(slipped: tuple[SyncFault, ...] | None) -> str:
@@ -393,7 +363,3 @@ def _words(slipped: tuple[SyncFault, ...] | None) -> str:
         if slipped
         else "the levels do not rise with the grey levels"
     )
-
-
-def _or_none(level: float) -> float | None:
-    return None if math.isnan(level) else level

@@ -1,6 +1,6 @@
 """What is wrong with a scan, by its own frames and points, and whether to believe the result."""
 
-from fpplab.diagnosis.catalogue import REMEDIES, ScanCause, ScanFinding
+from fpplab.diagnosis.catalogue import REMEDIES, FaultCause, Finding
 from fpplab.diagnosis.verdict import (
     Diagnosis,
     UselessScanError,
@@ -13,8 +13,8 @@ from fpplab.diagnosis.verdict import (
 __all__ = [
     "REMEDIES",
     "Diagnosis",
-    "ScanCause",
-    "ScanFinding",
+    "FaultCause",
+    "Finding",
     "UselessScanError",
     "Verdict",
     "diagnose_frames",

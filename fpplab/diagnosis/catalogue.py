@@ -1,4 +1,7 @@
-"""The causes that a scan's own frames and points can show, each with what to do about it."""
+"""What may be wrong with a rig or a scan, each cause with what to do about it.
+
+One catalogue for `check`, `scan`, `reconstruct` and `characterise`.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,21 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class ScanCause(StrEnum):
+class FaultCause(StrEnum):
     """What is wrong, as a short key."""
 
+    DEVICE = "device"
+    """A device reported an error."""
+    NO_TRIGGER = "no_trigger"
+    """No trigger pulse reaches the camera."""
+    TRIGGER_EDGE = "trigger_edge"
+    """The camera exposes at the wrong edge of the trigger pulse."""
+    CAMERA_NOT_READY = "camera_not_ready"
+    """The next trigger comes before the camera is ready."""
+    SLOW_DISPLAY = "slow_display"
+    """The display is slower than the plan waits."""
+    OUT_OF_STEP = "out_of_step"
+    """Frames show other patterns than their own."""
     PROJECTOR_DARK = "projector_dark"
     """No fringes in the image."""
     NO_OVERLAP = "no_overlap"
@@ -42,47 +57,58 @@ class ScanCause(StrEnum):
 
 
 REMEDIES = {
-    ScanCause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
-    ScanCause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
-    ScanCause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
-    ScanCause.WRONG_PLAN: "mend the plan; 'fpplab plan guess' writes one for images of another program",
-    ScanCause.WRONG_AXIS: "use a plan with fringes along the other axis, or along both",
-    ScanCause.SATURATED: "shorten exposure_s, dim the lamp, or coat shiny parts",
-    ScanCause.UNDEREXPOSED: "lengthen exposure_s, open the camera's aperture, or brighten the lamp",
-    ScanCause.CAMERA_FOCUS: "focus the camera at the part's distance, or close its aperture; then "
+    FaultCause.DEVICE: "see to its cable, power and drivers; 'fpplab devices' lists what is found",
+    FaultCause.NO_TRIGGER: "check the trigger cable, the camera's `line`, its input's voltage, and the "
+    "projector's output 1",
+    FaultCause.TRIGGER_EDGE: "choose the other `edge` of the camera's trigger, or the other polarity "
+    "(`inverted`) of the projector's output 1; see to the trigger's delay",
+    FaultCause.CAMERA_NOT_READY: "state a longer `dead_time_s` in the rig file's section of the camera",
+    FaultCause.SLOW_DISPLAY: "give the plan a longer settle_s",
+    FaultCause.OUT_OF_STEP: "check the trigger, or give the plan a longer settle_s",
+    FaultCause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
+    FaultCause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
+    FaultCause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
+    FaultCause.WRONG_PLAN: "mend the plan; 'fpplab plan guess' writes one for images of another program",
+    FaultCause.WRONG_AXIS: "use a plan with fringes along the other axis, or along both",
+    FaultCause.SATURATED: "shorten exposure_s, dim the lamp, or coat shiny parts",
+    FaultCause.UNDEREXPOSED: "lengthen exposure_s, open the camera's aperture, or brighten the lamp",
+    FaultCause.CAMERA_FOCUS: "focus the camera at the part's distance, or close its aperture; then "
     "characterise again",
-    ScanCause.PROJECTOR_FOCUS: "focus the projector at the part's distance, then characterise again; or use "
+    FaultCause.PROJECTOR_FOCUS: "focus the projector at the part's distance, then characterise again; or use "
     "a plan with fewer stripes",
-    ScanCause.VIBRATION: "fix the part, and keep stage, fans and people still; trigger the frames",
-    ScanCause.AMBIENT: "shade the scene, switch the room's lights off, or put a filter of the lamp's colour "
+    FaultCause.VIBRATION: "fix the part, and keep stage, fans and people still; trigger the frames",
+    FaultCause.AMBIENT: "shade the scene, switch the room's lights off, or put a filter of the lamp's colour "
     "before the lens",
-    ScanCause.RESPONSE: "measure the response with 'fpplab gamma' and name it in the plan, or take more "
+    FaultCause.RESPONSE: "measure the response with 'fpplab gamma' and name it in the plan, or take more "
     "steps",
-    ScanCause.FLICKER: "expose for whole periods of the lamp and of the mains, and let the lamp warm up",
-    ScanCause.SMALL_ANGLE: "move the projector away from the camera, to 15 to 30 degrees, and characterise "
+    FaultCause.FLICKER: "expose for whole periods of the lamp and of the mains, and let the lamp warm up",
+    FaultCause.SMALL_ANGLE: "move the projector away from the camera, to 15 to 30 degrees, and characterise "
     "again",
-    ScanCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
+    FaultCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
 }
 """What to do, by cause."""
 
 
 @dataclass(frozen=True)
-class ScanFinding:
-    """One thing that is wrong with a scan.
+class Finding:
+    """One thing that is wrong with a rig or a scan.
 
     Attributes
     ----------
-    cause : ScanCause
+    cause : FaultCause
         What is wrong.
     evidence : str
         How it shows, with the measured value and its limit.
     excess : float
         Measured value over its limit, 1 or more, by which findings are ranked.
+    advice : str, optional
+        What to do in this very case; by default what the catalogue says.
     """
 
-    cause: ScanCause
+    cause: FaultCause
     evidence: str
     excess: float
+    advice: str | None = None
 
     @property
     def sentence(self) -> str:
@@ -92,7 +118,7 @@ class ScanFinding:
     @property
     def remedy(self) -> str:
         """What to do."""
-        return REMEDIES[self.cause]
+        return self.advice or REMEDIES[self.cause]
 
     def summary(self) -> dict[str, str]:
         """Collect what is printed.

@@ -11,7 +11,7 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, axis_length
-from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
+from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.patterns.plan import Plan
 
 LEAST_ANGLE_DEG = 5.0
@@ -68,7 +68,7 @@ class PointSample:
         return self.calibration.projector.project(points, self.calibration.T_projector_camera)
 
 
-def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
+def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[Finding]:
     """Look for what is wrong with the geometry.
 
     Parameters
@@ -80,13 +80,13 @@ def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
 
     Yields
     ------
-    ScanFinding
+    Finding
         In no order.
     """
     angle = float(np.median(triangulation_angles_deg(sample.points, sample.calibration)))
     if angle < LEAST_ANGLE_DEG:
         words = f"the rays of camera and projector meet at {angle:.1f} degrees (at least {LEAST_ANGLE_DEG:g})"
-        yield ScanFinding(ScanCause.SMALL_ANGLE, words, LEAST_ANGLE_DEG / max(angle, 0.1))
+        yield Finding(FaultCause.SMALL_ANGLE, words, LEAST_ANGLE_DEG / max(angle, 0.1))
     by_depth = sample.px_per_mm_of_depth
     coded = [by_depth["xy".index(axis)] for axis in plan.axes]
     share = float(np.linalg.norm(coded) / np.linalg.norm(by_depth))
@@ -96,13 +96,13 @@ def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
             f"coordinate with depth (at least {100 * LEAST_SENSITIVITY:g} %): noise in depth is "
             f"{1 / share:.1f} times as large as it need be"
         )
-        yield ScanFinding(ScanCause.WRONG_AXIS, words, LEAST_SENSITIVITY / max(share, 1e-3))
+        yield Finding(FaultCause.WRONG_AXIS, words, LEAST_SENSITIVITY / max(share, 1e-3))
     if (off := systematic_epipolar_px(sample.cloud)) is not None and off > MOST_EPIPOLAR_PX:
         words = (
             f"points lie {off:.2f} projector px off their epipolar lines, systematically (at most "
             f"{MOST_EPIPOLAR_PX:g})"
         )
-        yield ScanFinding(ScanCause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
+        yield Finding(FaultCause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
     yield from _sampling(sample, plan)
 
 
@@ -148,7 +148,7 @@ def systematic_epipolar_px(cloud: Cloud) -> float | None:
     return float(np.median(np.abs(np.median(groups, axis=1))))
 
 
-def _sampling(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
+def _sampling(sample: PointSample, plan: Plan) -> Iterator[Finding]:
     for axis in plan.axes:
         stripes = plan.fringes[plan.finest_set(axis)].stripes
         covered = axis_length(sample.calibration.projector.size, axis) / stripes
@@ -158,4 +158,4 @@ def _sampling(sample: PointSample, plan: Plan) -> Iterator[ScanFinding]:
                 f"the finest stripes along {axis} cover {covered:.1f} camera px (at least "
                 f"{LEAST_PX_PER_STRIPE:g})"
             )
-            yield ScanFinding(ScanCause.UNDERSAMPLED, words, LEAST_PX_PER_STRIPE / covered)
+            yield Finding(FaultCause.UNDERSAMPLED, words, LEAST_PX_PER_STRIPE / covered)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
-from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
+from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.sample import FrameSample
 
 DARK_SIGMAS = 10.0
@@ -63,6 +63,9 @@ LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
 MOST_FLICKER = 0.015
 """Scatter of the frames' brightness that is told."""
 
+LEAST_FREEDOM = 3
+"""Fewest gains of frames, beyond those that a phase takes with it, whose scatter is taken for flicker."""
+
 LEAST_FLICKER_RAD = 0.02
 """Phase error by flicker that is worth telling, in rad RMS."""
 
@@ -73,7 +76,7 @@ SHIFT_SIGMAS = 8.0
 """And so many times its standard uncertainty."""
 
 
-def light_findings(sample: FrameSample) -> Iterator[ScanFinding]:
+def light_findings(sample: FrameSample) -> Iterator[Finding]:
     """Look for what is wrong with the frames.
 
     Parameters
@@ -83,7 +86,7 @@ def light_findings(sample: FrameSample) -> Iterator[ScanFinding]:
 
     Yields
     ------
-    ScanFinding
+    Finding
         In no order.
     """
     darkness = _darkness(sample)
@@ -102,7 +105,7 @@ def light_findings(sample: FrameSample) -> Iterator[ScanFinding]:
         yield flicker if motion is None else replace(flicker, excess=min(flicker.excess, 0.9 * motion.excess))
 
 
-def _darkness(sample: FrameSample) -> ScanFinding | None:
+def _darkness(sample: FrameSample) -> Finding | None:
     """No fringes at all, or hardly anywhere."""
     noise = float(np.median(sample.noise(sample.widest.offset)))
     strength = sample.strongest / noise
@@ -111,34 +114,34 @@ def _darkness(sample: FrameSample) -> ScanFinding | None:
     seen = f"the fringes' modulation is {level}, {strength:.1f} times its noise"
     if (incoherent or sample.strongest < LEAST_LEVELS) and sample.saturated.mean() <= MOST_SATURATED:
         words = f"{seen} (at least {DARK_SIGMAS:g})"
-        return ScanFinding(ScanCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
+        return Finding(FaultCause.PROJECTOR_DARK, words, DARK_SIGMAS / max(strength, 0.01))
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
-        return ScanFinding(ScanCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
+        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
-        return ScanFinding(ScanCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
+        return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
     return None
 
 
-def _saturation(sample: FrameSample) -> ScanFinding | None:
+def _saturation(sample: FrameSample) -> Finding | None:
     share = float(sample.saturated[sample.lit].mean())
     if share <= MOST_SATURATED:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
-    return ScanFinding(ScanCause.SATURATED, words, share / MOST_SATURATED)
+    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED)
 
 
-def _exposure(sample: FrameSample) -> ScanFinding | None:
+def _exposure(sample: FrameSample) -> Finding | None:
     peak = float(np.percentile(sample.spread.max(axis=0)[sample.lit], 98)) / 255.0
     if peak >= LEAST_PEAK:
         return None
     words = f"the brightest parts reach {100 * peak:.1f} % of full scale (at least {100 * LEAST_PEAK:g} %)"
-    return ScanFinding(ScanCause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
+    return Finding(FaultCause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
 
 
-def _ambient(sample: FrameSample) -> ScanFinding | None:
+def _ambient(sample: FrameSample) -> Finding | None:
     if not sample.measured.any():
         return None
     fit = sample.widest
@@ -151,10 +154,10 @@ def _ambient(sample: FrameSample) -> ScanFinding | None:
         f"{fringes:.0f}; noise is {math.sqrt(1.0 + other / fringes):.1f} times as large as without (at most "
         f"{math.sqrt(1.0 + MOST_AMBIENT):.1f})"
     )
-    return ScanFinding(ScanCause.AMBIENT, words, other / fringes / MOST_AMBIENT)
+    return Finding(FaultCause.AMBIENT, words, other / fringes / MOST_AMBIENT)
 
 
-def _response(sample: FrameSample) -> ScanFinding | None:
+def _response(sample: FrameSample) -> Finding | None:
     plan = sample.recording.plan
     errors = sample.errors.sets[plan.finest_set()]
     of_waves = [
@@ -165,9 +168,9 @@ def _response(sample: FrameSample) -> ScanFinding | None:
             f"harmonics of the response are {100 * max(of_waves):.0f} % of the fringes (at most "
             f"{100 * MOST_HARMONICS:g} %)"
         )
-        return ScanFinding(ScanCause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
+        return Finding(FaultCause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
     rad = float(np.nanmax([0.0, errors.harmonic_rad, *_ripples(sample)]))
-    return _phase_error(sample, ScanCause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
+    return _phase_error(sample, FaultCause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
 
 
 def _ripples(sample: FrameSample) -> Iterator[float]:
@@ -195,26 +198,58 @@ def _ripples(sample: FrameSample) -> Iterator[float]:
             yield float(math.sqrt(2.0) * np.abs(np.mean((off - off.mean()) * wave)))
 
 
-def _flicker(sample: FrameSample) -> ScanFinding | None:
+def _flicker(sample: FrameSample) -> Finding | None:
     plan, fit = sample.recording.plan, sample.widest
     errors = sample.errors.sets[plan.finest_set()]
     if not sample.measured.any() or math.isnan(errors.gain_first):
         return None
-    # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
-    scatter = math.sqrt(np.mean([one.gain_first**2 / one.images for one in sample.errors.sets]))
+    scatter = _scatter_of_gains(sample)
     if scatter > MOST_FLICKER:
         words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * MOST_FLICKER:g} %)"
-        return ScanFinding(ScanCause.FLICKER, words, scatter / MOST_FLICKER)
+        return Finding(FaultCause.FLICKER, words, scatter / MOST_FLICKER)
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
     return _phase_error(
-        sample, ScanCause.FLICKER, math.sqrt(power), LEAST_FLICKER_RAD, "frames of unequal brightness"
+        sample, FaultCause.FLICKER, math.sqrt(power), LEAST_FLICKER_RAD, "frames of unequal brightness"
     )
 
 
+def _scatter_of_gains(sample: FrameSample) -> float:
+    """Standard deviation of the frames' brightness, as a share.
+
+    A sinusoid fitted to the N images of a set takes three of their N gains with it; N - 3 are left in the
+    residuals. Three images leave none: there the phases tell.
+    """
+    total, freedom = 0.0, 0
+    for k, fringe in enumerate(sample.recording.plan.fringes):
+        gains = _gains_left(sample, k) if fringe.images > 3 else None
+        if gains is not None:
+            total, freedom = total + float(gains @ gains), freedom + fringe.images - 3
+    if freedom >= LEAST_FREEDOM:
+        return math.sqrt(total / freedom)
+    # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
+    return math.sqrt(np.mean([one.gain_first**2 / one.images for one in sample.errors.sets]))
+
+
+def _gains_left(sample: FrameSample, k: int) -> Floats | None:
+    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves.
+
+    None where the pixels' phases are few or unevenly spread, so that harmonics do not average out.
+    """
+    used, fit, plan = sample.measured, sample.fits[k], sample.recording.plan
+    offset, modulation, phase = fit.offset[used], fit.modulation[used], fit.phase[used]
+    uneven = [np.abs(np.mean(np.exp(1j * m * phase))) > MOST_UNEVEN for m in (1, 2, 3)]
+    if len(phase) < LEAST_RIPPLED or any(uneven):
+        return None
+    shifts = plan.fringes[k].phase_shifts()
+    images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1], used]
+    left = images - offset - modulation * np.cos(phase - shifts[:, None])
+    return np.asarray(left @ offset / (offset @ offset))
+
+
 def _phase_error(
-    sample: FrameSample, cause: ScanCause, rad: float, least_rad: float, what: str
-) -> ScanFinding | None:
+    sample: FrameSample, cause: FaultCause, rad: float, least_rad: float, what: str
+) -> Finding | None:
     """An error of the phase that matters beside the noise."""
     if not sample.measured.any() or not rad > least_rad:
         return None
@@ -228,10 +263,10 @@ def _phase_error(
     words = (
         f"{what} shift the phase by {rad:.3f} rad RMS, where noise does by {noise:.3f} (at most {limit:.3f})"
     )
-    return ScanFinding(cause, words, rad / limit)
+    return Finding(cause, words, rad / limit)
 
 
-def _motion(sample: FrameSample) -> ScanFinding | None:
+def _motion(sample: FrameSample) -> Finding | None:
     """Displacement between the offsets of the fringe sets, which show the same scene."""
     offsets = sample.offsets_in_tiles
     worst, words = 0.0, ""
@@ -241,7 +276,7 @@ def _motion(sample: FrameSample) -> ScanFinding | None:
             worst = shift
             limit = f"at most {MOST_SHIFT_PX:g} px"
             words = f"the scene moved by {shift:.2f} px between fringe sets 1 and {k + 1} ({limit})"
-    return ScanFinding(ScanCause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
+    return Finding(FaultCause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
 
 
 def _displacement(one: Floats, other: Floats) -> tuple[float, float]:
@@ -313,7 +348,7 @@ def edge_blur_px(sample: FrameSample) -> float | None:
     return float(np.percentile(widths, 20)) if len(widths) >= 2 else None
 
 
-def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> ScanFinding | None:
+def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Finding | None:
     """Tell which lens is out of focus.
 
     Parameters
@@ -325,7 +360,7 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Sca
 
     Returns
     -------
-    ScanFinding or None
+    Finding or None
         None where the fringes have the contrast of a rig in focus.
     """
     seen = [
@@ -345,10 +380,10 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Sca
     soft = of_camera and edge is not None and edge > BLURRED_PX and blur > 0.7 * scale * BLURRED_PX
     if contrast >= LEAST_CONTRAST * sharp and not soft:
         return None
-    cause = ScanCause.CAMERA_FOCUS if of_camera else ScanCause.PROJECTOR_FOCUS
+    cause = FaultCause.CAMERA_FOCUS if of_camera else FaultCause.PROJECTOR_FOCUS
     edges = "there are no edges to compare with" if edge is None else f"edges in the image by {edge:.1f} px"
     words = (
         f"the finest fringes have {100 * contrast:.0f} % of the widest ones' contrast ({100 * sharp:.0f} % "
         f"in focus): blurred by {blur:.1f} projector px; {edges}"
     )
-    return ScanFinding(cause, words, max(LEAST_CONTRAST * sharp / max(contrast, 1e-3), 1.0))
+    return Finding(cause, words, max(LEAST_CONTRAST * sharp / max(contrast, 1e-3), 1.0))

@@ -7,11 +7,13 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Axis, Floats
-from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
+from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 from fpplab.plan_check import check_plan_fit
+from fpplab.plan_check.edits import Edit
 
 SUSPICIOUS_SHARE = 0.5
 """Share of the lit pixels that become points, below which the plan is checked."""
@@ -35,7 +37,8 @@ def plan_finding(
     sample: FrameSample,
     cloud: Cloud | None,
     calibration: Calibration,
-) -> list[ScanFinding]:
+    flickers: bool,
+) -> list[Finding]:
     """Find a plan that is not that of the images.
 
     A coordinate that runs against the calibration is always noticed. Other plans are tried where it does,
@@ -53,18 +56,22 @@ def plan_finding(
         Its points; None where there are none.
     calibration : Calibration
         That they were triangulated with.
+    flickers : bool
+        Whether the light is known to flicker, which shifts the phase of whole sets as other origins would.
 
     Returns
     -------
-    list of ScanFinding
+    list of Finding
         One where another plan fits the images, otherwise none.
     """
     against = _runs_against(decoded, calibration, recording.plan.axes)
     if against is None and not _is_suspicious(decoded, sample, cloud):
         return []
     found = check_plan_fit(recording)
+    if flickers and found is not None and _moves_origins_alone(found.better, recording.plan):
+        return []
     if found is not None and found.fault is not None:
-        return [ScanFinding(ScanCause.WRONG_PLAN, found.fault, RUINOUS)]
+        return [Finding(FaultCause.WRONG_PLAN, found.fault, RUINOUS)]
     if against is None:
         return []
     evidence = (
@@ -73,7 +80,15 @@ def plan_finding(
     )
     if found is not None and found.unusual is not None:
         evidence += f": {found.unusual.mistake}; {found.unusual.remedy}"
-    return [ScanFinding(ScanCause.WRONG_PLAN, evidence, RUINOUS)]
+    return [Finding(FaultCause.WRONG_PLAN, evidence, RUINOUS)]
+
+
+def _moves_origins_alone(edit: Edit | None, plan: Plan) -> bool:
+    if edit is None or len(edit.sets) != len(plan.fringes):
+        return False
+    unmoved = {"phase_origin_rad": 0.0}
+    pairs = zip(edit.sets, plan.fringes, strict=True)
+    return all(a.model_copy(update=unmoved) == b.model_copy(update=unmoved) for a, b in pairs)
 
 
 def _is_suspicious(decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -> bool:

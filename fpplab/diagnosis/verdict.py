@@ -9,11 +9,12 @@ from enum import StrEnum
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
-from fpplab.diagnosis.catalogue import ScanCause, ScanFinding
+from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import focus_finding, light_findings
 from fpplab.diagnosis.plan import plan_finding
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 
@@ -23,7 +24,7 @@ USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
-USELESS_EXCESS = {ScanCause.STALE_CALIBRATION: 10.0, ScanCause.WRONG_PLAN: 1.0}
+USELESS_EXCESS = {FaultCause.STALE_CALIBRATION: 10.0, FaultCause.WRONG_PLAN: 1.0}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
 
@@ -48,7 +49,7 @@ class Diagnosis:
         Whether to believe it.
     reason : str
         One sentence.
-    findings : tuple of ScanFinding
+    findings : tuple of Finding
         What is wrong, the worst first.
     unknown : tuple of str
         What could not be checked, and why.
@@ -56,7 +57,7 @@ class Diagnosis:
 
     verdict: Verdict
     reason: str
-    findings: tuple[ScanFinding, ...]
+    findings: tuple[Finding, ...]
     unknown: tuple[str, ...] = ()
 
     @property
@@ -121,24 +122,30 @@ class UselessScanError(DataError):
         return type(self), (self.name, self.diagnosis)
 
 
-def diagnose_frames(recording: Recording) -> tuple[ScanFinding, ...]:
+def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tuple[Finding, ...]:
     """Look for what is wrong with the frames of a recording alone.
 
     Parameters
     ----------
     recording : Recording
         All frames of a plan.
+    decoded : Decoded, optional
+        Its projector coordinates, which show harmonics that three steps hide.
 
     Returns
     -------
-    tuple of ScanFinding
+    tuple of Finding
         The worst first.
     """
-    return _ranked(_of_frames(FrameSample(recording), None))
+    return _ranked(_of_frames(_sample(recording, decoded), None))
 
 
 def diagnose_scan(
-    recording: Recording, decoded: Decoded, cloud: Cloud | None, calibration: Calibration
+    recording: Recording,
+    decoded: Decoded,
+    cloud: Cloud | None,
+    calibration: Calibration,
+    intended: Plan | None = None,
 ) -> Diagnosis:
     """Judge a scan.
 
@@ -152,23 +159,32 @@ def diagnose_scan(
         Its points; None where there are none.
     calibration : Calibration
         That they were triangulated with.
+    intended : Plan, optional
+        The plan whose fringes must suit the rig, where the recording has more of them for the diagnosis; by
+        default the recording's.
 
     Returns
     -------
     Diagnosis
         With everything that is found.
     """
-    plan = recording.plan
-    sample = FrameSample(recording, {axis: decoded.coordinate(axis) for axis in plan.axes})
-    wrong = plan_finding(recording, decoded, sample, cloud, calibration)
-    if cloud is None:
-        return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *_of_frames(sample, None)]))
-    points = PointSample(cloud, calibration)
-    scale = float(points.projector_px_per_px["xy".index(plan.axes[0])])
-    findings = _ranked([*wrong, *_of_frames(sample, scale), *geometry_findings(points, plan)])
+    plan, sample = intended or recording.plan, _sample(recording, decoded)
+    points = PointSample(cloud, calibration) if cloud is not None else None
+    scale = float(points.projector_px_per_px["xy".index(plan.axes[0])]) if points else None
+    of_frames = _of_frames(sample, scale)
+    flickers = any(finding.cause is FaultCause.FLICKER for finding in of_frames)
+    wrong = plan_finding(recording, decoded, sample, cloud, calibration, flickers)
+    if cloud is None or points is None:
+        return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *of_frames]))
+    findings = _ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)
+
+
+def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:
+    known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
+    return FrameSample(recording, known)
 
 
 def diagnose_poses(
@@ -190,7 +206,7 @@ def diagnose_poses(
     Diagnosis
         With one finding for each cause, of the pose where it is worst.
     """
-    found: dict[ScanCause, list[tuple[str, ScanFinding]]] = {}
+    found: dict[FaultCause, list[tuple[str, Finding]]] = {}
     poses = 0
     for name, recording in recordings:
         poses += 1
@@ -205,13 +221,13 @@ def diagnose_poses(
     return Diagnosis(Verdict.GOOD, f"nothing is wrong with the frames of {poses} poses", ())
 
 
-def _worst(seen: Sequence[tuple[str, ScanFinding]], poses: int) -> ScanFinding:
+def _worst(seen: Sequence[tuple[str, Finding]], poses: int) -> Finding:
     name, worst = max(seen, key=lambda one: one[1].excess)
     return replace(worst, evidence=f"{name}: {worst.evidence}; in {len(seen)} of {poses} poses")
 
 
 def _judged(
-    sample: FrameSample, cloud: Cloud, findings: tuple[ScanFinding, ...], unknown: tuple[str, ...]
+    sample: FrameSample, cloud: Cloud, findings: tuple[Finding, ...], unknown: tuple[str, ...]
 ) -> Diagnosis:
     pixels = sample.recording.frames[0].size
     lit = sample.lit_pixels
@@ -229,14 +245,14 @@ def _judged(
     return Diagnosis(Verdict.GOOD, counted, findings, unknown)
 
 
-def _of_frames(sample: FrameSample, scale: float | None) -> list[ScanFinding]:
+def _of_frames(sample: FrameSample, scale: float | None) -> list[Finding]:
     findings = list(light_findings(sample))
-    dark = {ScanCause.PROJECTOR_DARK, ScanCause.NO_OVERLAP}
+    dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
     if not any(finding.cause in dark for finding in findings):
         focus = focus_finding(sample, scale)
         findings += [focus] if focus else []
     return findings
 
 
-def _ranked(findings: list[ScanFinding]) -> tuple[ScanFinding, ...]:
+def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: -finding.excess))

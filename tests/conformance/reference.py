@@ -94,7 +94,7 @@ class ReferenceCamera(Camera):
         exposure = round(settings.exposure_s / EXPOSURE_TICK_S) * EXPOSURE_TICK_S
         gain = round(settings.gain_db / GAIN_STEP_DB) * GAIN_STEP_DB
         self._applied = CameraSettings(exposure, gain, settings.bits)
-        shape = CAMERA_SIZE[::-1]
+        shape = self.caps.size[::-1]
         self._buffer: Image = np.zeros(shape, np.uint8) if settings.bits == 8 else np.zeros(shape, np.uint16)
         return self._applied
 
@@ -105,9 +105,7 @@ class ReferenceCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         pattern = self._exposed()
         settings = self._applied
-        gain = settings.exposure_s / REFERENCE_EXPOSURE_S * 10 ** (settings.gain_db / 20)
-        full = (1 << settings.bits) - 1
-        self._buffer[...] = np.rint(np.clip(self._bench.light(pattern) * gain, 0.0, 1.0) * full)
+        self._buffer[...] = self._levels(pattern)
         frame = Frame(
             self._buffer.copy(),
             self._count,
@@ -118,6 +116,12 @@ class ReferenceCamera(Camera):
         )
         self._count += 1
         return frame
+
+    def _levels(self, pattern: Pattern | None) -> Floats | Image:
+        settings = self._applied
+        gain = settings.exposure_s / REFERENCE_EXPOSURE_S * 10 ** (settings.gain_db / 20)
+        full = (1 << settings.bits) - 1
+        return np.asarray(np.rint(np.clip(self._bench.light(pattern) * gain, 0.0, 1.0) * full))
 
     def _exposed(self) -> Pattern | None:
         if self._trigger == "software":

@@ -14,7 +14,7 @@ from fpplab.core.errors import DataError
 from fpplab.diagnosis import (
     REMEDIES,
     Diagnosis,
-    ScanCause,
+    FaultCause,
     Verdict,
     diagnose_frames,
     diagnose_poses,
@@ -44,27 +44,27 @@ def diagnosis(bench: Bench) -> Diagnosis:
     return measured(bench)[2]
 
 
-def causes(bench: Bench) -> list[ScanCause]:
+def causes(bench: Bench) -> list[FaultCause]:
     return [finding.cause for finding in diagnosis(bench).findings]
 
 
-FAULTS: dict[ScanCause, list[Fault]] = {
-    ScanCause.PROJECTOR_DARK: [{"lamp": 0.0}, {"lamp": 0.0, "ambient": 0.5}],
-    ScanCause.UNDEREXPOSED: [{"white": 0.03}, {"white": 0.06}],
-    ScanCause.SATURATED: [{"white": 1.6}, {"white": 3.0}],
-    ScanCause.CAMERA_FOCUS: [{"camera_blur_px": 4.0}, {"camera_blur_px": 7.0}],
-    ScanCause.PROJECTOR_FOCUS: [{"projector_blur_px": 4.0}, {"projector_blur_px": 6.0}],
-    ScanCause.AMBIENT: [{"ambient": 1.3, "white": 0.38}, {"ambient": 3.0, "white": 0.2}],
-    ScanCause.RESPONSE: [{"gamma": 2.2, "plan": THREE}, {"gamma": 1.4, "plan": THREE}, {"gamma": 2.0}],
-    ScanCause.VIBRATION: [{"moves_px": 0.6}, {"moves_px": 2.0}, {"moves_px": 1.0, "plan": THREE}],
-    ScanCause.FLICKER: [{"flicker": 0.1}, {"flicker": 0.15}],
-    ScanCause.SMALL_ANGLE: [{"baseline_mm": 15.0}, {"baseline_mm": 25.0}],
-    ScanCause.WRONG_AXIS: [{"plan": plan_of("y")}],
-    ScanCause.STALE_CALIBRATION: [
+FAULTS: dict[FaultCause, list[Fault]] = {
+    FaultCause.PROJECTOR_DARK: [{"lamp": 0.0}, {"lamp": 0.0, "ambient": 0.5}],
+    FaultCause.UNDEREXPOSED: [{"white": 0.03}, {"white": 0.06}],
+    FaultCause.SATURATED: [{"white": 1.6}, {"white": 3.0}],
+    FaultCause.CAMERA_FOCUS: [{"camera_blur_px": 4.0}, {"camera_blur_px": 7.0}],
+    FaultCause.PROJECTOR_FOCUS: [{"projector_blur_px": 4.0}, {"projector_blur_px": 6.0}],
+    FaultCause.AMBIENT: [{"ambient": 1.3, "white": 0.38}, {"ambient": 3.0, "white": 0.2}],
+    FaultCause.RESPONSE: [{"gamma": 2.2, "plan": THREE}, {"gamma": 1.4, "plan": THREE}, {"gamma": 2.0}],
+    FaultCause.VIBRATION: [{"moves_px": 0.6}, {"moves_px": 2.0}, {"moves_px": 1.0, "plan": THREE}],
+    FaultCause.FLICKER: [{"flicker": 0.1}, {"flicker": 0.15}],
+    FaultCause.SMALL_ANGLE: [{"baseline_mm": 15.0}, {"baseline_mm": 25.0}],
+    FaultCause.WRONG_AXIS: [{"plan": plan_of("y")}],
+    FaultCause.STALE_CALIBRATION: [
         {"plan": plan_of("xy"), "turned_deg": 0.03},
         {"plan": plan_of("xy"), "turned_deg": 0.5},
     ],
-    ScanCause.UNDERSAMPLED: [{"plan": plan_of("x", (6, 6, 12), (1, 12, 180))}],
+    FaultCause.UNDERSAMPLED: [{"plan": plan_of("x", (6, 6, 12), (1, 12, 180))}],
 }
 ALL = [(cause, fault) for cause, faults in FAULTS.items() for fault in faults]
 GOOD: list[Fault] = [
@@ -82,7 +82,7 @@ GOOD: list[Fault] = [
 
 
 @pytest.mark.parametrize(("cause", "fault"), ALL, ids=lambda x: str(x)[:40])
-def test_a_fault_is_named_first(cause: ScanCause, fault: Fault) -> None:
+def test_a_fault_is_named_first(cause: FaultCause, fault: Fault) -> None:
     found = diagnosis(replace(Bench(seed=11), **fault))
     assert found.verdict is not Verdict.GOOD
     assert found.findings[0].cause is cause
@@ -143,17 +143,17 @@ PAIRS = [
     (
         {"ambient": 1.5, "white": 0.3},
         {"projector_blur_px": 4.0},
-        (ScanCause.AMBIENT, ScanCause.PROJECTOR_FOCUS),
+        (FaultCause.AMBIENT, FaultCause.PROJECTOR_FOCUS),
     ),
-    ({"white": 1.6}, {"baseline_mm": 15.0}, (ScanCause.SATURATED, ScanCause.SMALL_ANGLE)),
-    ({"gamma": 2.2, "plan": THREE}, {"baseline_mm": 20.0}, (ScanCause.RESPONSE, ScanCause.SMALL_ANGLE)),
-    ({"moves_px": 0.6}, {"ambient": 1.5, "white": 0.3}, (ScanCause.VIBRATION, ScanCause.AMBIENT)),
-    ({"plan": plan_of("y")}, {"white": 0.06}, (ScanCause.WRONG_AXIS, ScanCause.UNDEREXPOSED)),
+    ({"white": 1.6}, {"baseline_mm": 15.0}, (FaultCause.SATURATED, FaultCause.SMALL_ANGLE)),
+    ({"gamma": 2.2, "plan": THREE}, {"baseline_mm": 20.0}, (FaultCause.RESPONSE, FaultCause.SMALL_ANGLE)),
+    ({"moves_px": 0.6}, {"ambient": 1.5, "white": 0.3}, (FaultCause.VIBRATION, FaultCause.AMBIENT)),
+    ({"plan": plan_of("y")}, {"white": 0.06}, (FaultCause.WRONG_AXIS, FaultCause.UNDEREXPOSED)),
 ]
 
 
 @pytest.mark.parametrize(("one", "other", "expected"), PAIRS, ids=lambda x: str(x)[:40])
-def test_two_faults_are_both_named(one: Fault, other: Fault, expected: tuple[ScanCause, ...]) -> None:
+def test_two_faults_are_both_named(one: Fault, other: Fault, expected: tuple[FaultCause, ...]) -> None:
     assert set(causes(replace(Bench(seed=13), **one, **other))) >= set(expected)
 
 
@@ -179,7 +179,7 @@ def test_what_one_axis_cannot_tell_is_said() -> None:
 
 def test_frames_alone_tell_what_is_wrong_with_them() -> None:
     found = diagnose_frames(Bench(white=1.6).recording())
-    assert [finding.cause for finding in found] == [ScanCause.SATURATED]
+    assert [finding.cause for finding in found] == [FaultCause.SATURATED]
     assert diagnose_frames(Bench().recording()) == ()
 
 
@@ -193,7 +193,7 @@ def test_poses_are_judged_by_their_frames_and_by_what_the_fit_said() -> None:
     found = diagnose_poses([("pose_0", good), ("pose_1", bright), ("pose_2", bright)], ["odd"], {})
     assert found.verdict is Verdict.DOUBTFUL
     (finding,) = found.findings
-    assert finding.cause is ScanCause.SATURATED
+    assert finding.cause is FaultCause.SATURATED
     assert finding.evidence.startswith("pose_")
     assert finding.evidence.endswith("in 2 of 3 poses")
 
@@ -216,7 +216,7 @@ def test_few_of_the_lit_pixels_measured_is_doubtful_and_next_to_none_useless() -
 
 
 def test_every_cause_has_a_remedy() -> None:
-    assert set(REMEDIES) == set(ScanCause)
+    assert set(REMEDIES) == set(FaultCause)
 
 
 def test_the_angle_is_the_triangles() -> None:

@@ -11,17 +11,18 @@ import pytest
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.bench import BenchFaults
 from fpplab.acquisition import acquire, sync_check
-from fpplab.acquisition.sync_check import MarkerRun, SyncCheck, check_rig, marker
+from fpplab.acquisition.rig_check import RigCheck, check_rig
+from fpplab.acquisition.sync_check import MarkerRun, marker
 from fpplab.acquisition.synchronisation import Cause, SyncFault
 from fpplab.core.progress import ignore
 from fpplab.devices.rig import Rig
+from fpplab.diagnosis import FaultCause
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 from tests.drivers.emulated_rig import PLAN, bench_of, burn, on_video, rig_file
 
 DIM = PLAN.model_copy(update={"exposure_s": 0.016})
 SLOW = pytest.mark.slow
-OUT_OF_STEP = "triggered frames are out of step"
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(acquire, "READ_TIMEOUT_S", 0.1)
 
 
-def checked(rig: Rig) -> SyncCheck:
+def checked(rig: Rig) -> RigCheck:
     return check_rig(rig, DIM, "white", ignore)
 
 
@@ -57,13 +58,13 @@ def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
 )
 def test_pulses_that_slip(folder: Path, faults: dict[str, Any], fault: SyncFault) -> None:
     (finding,) = checked(rig_file(folder, {"faults": faults})).findings
-    assert finding.cause == OUT_OF_STEP
-    assert finding.evidence.startswith(fault.describe())
+    assert finding.cause is FaultCause.OUT_OF_STEP
+    assert finding.evidence.startswith(f"triggered: {fault.describe()}")
 
 
 def test_no_pulse(folder: Path) -> None:
     (finding,) = checked(rig_file(folder, {"faults": {"cut": True}})).findings
-    assert finding.cause == "no trigger pulse reaches the camera"
+    assert finding.cause is FaultCause.NO_TRIGGER
     assert finding.evidence == "none of 12 frames came"
     assert "trigger cable" in finding.remedy
 
@@ -74,7 +75,7 @@ def test_no_pulse(folder: Path) -> None:
 )
 def test_the_wrong_edge(folder: Path, sections: dict[str, Any]) -> None:
     (finding,) = checked(rig_file(folder, **sections)).findings
-    assert finding.cause == "the camera exposes at the wrong edge of the trigger pulse"
+    assert finding.cause is FaultCause.TRIGGER_EDGE
     assert "`edge`" in finding.remedy
 
 
@@ -92,7 +93,7 @@ def test_a_camera_that_is_not_ready_yet(folder: Path, untold_us: float, dead_s: 
     """It needs more time than it tells; with the time that the check finds it is ready."""
     sensor = {"sensor": {"untold_us": untold_us}}
     (finding,) = checked(rig_file(folder, sensor)).findings
-    assert finding.cause == "the camera is not ready yet when the next trigger comes"
+    assert finding.cause is FaultCause.CAMERA_NOT_READY
     assert finding.evidence.startswith("6 of 12 frames came")
     assert finding.remedy == f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera"
     assert checked(rig_file(folder, sensor, {"dead_time_s": dead_s})).findings == ()
@@ -109,5 +110,5 @@ def test_a_slip_that_does_not_happen_again(folder: Path, monkeypatch: pytest.Mon
     missed: list[tuple[int, ...]] = [(), (), (3,)]
     monkeypatch.setattr(sync_check, "_run", once)
     (finding,) = checked(rig_file(folder)).findings
-    assert (finding.cause, missed) == (OUT_OF_STEP, [])
+    assert (finding.cause, missed) == (FaultCause.OUT_OF_STEP, [])
     assert finding.evidence.endswith("when it was repeated, all frames were in step")

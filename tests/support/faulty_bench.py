@@ -60,7 +60,7 @@ class Bench:
         random = np.random.default_rng(self.seed)
         settings = CameraSettings(0.02, 0.0, self.bits)
         size = self.parameters.calibration.projector.size
-        patterns = [_windowed(one, self.window) for one in make_patterns(self.plan, size, Lattice.SQUARE)]
+        patterns = [self.reaching(one) for one in make_patterns(self.plan, size, Lattice.SQUARE)]
         twin = PlaneTwin(self.parameters)
         still = twin.expected(0, patterns, settings)
         seen = still * (1 + self.flicker * random.standard_normal((len(still), 1, 1)))
@@ -71,10 +71,15 @@ class Bench:
                 twin.become(replace(self.parameters, poses=(moved,)))
                 slope = (twin.expected(0, patterns, settings) - still) / 0.02
                 seen = seen + random.normal(0, self.vibration_mm, (len(still), 1, 1)) * slope
-        frames = self._digitised(np.asarray(seen, np.float64), random)
+        frames = self.digitised(np.asarray(seen, np.float64), random)
         return Recording(frames, self.plan, size, self.bits, "bench")
 
-    def _digitised(self, expected: Floats, random: np.random.Generator) -> list[Image]:
+    def reaching(self, pattern: Pattern) -> Pattern:
+        """What of a pattern reaches what the camera sees."""
+        return _windowed(pattern, self.window)
+
+    def digitised(self, expected: Floats, random: np.random.Generator) -> list[Image]:
+        """Grey levels with the sensor's noise."""
         now, full = self.parameters, full_scale(self.bits)
         electrons = now.full_well_e * np.maximum(expected / full - now.black_level, 0)
         sigma = np.sqrt(electrons + (4 * now.read_noise_e) ** 2) * full / now.full_well_e

@@ -12,14 +12,20 @@ from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
 from fpplab.core.errors import DeviceError
 
 if TYPE_CHECKING:
-    from fpplab.acquisition.sync_check import SyncCheck
+    from fpplab.acquisition.rig_check import RigCheck
 
 
 @app.command("check", rich_help_panel=PREPARE)
 def check_command(
     rig: RigName,
     plan: PlanName = "plan_paper.yaml",
-    item: Annotated[str, typer.Option("--item", help="What to look at: an evenly white card.")] = "grey_card",
+    item: Annotated[
+        str, typer.Option("--item", help="What to look at: an evenly white card, or a bright part.")
+    ] = "grey_card",
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Picture of the levels seen, as PNG.")] = None,
     force: Force = False,
     json: Json = False,
@@ -27,12 +33,15 @@ def check_command(
     """Open the rig, see that each frame shows its own pattern, and name what is wrong.
 
     Shows twelve uniform grey-level images, stepped and, where camera and projector can, triggered, with the
-    plan's exposure and settling time; says which settling time the display needs. The exit code is 0 when
-    all is well, 3 with findings.
+    plan's exposure and settling time; says which settling time the display needs. Then shows the plan's
+    fringes, and names what is wrong with light, focus, response, and motion. With --calibration it takes
+    fringes along both axes and tells whether the calibration is still the rig's. The exit code is 0 when all
+    is well, 3 with findings.
 
-    Example: `fpplab check --rig rig_demo --plan plan_paper --out check.png`
+    Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """
-    from fpplab.acquisition import sync_check
+    from fpplab.acquisition import rig_check
+    from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
@@ -42,8 +51,9 @@ def check_command(
         need_suffix(out, ".png")
         refuse_existing(out, force)
     wanted, bench = Plan.load(plan), Rig.load(rig)
+    known = Calibration.load(calibration) if calibration else None
     with console.progress("Checking") as report:
-        found = sync_check.check_rig(bench, wanted, item, report)
+        found = rig_check.check_rig(bench, wanted, item, report, known)
     if out and found.runs:
         drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))
@@ -52,12 +62,14 @@ def check_command(
         raise console.Answered(DeviceError.exit_code)
 
 
-def _show_check(found: SyncCheck) -> None:
+def _show_check(found: RigCheck) -> None:
     for run in found.runs:
         console.say(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
         )
     for finding in found.findings:
-        console.stdout.print(f"{finding.cause}: {finding.evidence}; {finding.remedy}", markup=False)
+        console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)
+    for unknown in found.unknown:
+        console.say(f"not checked: {unknown}")
     if not found.findings:
         console.stdout.print("ok")

@@ -1,0 +1,252 @@
+"""What is wrong with a rig: a marker shows how it is synchronised, and fringes what a scan's frames show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.sync_check import (
+    RUINOUS,
+    UNCERTAIN,
+    MarkerInspection,
+    MarkerRun,
+    marker,
+    recover_camera,
+)
+from fpplab.acquisition.synchronisation import check_synchronisation, remedy
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import AXES, Image
+from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
+from fpplab.core.progress import Progress
+from fpplab.devices.rig import Rig
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict, diagnose_frames, diagnose_scan
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.points import points_of
+
+WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
+"""What fringes alone do not show."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigCheck:
+    """Result of `check_rig`.
+
+    Attributes
+    ----------
+    shown : ndarray of int64, (K,)
+        Grey levels of 255 in the order shown.
+    runs : tuple of MarkerRun
+        The stepped run, and the triggered one where the rig can.
+    findings : tuple of Finding
+        What is wrong, the worst first; empty when all is well.
+    unknown : tuple of str
+        What could not be checked, and why.
+    settle_s : float or None
+        The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
+        served.
+    image : ndarray of uint8, (height, width), or None
+        Mean of the frames with fringes; None where none were taken.
+    """
+
+    shown: NDArray[np.int64]
+    runs: tuple[MarkerRun, ...]
+    findings: tuple[Finding, ...]
+    unknown: tuple[str, ...] = ()
+    settle_s: float | None = None
+    image: Image | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """Give the result as plain values.
+
+        Returns
+        -------
+        dict
+            The keys of `fpplab check --json`.
+        """
+        return {
+            "ok": not self.findings,
+            "findings": [finding.summary() for finding in self.findings],
+            "not_checked": list(self.unknown),
+            "settle_s": self.settle_s,
+            "shown": self.shown.tolist(),
+            "seen": {run.how: [_or_none(level) for level in run.levels.tolist()] for run in self.runs},
+        }
+
+
+def _or_none(level: float) -> float | None:
+    return None if math.isnan(level) else level
+
+
+def check_rig(
+    rig: Rig, plan: Plan, item: str, progress: Progress, calibration: Calibration | None = None
+) -> RigCheck:
+    """Open a rig, show it the marker and then fringes, and report what is wrong.
+
+    What a device raises is a finding too.
+
+    Parameters
+    ----------
+    rig : Rig
+        A rig that is not open; it is closed afterwards.
+    plan : Plan
+        The plan that is to be measured with.
+    item : str
+        Name of the item that is mounted where the rig has a fixture, such as an evenly white card.
+    progress : Progress
+        Called with the share that is done.
+    calibration : Calibration, optional
+        Of the rig; without it nothing is said about its geometry.
+
+    Returns
+    -------
+    RigCheck
+        Levels seen and findings.
+
+    Raises
+    ------
+    ConfigError
+        The rig file is wrong, or the projector cannot show the plan.
+    CalibrationError
+        The calibration is of devices of another format.
+    """
+    marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
+    failed: list[Finding] = []
+    try:
+        with rig:
+            _require_fitting(rig, plan, calibration)
+            if rig.fixture:
+                rig.fixture.mount(item)
+            marker_seen.at(rig, lambda share: progress(0.4 * share))
+            fringes.at(rig, marker_seen.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
+    except DeviceError as error:
+        failed.append(_of_device(error))
+    progress(1.0)
+    seen = fringes.diagnosis.findings if fringes.diagnosis else tuple(marker_seen.light)
+    return RigCheck(
+        shown=marker(),
+        runs=tuple(marker_seen.runs),
+        findings=_ranked([*failed, *marker_seen.findings, *seen]),
+        unknown=(*fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
+        settle_s=marker_seen.settle_s,
+        image=fringes.image,
+    )
+
+
+def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
+    """The worst first, each cause once."""
+    first: dict[FaultCause, Finding] = {}
+    for finding in sorted(findings, key=lambda one: -one.excess):
+        first.setdefault(finding.cause, finding)
+    return tuple(first.values())
+
+
+def _require_fitting(rig: Rig, plan: Plan, calibration: Calibration | None) -> None:
+    """Refuse a plan or a calibration that is not for these devices."""
+    caps = rig.projector.caps
+    plan.check_projector(caps.size, "plan")
+    if calibration is not None:
+        calibration.check_camera(rig.camera.caps.size, "calibration")
+        calibration.check_projector(caps.size, caps.lattice, "calibration")
+
+
+class _FringeInspection:
+    """What fringes tell of an open rig."""
+
+    def __init__(self, plan: Plan, calibration: Calibration | None) -> None:
+        self._plan, self._calibration = plan, calibration
+        self.diagnosis: Diagnosis | None = None
+        self.unknown: list[str] = []
+        self.image: Image | None = None
+
+    def at(self, rig: Rig, plan: Plan | None, progress: Progress) -> None:
+        """Take the fringes of a plan, and further ones where the projector can show them."""
+        if plan is None:
+            self.unknown.append("light, focus and geometry: the frames are out of step")
+            return
+        for wanted in _with_both_axes(plan) if self._calibration else (plan,):
+            try:
+                recording = _taken(rig, wanted, lambda share: progress(0.8 * share))
+            except CapabilityError as error:
+                missing = error
+                continue
+            self.image = recording.mean_image()
+            self.diagnosis = self._judged(recording, rig)
+            return
+        self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
+
+    def _judged(self, recording: Recording, rig: Rig) -> Diagnosis:
+        in_step = check_synchronisation(recording)
+        if in_step.in_step:
+            return self._of_frames(recording, rig)
+        excess = RUINOUS if in_step.causes else UNCERTAIN
+        slipped = Finding(FaultCause.OUT_OF_STEP, in_step.describe(), excess, remedy(recording.plan))
+        # Light that flickers and parts that move look like frames out of step which no slip explains.
+        others = () if in_step.causes else diagnose_frames(recording)
+        return Diagnosis(Verdict.DOUBTFUL, slipped.sentence, others or (slipped,))
+
+    def _of_frames(self, recording: Recording, rig: Rig) -> Diagnosis:
+        if self._calibration is None:
+            findings = diagnose_frames(recording, _decoded_alone(recording))
+            return Diagnosis(Verdict.GOOD, "", findings, (WITHOUT_CALIBRATION,))
+        return self._with_points(recording, rig, self._calibration)
+
+    def _with_points(self, recording: Recording, rig: Rig, calibration: Calibration) -> Diagnosis:
+        depth = first_stated((self._plan.depth_mm, "plan"), (rig.file.depth_mm, str(rig.source)))
+        decoded = decode(recording, bounds=depth_bounds(recording.plan, calibration, depth))
+        cloud = None
+        if decoded.valid.any():
+            try:
+                decoded, cloud = points_of(decoded, calibration, recording.plan)
+            except DataError:  # the frames say why there is no point
+                cloud = None
+        return diagnose_scan(recording, decoded, cloud, calibration, self._plan)
+
+
+def _with_both_axes(plan: Plan) -> Iterator[Plan]:
+    """A plan with fringes along both axes, which show a stale calibration, and the plan itself.
+
+    The further sets are those of the plan along the other axis, so that they can be unwrapped too.
+    """
+    if len(plan.axes) < len(AXES):
+        (other,) = set(AXES) - set(plan.axes)
+        crossed = tuple(fringe.model_copy(update={"axis": other}) for fringe in plan.fringes)
+        yield plan.model_copy(update={"fringes": plan.fringes + crossed})
+    yield plan
+
+
+def _taken(rig: Rig, plan: Plan, progress: Progress) -> Recording:
+    """The frames of a plan, in memory."""
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    settings = rig.camera_settings(plan.exposure_s, plan.bits)
+    recover_camera(rig)
+    frames = []
+    with closing(expose(rig, patterns, settings, plan)) as shots:
+        for shot in shots:
+            frames.append(shot.image)
+            progress(len(frames) / len(patterns))
+    return Recording(frames, plan, caps.size, settings.bits, "check")
+
+
+def _decoded_alone(recording: Recording) -> Decoded | None:
+    """The projector coordinates, where the plan can be unwrapped without a calibration."""
+    try:
+        return decode(recording)
+    except ConfigError:
+        return None
+
+
+def _of_device(error: DeviceError) -> Finding:
+    seen = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
+    return Finding(FaultCause.DEVICE, seen, RUINOUS, error.remedy)

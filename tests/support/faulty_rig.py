@@ -1,0 +1,90 @@
+"""The bench by formulas as devices, so that commands meet its faults as they meet a rig's."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab.core import config
+from fpplab.core.conventions import Image, Lattice
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices import CameraCaps, CameraSettings, ProjectorCaps, Trigger
+from fpplab.devices.rig import Rig, RigFile
+from fpplab.patterns.fringes import Pattern
+from tests.conformance.reference import ReferenceCamera, ReferenceProjector
+from tests.support.faulty_bench import Bench, faulty, healthy
+from tests.support.plane_twin import PlaneTwin
+
+
+@dataclass
+class FormulaBench:
+    """A bench drawn by a seed, with the fault that the rig file names or without."""
+
+    options: dict[str, Any]
+
+    def open(self) -> None:
+        self.now = drawn(self.options.get("cause"), int(self.options["seed"]))
+        self.on_show: Pattern | None = None
+        self.pulses: deque[Pattern] = deque()
+        self._twin = PlaneTwin(self.now.parameters)
+        self._random = np.random.default_rng([self.now.seed, 5])
+
+    def close(self) -> None:
+        self.on_show = None
+
+    def image(self, pattern: Pattern | None, settings: CameraSettings) -> Image:
+        """What the camera sees of a pattern, or of darkness."""
+        now, random = self.now, self._random
+        size = now.parameters.calibration.projector.size
+        shown = pattern or Pattern("", np.zeros(size[::-1], np.uint8))
+        if now.vibration_mm:
+            place = now.parameters.poses[0]
+            moved = place.translation + random.normal(0, now.vibration_mm, 3)
+            self._twin = PlaneTwin(replace(now.parameters, poses=(RigidTransform(place.rotation, moved),)))
+        still = np.asarray(self._twin.expected(0, [now.reaching(shown)], settings), np.float64)
+        gain = 1 + now.flicker * random.standard_normal()
+        return replace(now, bits=settings.bits).digitised(gain * still, random)[0]
+
+
+def drawn(cause: str | None, seed: int) -> Bench:
+    """A bench with one fault, or a good one."""
+    return faulty(cause, seed) if cause else healthy(seed)
+
+
+class FormulaCamera(ReferenceCamera):
+    """Sees the bench."""
+
+    _bench: Any
+
+    def _caps(self) -> CameraCaps:
+        size = self._bench.now.parameters.calibration.camera.size
+        triggers: tuple[Trigger, ...] = ("software", "hardware")
+        return CameraCaps(size, (8, 12), (1e-4, 1.0), (0.0, 12.0), triggers, 0.004, period_s=0.0)
+
+    def _levels(self, pattern: Pattern | None) -> Image:
+        return np.asarray(self._bench.image(pattern, self._applied))
+
+
+class FormulaProjector(ReferenceProjector):
+    """Shows what it is given."""
+
+    _bench: Any
+
+    def _caps(self) -> ProjectorCaps:
+        size = self._bench.now.parameters.calibration.projector.size
+        return ProjectorCaps(size, Lattice.SQUARE, {1: 2e-4, 8: 8e-3}, 1, 200)
+
+
+def formula_rig(cause: str | None, seed: int) -> Rig:
+    """The rig, not open yet."""
+    own = "tests.support.faulty_rig:Formula"
+    sections = {
+        "bench": {"backend": own + "Bench", "seed": seed, "cause": cause},
+        "camera": {"backend": own + "Camera"},
+        "projector": {"backend": own + "Projector"},
+    }
+    return Rig(config.validate({"name": "formulas", **sections}, RigFile, "rig"), Path(), "rig.yaml")
