@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,11 +136,20 @@ def check_rig(
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_seen.runs),
-        findings=_ranked([*failed, *marker_seen.findings, *seen]),
+        findings=_ranked([*failed, *_weighed(marker_seen.findings, seen), *seen]),
         unknown=(*fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         image=fringes.image,
     )
+
+
+def _weighed(slips: Sequence[Finding], seen: Sequence[Finding]) -> list[Finding]:
+    """What the marker shows, where light that flickers may have looked like a display that is slow."""
+    flickers = any(finding.cause is FaultCause.FLICKER for finding in seen)
+    return [
+        replace(slip, excess=UNCERTAIN) if flickers and slip.cause is FaultCause.SLOW_DISPLAY else slip
+        for slip in slips
+    ]
 
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:

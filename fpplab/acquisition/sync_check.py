@@ -190,8 +190,10 @@ class MarkerInspection:
         if run.rise < LEAST_RISE:
             return
         if (slipped := matching_faults(shown, run.levels)) != ():
+            again = matching_faults(shown, _run(rig, stepped, shown).levels)
             self.settle_s = _settling(rig, stepped, shown)
-            self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s))
+            recurs = again != () if self.settle_s else bool({*(slipped or ())} & {*(again or ())})
+            self.findings.append(_of_display(slipped, stepped.settle_s, self.settle_s, recurs))
         self._of_stepped = list(self.findings)
         progress(0.7)
         if rig.projector.caps.trigger_outputs and "hardware" in rig.camera.caps.triggers:
@@ -281,12 +283,11 @@ def _run(rig: Rig, plan: Plan, shown: NDArray[np.int64], gap_s: float = 0.0) -> 
 
 
 def _settling(rig: Rig, plan: Plan, shown: NDArray[np.int64]) -> float | None:
-    """The first settling time with which a stepped plan is in step; None where none is."""
+    """The first settling time with which a stepped plan is in step, twice; None where none is."""
     for settle_s in SETTLE_S:
-        if settle_s > plan.settle_s:
-            run = _run(rig, plan.model_copy(update={"settle_s": settle_s}), shown)
-            if matching_faults(shown, run.levels) == ():
-                return settle_s
+        slower = plan.model_copy(update={"settle_s": settle_s})
+        if settle_s > plan.settle_s and all(_is_in_step(shown, _run(rig, slower, shown)) for _ in range(2)):
+            return settle_s
     return None
 
 
@@ -301,12 +302,15 @@ def _of_light(run: MarkerRun) -> list[Finding]:
     return []
 
 
-def _of_display(slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None) -> Finding:
+def _of_display(
+    slipped: tuple[SyncFault, ...] | None, settle_s: float, needed: float | None, recurs: bool
+) -> Finding:
+    """Frames of a stepped run out of step. A slip that does not recur may be light that flickers."""
+    excess = RUINOUS if recurs else UNCERTAIN
     if needed is not None:
         seen = f"with settle_s {settle_s:g} s {_words(slipped)}"
-        return Finding(FaultCause.SLOW_DISPLAY, seen, RUINOUS, f"put `settle_s: {needed:g}` into the plan")
+        return Finding(FaultCause.SLOW_DISPLAY, seen, excess, f"put `settle_s: {needed:g}` into the plan")
     advice = f"no settle_s up to {SETTLE_S[-1]:g} s helps: make sure that nothing else drives the projector"
-    excess = RUINOUS if slipped else UNCERTAIN
     return Finding(FaultCause.OUT_OF_STEP, f"stepped: {_words(slipped)}", excess, advice)
 
 

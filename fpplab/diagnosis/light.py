@@ -36,6 +36,9 @@ LEAST_PEAK = 0.07
 MOST_AMBIENT = 1.0
 """Greatest share of other light, of the fringes' modulation: noise of photons grows by the root of both."""
 
+LEAST_AMBIENT = 8.0
+"""Grey levels of 255 below which what does not change may be the camera's own black level."""
+
 LEAST_CONTRAST = 0.5
 """Least contrast of the finest fringes, as a share of that of a rig in focus."""
 
@@ -65,6 +68,9 @@ MOST_FLICKER = 0.015
 
 LEAST_FREEDOM = 3
 """Fewest gains of frames, beyond those that a phase takes with it, whose scatter is taken for flicker."""
+
+HARMONICS = (2, 3, 4)
+"""Harmonics of the response that residuals of single frames are freed from."""
 
 LEAST_FLICKER_RAD = 0.02
 """Phase error by flicker that is worth telling, in rad RMS."""
@@ -147,7 +153,7 @@ def _ambient(sample: FrameSample) -> Finding | None:
     fit = sample.widest
     other = float(np.median((fit.offset - fit.modulation)[sample.measured]))
     fringes = float(np.median(fit.modulation[sample.measured]))
-    if other <= MOST_AMBIENT * fringes:
+    if other <= max(MOST_AMBIENT * fringes, LEAST_AMBIENT):
         return None
     words = (
         f"{other:.0f} grey levels of light do not change with the fringes, whose modulation is "
@@ -201,12 +207,17 @@ def _ripples(sample: FrameSample) -> Iterator[float]:
 def _flicker(sample: FrameSample) -> Finding | None:
     plan, fit = sample.recording.plan, sample.widest
     errors = sample.errors.sets[plan.finest_set()]
-    if not sample.measured.any() or math.isnan(errors.gain_first):
+    if not sample.measured.any():
         return None
     scatter = _scatter_of_gains(sample)
-    if scatter > MOST_FLICKER:
-        words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * MOST_FLICKER:g} %)"
-        return Finding(FaultCause.FLICKER, words, scatter / MOST_FLICKER)
+    # Where a scene is even, all its pixels are rounded alike.
+    rounding = float(sample.recording.grey) / math.sqrt(12.0) / float(np.median(fit.offset[sample.measured]))
+    limit = max(MOST_FLICKER, rounding)
+    if scatter > limit:
+        words = f"frames differ in brightness by {100 * scatter:.1f} % RMS (at most {100 * limit:.2g} %)"
+        return Finding(FaultCause.FLICKER, words, scatter / limit)
+    if math.isnan(errors.gain_first):
+        return None
     offset = float(np.median(fit.offset[sample.measured] / fit.modulation[sample.measured]))
     power = max(float(errors.variance(offset)) - np.nan_to_num(errors.harmonic_rad) ** 2, 0.0)
     return _phase_error(
@@ -228,23 +239,33 @@ def _scatter_of_gains(sample: FrameSample) -> float:
     if freedom >= LEAST_FREEDOM:
         return math.sqrt(total / freedom)
     # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
-    return math.sqrt(np.mean([one.gain_first**2 / one.images for one in sample.errors.sets]))
+    known = [one.gain_first**2 / one.images for one in sample.errors.sets if not math.isnan(one.gain_first)]
+    return math.sqrt(np.mean(known)) if known else 0.0
 
 
 def _gains_left(sample: FrameSample, k: int) -> Floats | None:
-    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves.
+    """Gain (N,) of each frame of a set that the fit of a sinusoid leaves, beside harmonics of the response.
 
-    None where the pixels' phases are few or unevenly spread, so that harmonics do not average out.
+    None where the pixels' phases are few or unevenly spread, so that harmonics look like gains.
     """
     used, fit, plan = sample.measured, sample.fits[k], sample.recording.plan
     offset, modulation, phase = fit.offset[used], fit.modulation[used], fit.phase[used]
     uneven = [np.abs(np.mean(np.exp(1j * m * phase))) > MOST_UNEVEN for m in (1, 2, 3)]
     if len(phase) < LEAST_RIPPLED or any(uneven):
         return None
-    shifts = plan.fringes[k].phase_shifts()
     images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1], used]
-    left = images - offset - modulation * np.cos(phase - shifts[:, None])
-    return np.asarray(left @ offset / (offset @ offset))
+    angles = phase - plan.fringes[k].phase_shifts()[:, None]
+    left = images - offset - modulation * np.cos(angles)
+    # Those harmonics that the sinusoid's three coefficients do not take: not 0, 1 or -1 by modulo N.
+    told = [m for m in HARMONICS if 1 < m % len(images) < len(images) - 1]
+    waves = [modulation * wave(m * angles) for m in told for wave in (np.cos, np.sin)]
+    per_offset = offset / (offset @ offset)
+    gains, shares = left @ per_offset, [wave @ per_offset for wave in waves]
+    rests = np.stack(
+        [(wave - share[:, None] * offset).ravel() for wave, share in zip(waves, shares, strict=True)]
+    )
+    strengths = np.linalg.lstsq(rests @ rests.T, rests @ left.ravel(), rcond=1e-6)[0]
+    return np.asarray(gains - strengths @ np.asarray(shares))
 
 
 def _phase_error(

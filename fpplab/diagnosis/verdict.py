@@ -176,10 +176,24 @@ def diagnose_scan(
     wrong = plan_finding(recording, decoded, sample, cloud, calibration, flickers)
     if cloud is None or points is None:
         return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *of_frames]))
-    findings = _ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
+    findings = _ranked(_without_blur([*wrong, *of_frames, *geometry_findings(points, plan)]))
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)
+
+
+def _without_blur(findings: list[Finding]) -> list[Finding]:
+    """Rank a calibration slightly off behind a camera out of focus, which shifts points beside edges."""
+    blur = [one.excess for one in findings if one.cause is FaultCause.CAMERA_FOCUS]
+    if not blur:
+        return findings
+    ruinous = USELESS_EXCESS[FaultCause.STALE_CALIBRATION]
+    return [
+        replace(one, excess=min(one.excess, 0.9 * blur[0]))
+        if one.cause is FaultCause.STALE_CALIBRATION and one.excess < ruinous
+        else one
+        for one in findings
+    ]
 
 
 def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:

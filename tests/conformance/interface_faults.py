@@ -135,9 +135,8 @@ CAMERA = [
         "a frame is repeated",
         REFERENCE,
         "ReferenceCamera._read",
-        "self._buffer[...] = np.rint(...)",
-        "if not self._buffer.any():\n"
-        "    self._buffer[...] = np.rint(np.clip(self._bench.light(pattern) * gain, 0.0, 1.0) * full)",
+        "self._buffer[...] = self._levels(pattern)",
+        "if not self._buffer.any():\n    self._buffer[...] = self._levels(pattern)",
     ),
     Fault(
         "frames share a buffer",
@@ -153,7 +152,7 @@ CAMERA = [
         "raise DeviceTimeoutError(...)",
         "return self._bench.on_show",
     ),
-    Fault("12 bits hold 8", REFERENCE, "ReferenceCamera._read", "(1 << settings.bits) - 1", "255"),
+    Fault("12 bits hold 8", REFERENCE, "ReferenceCamera._levels", "(1 << settings.bits) - 1", "255"),
     Fault(
         "another clock than the host's",
         REFERENCE,
