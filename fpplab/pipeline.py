@@ -48,6 +48,7 @@ from fpplab.plan_check import check_plan_fit
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.sessions.lock import only_writer
 from fpplab.sessions.session import PLAN, RIG, Session, need_space_for_frames
 from fpplab.targets import Target
 
@@ -101,22 +102,24 @@ def take(
     DeviceError
         A device failed; the frames until then are kept.
     DataError
-        The session there is of another plan, rig or item, or the disk is full.
+        The session there is of another plan, rig or item, another process writes into it, or the disk is
+        full.
     """
     if plan.stage_mm is not None:
         rig.need_stage(plan.stage_mm)
-    check_space(rig, plan, [out], force)
-    session = Session.resume(out, plan, rig.described(mount), force, complete_too)
-    if plan.stage_mm is not None and session.missing():
-        rig.place_stage(plan.stage_mm)
-    if mount is not None and session.missing():
-        rig.need_fixture(f"mounting the {mount[0]}").mount(*mount)
+    with only_writer(out):
+        check_space(rig, plan, [out], force)
+        session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+        if plan.stage_mm is not None and session.missing():
+            rig.place_stage(plan.stage_mm)
+        if mount is not None and session.missing():
+            rig.need_fixture(f"mounting the {mount[0]}").mount(*mount)
 
-    def seen(frame: Frame) -> None:
-        progress(1.0 - len(session.missing()) / plan.images)
-        observe_frame(frame)
+        def seen(frame: Frame) -> None:
+            progress(1.0 - len(session.missing()) / plan.images)
+            observe_frame(frame)
 
-    acquire(rig, plan, session, seen)
+        acquire(rig, plan, session, seen)
     return session
 
 
@@ -469,7 +472,10 @@ def finish_scan(
     """
     recording = _checked_recording(session, calibration, lambda share: progress(0.3 * share))
     depth = depth_range_of(session)
-    with ThreadPoolExecutor(1) as writer:  # the disk has time until the cloud is known
+    with (
+        only_writer(session.path),
+        ThreadPoolExecutor(1) as writer,
+    ):  # the disk has time until the cloud is known
         saved: list[Future[None]] = []
 
         def save(maps: Decoded) -> None:
@@ -486,7 +492,7 @@ def finish_scan(
             (session.path / CLOUD).unlink(missing_ok=True)  # of an earlier reconstruction
         diagnosis.require_usable(str(session.path))
         save_cloud(cloud, session.path / CLOUD)
-    calibration.save(session.path / CALIBRATION)
+        calibration.save(session.path / CALIBRATION)
     return decoded, cloud
 
 
@@ -534,8 +540,9 @@ def scan(
     calibration.check_camera(rig.camera.caps.size, "calibration")
     calibration.check_projector(rig.projector.caps.size, rig.projector.caps.lattice, "calibration")
     check_plan(plan, "plan", calibration, rig)
-    session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
-    return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]
+    with only_writer(Path(out)):
+        session = take(rig, plan, Path(out), mount, force=force, progress=lambda share: progress(0.8 * share))
+        return finish_scan(session, calibration, lambda share: progress(0.8 + 0.2 * share))[1]
 
 
 def take_poses(

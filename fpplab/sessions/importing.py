@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import shutil
 import string
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.lock import only_writer
 from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
 
 
@@ -83,18 +83,17 @@ def import_images(
     paths = [folder / _name(names, first + i) for i in range(plan.images)]
     _check_all_there(folder, paths, names, first)
     size, shift = _check_images(paths, bits, warn)
-    need_space_for_frames([out], plan, size, bits, force)
-    session = Session.create(out, plan, rig, force)
-    try:
+
+    def fill(session: Session) -> None:
         for index, (_, _, pattern) in enumerate(plan.steps()):
             image = _read_raw(paths[index], bits, size, shift)
             settings = CameraSettings(plan.exposure_s, 0.0, bits)
             session.write(Frame(image, index, settings, paths[index].stat().st_mtime, pattern_id=pattern))
             progress((index + 1) / plan.images)
-    except BaseException:  # an import is whole or not at all: unlike a scan it costs nothing to repeat
-        shutil.rmtree(session.path)
-        raise
-    return session
+
+    with only_writer(out):  # an import is whole or not at all: unlike a scan it costs nothing to repeat
+        need_space_for_frames([out], plan, size, bits, force, replaced_last=True)
+        return Session.create_whole(out, plan, rig, force, fill)
 
 
 def read_images(folder: Path, names: str, bits: int = 8, first: int = 0) -> list[Image]:

@@ -12,13 +12,14 @@ atomically first, the line after it. A torn last line is a frame that was not re
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import io
 import json
 import logging
 import shutil
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -142,6 +143,52 @@ class Session:
         make_directory(path, lambda draft: _furnish(draft, plan, rig))
         _log.info("session %s made for %d frames", path, plan.images)
         return cls(path, plan, {})
+
+    @classmethod
+    def create_whole(
+        cls, path: Path, plan: Plan, rig: RigRecord, force: bool, fill: Callable[[Session], object]
+    ) -> Session:
+        """Make a session that appears only once it has all its frames.
+
+        Parameters
+        ----------
+        path : Path
+            Its directory.
+        plan : Plan
+            What was projected.
+        rig : dict or None
+            The rig as `Rig.described` gives it; None for images from elsewhere.
+        force : bool
+            Whether a session that is there already is replaced, once the new one is complete.
+        fill : callable
+            Writes every frame into the session that it is given.
+
+        Returns
+        -------
+        Session
+            Complete.
+
+        Raises
+        ------
+        ConfigError, DataError
+            As `create`; what `fill` raises. Nothing is left behind then, and what was there stays.
+        """
+        refuse_existing(path, force)
+        if path.exists():
+            _require_session(path)
+        _sweep(path)
+        session = cls(path, plan, {})
+
+        def furnish(draft: Path) -> None:
+            _furnish(draft, plan, rig)
+            session.path = draft
+            fill(session)
+            if path.exists():
+                _remove(path)
+
+        make_directory(path, furnish)
+        session.path = path
+        return session
 
     @classmethod
     def open(cls, path: Path | str) -> Session:
@@ -570,9 +617,20 @@ def _tidy(path: Path) -> None:
 
 def _remove(path: Path) -> None:
     """Delete a session that is to be replaced; nothing else is ever deleted."""
+    _require_session(path)
+    shutil.rmtree(path)
+
+
+def _sweep(path: Path) -> None:
+    """Take away drafts of a session whose process was killed."""
+    for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        if draft.is_dir() and [inside.name for inside in draft.iterdir()] == [path.name]:
+            shutil.rmtree(draft)
+
+
+def _require_session(path: Path) -> None:
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
-    shutil.rmtree(path)
 
 
 def refuse_foreign(path: Path) -> None:
@@ -593,7 +651,13 @@ def refuse_foreign(path: Path) -> None:
 
 
 def need_space_for_frames(
-    paths: Sequence[Path], plan: Plan, size: tuple[int, int], bits: int, force: bool = False
+    paths: Sequence[Path],
+    plan: Plan,
+    size: tuple[int, int],
+    bits: int,
+    force: bool = False,
+    *,
+    replaced_last: bool = False,
 ) -> None:
     """Refuse sessions whose frames do not fit on the disk, before anything is projected or written.
 
@@ -612,6 +676,8 @@ def need_space_for_frames(
         Depth of its grey levels.
     force : bool
         Whether sessions that are there already are replaced.
+    replaced_last : bool
+        Whether they free their space only when the new ones are complete.
 
     Raises
     ------
@@ -622,7 +688,7 @@ def need_space_for_frames(
     for path in paths:
         begun = (path / JOURNAL).is_file()
         images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
-        freed += disk_bytes(path) if begun and force else 0
+        freed += disk_bytes(path) if begun and force and not replaced_last else 0
     each = size[0] * size[1] * raw_dtype(bits).itemsize
     what = f"{images} frames of {_shown((*size, bits))}"
     need_space(paths[0] if len(paths) == 1 else paths[0].parent, images * each, what, freed)

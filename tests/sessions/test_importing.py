@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -245,3 +248,40 @@ def test_a_projector_that_is_not_the_plans(folder: Path) -> None:
     refuses(folder, r"'projector_size' is \[64, 48\] but the projector has \[48, 64\]", ConfigError,
             projector_size=(48, 64))  # fmt: skip
     assert bring(folder, lattice=Lattice.DIAMOND).projector() == ((64, 48), Lattice.DIAMOND)
+
+
+KILLED = """
+import os, signal
+from pathlib import Path
+from fpplab.sessions.importing import import_images
+from tests.sessions.test_importing import NAMES, PLAN
+
+def kill(share: float) -> None:
+    if share >= SHARE:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+import_images(Path(FOLDER), PLAN, NAMES, Path(FOLDER).parent / "session", force=True, progress=kill)
+"""
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0])
+def test_a_killed_import_leaves_nothing_under_its_name(folder: Path, share: float) -> None:
+    script = KILLED.replace("FOLDER", repr(str(folder))).replace("SHARE", str(share))
+    killed = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[2], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (folder.parent / "session").exists()
+    assert bring(folder).missing() == []
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["images", "session"]
+
+
+def test_an_import_that_is_interrupted_leaves_what_it_would_replace(folder: Path) -> None:
+    before = bring(folder).records
+
+    def interrupt(share: float) -> None:
+        if share >= 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bring(folder, force=True, progress=interrupt)
+    assert Session.open(folder.parent / "session").records == before
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["images", "session"]

@@ -68,6 +68,7 @@ def scan_command(
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
         from fpplab.report.viewer import Viewer
+        from fpplab.sessions.lock import only_writer
 
         # The report is written last: without it, all that is left may be to finish.
         finished = (out / REPORT).is_file()
@@ -78,28 +79,29 @@ def scan_command(
             viewer.calibration(known)
         mount = (item, pose) if item else None
         observe = viewer.frame if viewer else ignore
-        with console.progress("Scanning") as report:
-            session = take(
-                bench,
-                wanted,
-                out,
-                mount,
-                force=force,
-                complete_too=not finished,
-                progress=report,
-                observe_frame=observe,
-            )
-        with console.progress("Reconstructing") as report:
-            used = depth_range_of(session, depth)
-            judged: list[tuple[Decoded, Cloud, Diagnosis]] = []
-            try:
-                finish_scan(session, known, report, lambda *results: judged.append(results))
-            except UselessScanError:
-                for results in judged:
-                    write_scan_report(out / REPORT, session, *results[:2], used, results[2])
-                raise
-            ((decoded, cloud, diagnosis),) = judged
-            write_scan_report(out / REPORT, session, decoded, cloud, used, diagnosis)
+        with only_writer(out):
+            with console.progress("Scanning") as report:
+                session = take(
+                    bench,
+                    wanted,
+                    out,
+                    mount,
+                    force=force,
+                    complete_too=not finished,
+                    progress=report,
+                    observe_frame=observe,
+                )
+            with console.progress("Reconstructing") as report:
+                used = depth_range_of(session, depth)
+                judged: list[tuple[Decoded, Cloud, Diagnosis]] = []
+                try:
+                    finish_scan(session, known, report, lambda *results: judged.append(results))
+                except UselessScanError:
+                    for results in judged:
+                        write_scan_report(out / REPORT, session, *results[:2], used, results[2])
+                    raise
+                ((decoded, cloud, diagnosis),) = judged
+                write_scan_report(out / REPORT, session, decoded, cloud, used, diagnosis)
         result = {
             **diagnosis.summary(),
             "points": len(cloud.points),
