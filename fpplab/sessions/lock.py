@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ def only_writer(path: Path) -> Iterator[None]:
             _held[place] -= 1
         return
     lock = place.with_name(f".{place.name}.lock")
+    made = [folder for folder in place.parents if not folder.exists()]
     handle = _locked(lock, path)
     _held[place] = 1
     try:
@@ -59,6 +60,9 @@ def only_writer(path: Path) -> Iterator[None]:
         del _held[place]
         lock.unlink(missing_ok=True)  # while it is locked, so that nobody else's is taken away
         os.close(handle)
+        with suppress(OSError):  # the first that holds something
+            for folder in made:
+                folder.rmdir()
 
 
 def _locked(lock: Path, path: Path) -> int:

@@ -98,6 +98,15 @@ def test_one_process_may_hold_it_twice(tmp_path: Path) -> None:
     assert not (tmp_path / ".part.lock").exists()
 
 
+def test_folders_made_for_the_lock_alone_do_not_stay(tmp_path: Path) -> None:
+    with only_writer(tmp_path / "a" / "b" / "part"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with only_writer(tmp_path / "a" / "b" / "part"):
+        (tmp_path / "a" / "note").touch()
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["note"]
+
+
 def test_a_file_system_that_cannot_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(handle: int, how: int) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
