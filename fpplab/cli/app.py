@@ -167,11 +167,41 @@ AsRecorded = Annotated[
         "--as-recorded", help="Take the frames as they are where they seem out of step with the plan."
     ),
 ]
-FrameNames = Annotated[
-    str, typer.Option("--frames", help="Name of image {index}, such as 'f_{index:02d}.png'.")
+ImagePlaces = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="FOLDER | FILE...",
+        help="Folder of grey images; or the image files in the order shown, of one image or many: PNG, TIFF, "
+        "NPY, NPZ of one array.",
+        show_default=False,
+    ),
 ]
-ImageBits = Annotated[int, typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12 or 16.")]
-FirstIndex = Annotated[int, typer.Option("--first", min=0, help="Index of the first image.")]
+FrameNames = Annotated[
+    str | None,
+    typer.Option(
+        "--frames",
+        help="Images of the folder: 'f_{index:02d}.png', 'set{set}_step{step}.png', '*.png' (by the numbers "
+        "in the names), or '@list.txt' (a name in each line).",
+    ),
+]
+ImageBits = Annotated[
+    int | None,
+    typer.Option("--bits", help="Depth of the grey levels: 8, 10, 12, 14 or 16; by default it is found."),
+]
+FirstIndex = Annotated[
+    int, typer.Option("--first", min=0, help="Number of the first image; with {set} and {step}, of both.")
+]
+FirstStep = Annotated[
+    int | None, typer.Option("--first-step", min=0, help="Number of the first {step}, if it is another.")
+]
+SkippedImages = Annotated[
+    str | None,
+    typer.Option(
+        "--skip",
+        metavar="NUMBERS",
+        help="Images to leave out, such as white and black ones: '0,1' or '0-1', counted as --first counts.",
+    ),
+]
 RigName = Annotated[
     str,
     typer.Option(

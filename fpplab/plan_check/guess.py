@@ -155,7 +155,7 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     if np.sqrt(left / max(count - 2 * len(sizes), 1)) > WORST_MISFIT:
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
-            "set after the other; leave out white, black and other images"
+            "set after the other; leave out white, black and other images by --skip"
         )
     return sizes
 

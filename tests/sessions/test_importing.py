@@ -18,6 +18,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.image_sources import ImageSource
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import Session
 from tests.support.recorded import PLAN, image_of
@@ -34,8 +35,8 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def bring(folder: Path, names: str = NAMES, **options: Any) -> Session:
-    return import_images(folder, PLAN, names, folder.parent / "session", **options)
+def bring(folder: Path, names: str = NAMES, first: int = 0, **options: Any) -> Session:
+    return import_images(ImageSource((folder,), names, first), PLAN, folder.parent / "session", **options)
 
 
 def refuses(folder: Path, complaint: str, error: type[Exception] = DataError, **options: Any) -> None:
@@ -102,7 +103,7 @@ def test_one_image_under_two_names(folder: Path) -> None:
 
 def test_more_bits_than_promised(folder: Path) -> None:
     replace(folder, 1, image_of(1).astype(np.uint16) * 257)
-    refuses(folder, "f_01.png: holds 16-bit grey levels but 8 bits were promised; see --bits")
+    refuses(folder, "f_01.png: holds 16-bit grey levels but the first image 8-bit ones")
 
 
 def test_fewer_bits_than_promised(folder: Path) -> None:
@@ -229,16 +230,23 @@ def test_jpeg_is_warned_of(folder: Path) -> None:
     said: list[str] = []
     bring(folder, "f_{index:02d}.jpg", warn=said.append)
     assert len(said) == 1
-    assert "4 of the images are JPEG files (f_00.jpg, " in said[0]
+    assert "4 images are compressed with loss, as JPEG files are (f_00.jpg, " in said[0]
 
 
 def test_the_projector_is_asked_for(folder: Path) -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4),))
     out = folder.parent / "session"
     with pytest.raises(ConfigError, match=r"^--projector-size is missing, and the plan's fringes have no"):
-        import_images(folder, plan, NAMES, out)
+        import_images(ImageSource((folder,), NAMES), plan, out)
     assert not out.exists()
-    import_images(folder, plan, NAMES, out, projector_size=(912, 1140), lattice=Lattice.DIAMOND)
+    with pytest.raises(
+        ConfigError, match="--lattice is missing: 912 x 1140 are the mirrors of a LightCrafter 4500"
+    ):
+        import_images(ImageSource((folder,), NAMES), plan, out, projector_size=(912, 1140))
+    assert not out.exists()
+    import_images(
+        ImageSource((folder,), NAMES), plan, out, projector_size=(912, 1140), lattice=Lattice.DIAMOND
+    )
     session = Session.open(out)
     assert session.projector() == ((912, 1140), Lattice.DIAMOND)
     assert session.recording().plan == plan
@@ -253,14 +261,13 @@ def test_a_projector_that_is_not_the_plans(folder: Path) -> None:
 KILLED = """
 import os, signal
 from pathlib import Path
-from fpplab.sessions.importing import import_images
-from tests.sessions.test_importing import NAMES, PLAN
+from tests.sessions.test_importing import bring
 
 def kill(share: float) -> None:
     if share >= SHARE:
         os.kill(os.getpid(), signal.SIGKILL)
 
-import_images(Path(FOLDER), PLAN, NAMES, Path(FOLDER).parent / "session", force=True, progress=kill)
+bring(Path(FOLDER), force=True, progress=kill)
 """
 
 

@@ -13,12 +13,15 @@ from fpplab.cli.app import (
     PREPARE,
     Commands,
     FirstIndex,
+    FirstStep,
     Force,
     FrameNames,
     ImageBits,
+    ImagePlaces,
     Json,
     Out,
     RigName,
+    SkippedImages,
     app,
 )
 from fpplab.cli.completion import names_of
@@ -78,14 +81,16 @@ def show_command(
 
 @plan_app.command("guess")
 def guess_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of grey images of one scene, in the order shown.")],
-    frames: FrameNames,
     projector_size: Annotated[
         tuple[int, int], typer.Option("--projector-size", help="Width and height of the projector in px.")
     ],
     out: Out,
-    bits: ImageBits = 8,
+    places: ImagePlaces = None,
+    frames: FrameNames = None,
+    bits: ImageBits = None,
     first: FirstIndex = 0,
+    first_step: FirstStep = None,
+    skip: SkippedImages = None,
     finest: Annotated[
         float | None, typer.Option("--finest", min=1, help="Stripes of the finest set, where they are known.")
     ] = None,
@@ -94,25 +99,29 @@ def guess_command(
 ) -> None:
     """Write the plan that images of another program show: sets, steps, axes, stripes, signs.
 
-    The images must be sets of phase-shifted sinusoids with equal steps, one after the other. What they do not
-    tell is assumed as usual, and written at the head of the plan.
+    The images must be sets of phase-shifted sinusoids with equal steps, one after the other, apart from those
+    that --skip names. What they do not tell is assumed as usual, and written at the head of the plan.
 
     Example: `fpplab plan guess images --frames '{index:02d}.png' --projector-size 912 1140 --out p.yaml`
     """
     from fpplab.core.config import dump
     from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.plan_check import guess_plan
+    from fpplab.sessions.image_sources import ImageSource, numbers_of
     from fpplab.sessions.importing import read_images
 
     need_suffix(out, ".yaml", ".yml")
     refuse_existing(out, force)
-    images = read_images(folder, frames, bits, first)
+    source = ImageSource(tuple(places or ()), frames, first, first_step, numbers_of(skip))
+    images, depth = read_images(
+        source, bits, warn=lambda sentence: console.say(f"warning: {sentence}"), tell=console.say
+    )
     try:
-        found = guess_plan(images, bits, projector_size, finest)
+        found = guess_plan(images, depth, projector_size, finest)
     except DataError as error:
-        raise DataError(f"{folder}: {error}") from error
+        raise DataError(f"{source.title}: {error}") from error
     head = "".join(f"# Assumed: {sentence}.\n" for sentence in found.assumed)
-    write_text(out, f"# Of the images in {folder.name}.\n{head}{dump(found.plan)}")
+    write_text(out, f"# Of the images in {Path(source.title).name}.\n{head}{dump(found.plan)}")
     for sentence in found.assumed:
         console.say(f"assumed: {sentence}")
     sets = [{"axis": s.axis, "stripes": s.stripes, "images": s.images} for s in found.plan.fringes]

@@ -1,0 +1,154 @@
+"""How many bits the grey levels of images have, found from the levels that occur or confirmed by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Image, Mask, full_scale
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.progress import Say
+
+BIT_DEPTHS = (8, 10, 12, 14, 16)
+STORED_BITS = 16
+"""Bits of a stored grey level where it has more than 8."""
+FEWEST_LEVELS = 64
+"""Fewest grey levels whose distances tell how many bits were shifted or scaled to 16."""
+
+
+def check_bits(bits: int | None) -> None:
+    """Refuse a depth that no images have.
+
+    Parameters
+    ----------
+    bits : int or None
+        As asked for; None where it is to be found.
+
+    Raises
+    ------
+    ConfigError
+        It is another than 8, 10, 12, 14 or 16.
+    """
+    if bits is not None and bits not in BIT_DEPTHS:
+        raise ConfigError(f"--bits is {bits}: one of {', '.join(map(str, BIT_DEPTHS))}")
+
+
+@dataclass(eq=False)
+class StoredLevels:
+    """The grey levels that occur in 16-bit files, whatever the depth of the camera.
+
+    Attributes
+    ----------
+    seen : ndarray of bool, (65536,)
+        Whether a level occurs.
+    greatest : int
+        The greatest level.
+    where : str
+        The first image that has it.
+    """
+
+    seen: Mask = field(default_factory=lambda: np.zeros(1 << STORED_BITS, np.bool_))
+    greatest: int = -1
+    where: str = ""
+
+    def add(self, image: Image, name: str) -> None:
+        """Take note of the levels of one more image.
+
+        Parameters
+        ----------
+        image : ndarray of uint16, (height, width)
+            As stored.
+        name : str
+            What it is called in messages.
+        """
+        self.seen[image.ravel()] = True
+        if (brightest := int(image.max())) > self.greatest:
+            self.greatest, self.where = brightest, name
+
+    @property
+    def levels(self) -> NDArray[np.int64]:
+        """Those that occur, (K,), in ascending order."""
+        return np.flatnonzero(self.seen).astype(np.int64)
+
+    def depth(self, bits: int | None, warn: Say, tell: Say) -> tuple[int, int]:
+        """Find the depth, or confirm the one that is said.
+
+        Parameters
+        ----------
+        bits : int or None
+            As said; None where it is to be found.
+        warn, tell : callable
+            Given a sentence that may be a mistake, or what has been found.
+
+        Returns
+        -------
+        bits, shift : int
+            The depth, and by how many bits levels have to be moved down.
+
+        Raises
+        ------
+        ConfigError
+            Nothing is said and the levels do not tell.
+        DataError
+            There are levels that the bits do not hold.
+        """
+        return self._found(tell) if bits is None else self._confirmed(bits, warn)
+
+    def _found(self, tell: Say) -> tuple[int, int]:
+        upper = self._upper_bits()
+        if upper is not None:
+            tell(f"the images hold {upper} bits, in the upper bits of 16; they were moved to the lower ones")
+            return upper, STORED_BITS - upper
+        possible = [depth for depth in BIT_DEPTHS if self.greatest <= full_scale(depth)]
+        if len(possible) > 1 and self.greatest < full_scale(possible[0]):
+            depths = ", ".join(map(str, possible[:-1]))
+            raise ConfigError(
+                f"--bits is missing: the grey levels reach {self.greatest} ({self.where}), so that the "
+                f"camera has {depths} or {possible[-1]} bits; say how many"
+            )
+        tell(f"the grey levels reach {self.greatest}: {possible[0]} bits")
+        return possible[0], 0
+
+    def _confirmed(self, bits: int, warn: Say) -> tuple[int, int]:
+        if self.greatest > full_scale(bits):
+            if not _fills_upper(self.levels, bits):
+                raise DataError(
+                    f"{self.where}: has a grey level of {self.greatest}, more than {bits} bits hold; "
+                    "see --bits"
+                )
+            warn(
+                f"the {bits} bits are the upper ones of 16 in these images; they were moved to the lower ones"
+            )
+            return bits, STORED_BITS - bits
+        upper = self._upper_bits()
+        if bits == STORED_BITS and upper is not None:
+            warn(
+                f"the grey levels lie {1 << STORED_BITS - upper} apart: the images seem to hold {upper} bits "
+                f"in the upper bits of 16; with --bits {upper} saturated pixels are recognised"
+            )
+        fewer = next(
+            (depth for depth in BIT_DEPTHS if depth < bits and self.greatest == full_scale(depth)), None
+        )
+        if fewer is not None:
+            warn(
+                f"the grey levels end at {self.greatest}, the full scale of {fewer} bits; with --bits "
+                f"{fewer} saturated pixels are recognised"
+            )
+        return bits, 0
+
+    def _upper_bits(self) -> int | None:
+        """The depth of levels that were shifted or scaled to 16 bits; None where nothing tells."""
+        levels = self.levels
+        if len(levels) < FEWEST_LEVELS:
+            return None
+        fitting = (d for d in BIT_DEPTHS[:-1] if self.greatest > full_scale(d) and _fills_upper(levels, d))
+        return next(fitting, None)
+
+
+def _fills_upper(levels: NDArray[np.int64], bits: int) -> bool:
+    """Whether levels of some bits were shifted to the upper ones of 16, or scaled to the full range."""
+    own = levels >> STORED_BITS - bits
+    scaled = own * (full_scale(STORED_BITS) / full_scale(bits))
+    return bool(np.all(levels == own << STORED_BITS - bits) or np.all(np.abs(levels - scaled) <= 1))

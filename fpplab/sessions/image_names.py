@@ -1,0 +1,232 @@
+"""File names that count images: `f_{index:02d}.png`, `set{set}_step{step}.png`."""
+
+from __future__ import annotations
+
+import glob
+import re
+import string
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fpplab.core.errors import ConfigError, DataError
+
+NameNumbers = tuple[int, ...]
+"""The numbers in a file name: (index,) or (set, step)."""
+
+_ALLOWED = (["index"], ["set", "step"])
+_SHOWN = 5
+"""So many names are shown in a message."""
+
+
+@dataclass(frozen=True)
+class NumberedNames:
+    """A format of file names in a folder, and the numbers at which it begins to count.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the files are.
+    form : str
+        With one `{index}`, or with `{set}` and `{step}`; each with or without the width of its number.
+    first : tuple of int
+        The least numbers: (index,) or (set, step).
+    """
+
+    folder: Path
+    form: str
+    first: NameNumbers
+
+    @classmethod
+    def parse(cls, folder: Path, form: str, first: int, first_step: int | None) -> NumberedNames:
+        """Check a format.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the files are.
+        form : str
+            The format.
+        first : int
+            The first index, or the first set and step.
+        first_step : int or None
+            The first step where it is another number than the first set's.
+
+        Returns
+        -------
+        NumberedNames
+            The names.
+
+        Raises
+        ------
+        ConfigError
+            It is none.
+        """
+        fields = _fields(form)
+        if fields == ["index"] and first_step is not None:
+            raise ConfigError("--first-step goes with names that have a {step}; --first is the first {index}")
+        if fields == ["index"]:
+            return cls(folder, form, (first,))
+        return cls(folder, form, (first, first if first_step is None else first_step))
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether names have a set and a step, instead of one index."""
+        return len(self.first) == 2
+
+    def name(self, numbers: NameNumbers) -> str:
+        """Give the name of one image.
+
+        Parameters
+        ----------
+        numbers : tuple of int
+            Its index, or its set and step.
+
+        Returns
+        -------
+        str
+            Relative to the folder.
+        """
+        return self.form.format(**dict(zip(self._fields, numbers, strict=True)))
+
+    def there(self) -> list[NameNumbers]:
+        """Find the files whose names have the form.
+
+        Returns
+        -------
+        list of tuple of int
+            Their numbers, ascending.
+        """
+        parts = list(string.Formatter().parse(self.form))
+        pattern = "".join(glob.escape(text) + ("*" if field else "") for text, field, _, _ in parts)
+        form = "".join(
+            re.escape(text) + (rf"(?P<{field}>\d+)" if field else "") for text, field, _, _ in parts
+        )
+        names = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(pattern)]
+        found = [match for name in names if (match := re.fullmatch(form, name, re.ASCII))]
+        numbers = {tuple(int(match[field]) for field in self._fields) for match in found}
+        return sorted(one for one in numbers if (self.folder / self.name(one)).is_file())
+
+    def expected(self, sets: Sequence[int] | None, skipped: int = 0) -> list[NameNumbers]:
+        """List the images that there should be.
+
+        Parameters
+        ----------
+        sets : sequence of int or None
+            How many images each fringe set has; None where it is not known: all between the first and the
+            last that is there.
+        skipped : int
+            How many images there are beside those of the sets.
+
+        Returns
+        -------
+        list of tuple of int
+            Their numbers, in order.
+        """
+        first = self.first[-1]
+        if not self.has_steps:
+            count = self._counted(n for (n,) in self.there()) if sets is None else sum(sets) + skipped
+            return [(first + k,) for k in range(count)]
+        if sets is None:
+            there = self.there()
+            kinds = range(self.first[0], max((s for s, _ in there), default=self.first[0] - 1) + 1)
+            sets = [max(self._counted(n for s, n in there if s == kind), 1) for kind in kinds]
+        return [(self.first[0] + k, first + n) for k, count in enumerate(sets) for n in range(count)]
+
+    def check(self, wanted: Sequence[NameNumbers], skipped: Sequence[NameNumbers], planned: bool) -> None:
+        """Refuse a folder that lacks images or has more of the same name.
+
+        Parameters
+        ----------
+        wanted, skipped : sequence of tuple of int
+            The images that there should be, and those that may be there beside.
+        planned : bool
+            Whether a plan says how many there should be.
+
+        Raises
+        ------
+        DataError
+            It names them.
+        """
+        there = self.there()
+        missing = sorted(set(wanted) - set(there))
+        surplus = sorted(set(there) - set(wanted) - set(skipped))
+        if not wanted:
+            raise DataError(
+                f"{self.folder}: has no image '{self.form}' from {self._begin(self.first)}; {self._other()}"
+            )
+        if missing:
+            whole = f"the plan's {len(wanted)} frames" if planned else f"{len(wanted)} images"
+            raise DataError(
+                f"{self.folder}: {len(missing)} of {whole} are missing "
+                f"({shown(self.name(one) for one in missing)}); looked for '{self.form}' from "
+                f"{self._begin(self.first)}{self._hint(wanted, there)}"
+            )
+        if surplus:
+            those = f"the plan's {len(wanted)}" if planned else f"those from {self._begin(self.first)}"
+            raise DataError(
+                f"{self.folder}: has {len(surplus)} images more than {those} "
+                f"({shown(self.name(one) for one in surplus)}): the plan lacks fringe sets or steps, these "
+                "files belong elsewhere, or they are white, black or other images: --skip leaves those out"
+            )
+
+    @property
+    def _fields(self) -> list[str]:
+        return _ALLOWED[len(self.first) - 1]
+
+    def _counted(self, numbers: Iterable[int]) -> int:
+        """How many numbers there are from the first to the last."""
+        return max(max(numbers, default=self.first[-1] - 1) - self.first[-1] + 1, 0)
+
+    def _begin(self, numbers: NameNumbers) -> str:
+        return " and ".join(f"{field} {n}" for field, n in zip(self._fields, numbers, strict=True))
+
+    def _hint(self, wanted: Sequence[NameNumbers], there: Sequence[NameNumbers]) -> str:
+        """What to say where all are there, but counted from other numbers."""
+        if not there:
+            return f"; {self._other()}"
+        low = tuple(map(min, zip(*there, strict=True)))
+        moved = {tuple(n - f + at for n, f, at in zip(one, self.first, low, strict=True)) for one in wanted}
+        if low == self.first or moved != set(there):
+            return ""
+        options = f"--first {low[0]}" + (f" --first-step {low[-1]}" if low[-1] != low[0] else "")
+        return f"; they count from {self._begin(low)}: {options}"
+
+    def _other(self) -> str:
+        names = sorted(path.name for path in self.folder.iterdir())
+        return f"the folder has {shown(names)}" if names else "the folder is empty"
+
+
+def _fields(form: str) -> list[str]:
+    """The fields of a format, in the order of `_ALLOWED`."""
+    try:
+        parts = [part for part in string.Formatter().parse(form) if part[1] is not None]
+        fields = sorted(str(field) for _, field, _, _ in parts)
+        plain = all(re.fullmatch(r"(0?\d{1,2})?d?", str(spec)) and not way for _, _, spec, way in parts)
+        inside = not Path(form).is_absolute() and ".." not in Path(form).parts
+        if fields not in _ALLOWED or not plain or not inside or len(form) > 200:
+            raise ValueError
+    except ValueError:
+        raise ConfigError(
+            f"--frames is '{form}': expected one {{index}} such as 'f_{{index:02d}}.png', {{set}} and "
+            "{step} such as 'set{set}_step{step}.png', a pattern such as '*.png', or '@list.txt'; files "
+            "lie in the folder or below it"
+        ) from None
+    return fields
+
+
+def shown(names: Iterable[str]) -> str:
+    """Give the first names of many.
+
+    Parameters
+    ----------
+    names : iterable of str
+        The names.
+
+    Returns
+    -------
+    str
+        With commas between.
+    """
+    names = list(names)
+    return ", ".join(names[:_SHOWN]) + (" …" if len(names) > _SHOWN else "")

@@ -1,0 +1,243 @@
+"""Which images of another program, in which order: numbered names, lists, patterns, files of many images."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fpplab.core.config import read_text
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.progress import Say, ignore
+from fpplab.sessions.image_files import ImagePlace, places_in
+from fpplab.sessions.image_names import NumberedNames, shown
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """Where images are and in which order they were taken.
+
+    Attributes
+    ----------
+    places : tuple of Path
+        One folder, or image files in the order taken; files of several images (TIFF, NPY, NPZ) count as all
+        of them. May be empty where `names` is a list.
+    names : str or None
+        The images of the folder: a format such as `f_{index:02d}.png` or `set{set}_step{step}.png`, a pattern
+        such as `*.png`, in the order of the numbers in the names, or `@list.txt`, a file with a name in each
+        line.
+    first : int
+        Number of the first image, by which also `skip` counts; with {set} and {step}, of both.
+    first_step : int or None
+        Number of the first step, where it is another.
+    skip : tuple of int
+        Numbers of images that are not the plan's, such as white and black ones. They are not used.
+    """
+
+    places: tuple[Path, ...]
+    names: str | None = None
+    first: int = 0
+    first_step: int | None = None
+    skip: tuple[int, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What the images are called in messages."""
+        if not self.places:
+            return str(self.names).removeprefix("@")
+        return str(self.places[0]) + (" …" if len(self.places) > 1 else "")
+
+    def images(
+        self, sets: Sequence[int] | None = None, warn: Say = ignore, tell: Say = ignore
+    ) -> list[ImagePlace]:
+        """Find the images.
+
+        Parameters
+        ----------
+        sets : sequence of int or None
+            How many images each fringe set of the plan has; None where there is no plan.
+        warn, tell : callable
+            Given a sentence that may be a mistake, or what has been found.
+
+        Returns
+        -------
+        list of ImagePlace
+            In the plan's order, none missing and none left over.
+
+        Raises
+        ------
+        ConfigError
+            The source does not say which images; a file or folder does not exist.
+        DataError
+            Images are missing or left over, or a file is none of images.
+        """
+        numbered = self._numbered()
+        if numbered is not None:
+            return self._by_numbers(numbered, sets)
+        if self.first_step is not None:
+            raise ConfigError("--first-step goes with names that have a {step}")
+        files = self._files(warn, tell)
+        every = [place for file in files for place in places_in(file)]
+        for number in self.skip:
+            if not self.first <= number < self.first + len(every):
+                raise ConfigError(
+                    f"--skip names image {number}, and there are {len(every)}, counted from {self.first}"
+                )
+        taken = [place for number, place in enumerate(every, self.first) if number not in self.skip]
+        _check_count(self.title, taken, sets)
+        return taken
+
+    def _numbered(self) -> NumberedNames | None:
+        """The names as a format; None where they are a pattern, a list or files."""
+        if self.names is None or self.names.startswith("@") or _is_pattern(self.names):
+            return None
+        names = NumberedNames.parse(self._folder(), self.names, self.first, self.first_step)
+        if names.has_steps and self.skip:
+            raise ConfigError(
+                "--skip counts images by one number; with {set} and {step} in --frames, files of other names "
+                "are left out by themselves"
+            )
+        return names
+
+    def _by_numbers(self, names: NumberedNames, sets: Sequence[int] | None) -> list[ImagePlace]:
+        expected = names.expected(sets, len(self.skip))
+        skipped = [numbers for numbers in expected if not names.has_steps and numbers[0] in self.skip]
+        if len(skipped) < len(set(self.skip)):
+            raise ConfigError(
+                f"--skip is {shown(map(str, self.skip))}: there are {len(expected)} images, counted from "
+                f"{self.first}"
+            )
+        wanted = [numbers for numbers in expected if numbers not in skipped]
+        names.check(wanted, skipped, sets is not None)
+        places = [places_in(names.folder / names.name(numbers)) for numbers in wanted]
+        for inside in places:
+            if len(inside) > 1:
+                raise DataError(
+                    f"{inside[0].path}: holds {len(inside)} images, and --frames names each of them; name "
+                    "the file itself in place of the folder, or give '*.tif'"
+                )
+        return [inside[0] for inside in places]
+
+    def _folder(self) -> Path:
+        """The only place, which has to be a folder."""
+        if len(self.places) != 1:
+            raise ConfigError(f"--frames is '{self.names}': name the one folder that it is for")
+        if not self.places[0].is_dir():
+            raise ConfigError(f"{self.places[0]}: is not a folder; --frames names the images of one")
+        return self.places[0]
+
+    def _files(self, warn: Say, tell: Say) -> list[Path]:
+        """Files one by one, in the order taken."""
+        if self.names is not None and self.names.startswith("@"):
+            files = self._listed(Path(self.names[1:]))
+        elif self.names is not None:
+            return self._matching(self.names, tell)
+        else:
+            files = list(self.places)
+            folders = [place for place in files if place.is_dir()]
+            if folders:
+                raise ConfigError(
+                    f"--frames is missing: say what the images in {folders[0]} are called, such as "
+                    "'f_{index:02d}.png' or '*.png'"
+                )
+        _check_files(files)
+        ordered = sorted(files, key=_by_number)
+        if files == sorted(files) != ordered:
+            warn(
+                f"the images are taken in the order of the letters in their names, {_some(files)}; by their "
+                f"numbers they are {_some(ordered)}: a folder with --frames '*{files[0].suffix}' does so"
+            )
+        return files
+
+    def _listed(self, path: Path) -> list[Path]:
+        """Files by a list, relative to the folder that is named, or else to the list's own."""
+        folder = self._folder() if self.places else path.parent
+        names = [line.strip() for line in read_text(path).splitlines()]
+        files = [folder / name for name in names if name]
+        if not files:
+            raise DataError(f"{path}: names no image")
+        return files
+
+    def _matching(self, pattern: str, tell: Say) -> list[Path]:
+        folder = self._folder()
+        if Path(pattern).is_absolute() or ".." in Path(pattern).parts or "**" in pattern:
+            raise ConfigError(
+                f"--frames is '{pattern}': a pattern of names below the folder, such as '*.png'"
+            )
+        found = [path for path in folder.glob(pattern) if path.is_file() and not path.name.startswith(".")]
+        if not found:
+            raise DataError(f"{folder}: has no file '{pattern}'")
+        files = sorted(found, key=_by_number)
+        tell(f"{len(files)} files are taken in the order of the numbers in their names: {_some(files)}")
+        return files
+
+
+def numbers_of(words: str | None) -> tuple[int, ...]:
+    """Read numbers as they are written for `--skip`.
+
+    Parameters
+    ----------
+    words : str or None
+        Such as `0,1` or `0-1,38`.
+
+    Returns
+    -------
+    tuple of int
+        The numbers, ascending.
+
+    Raises
+    ------
+    ConfigError
+        It is something else.
+    """
+    found: set[int] = set()
+    for word in words.split(",") if words else []:
+        match = re.fullmatch(r"\s*(\d{1,6})(?:-(\d{1,6}))?\s*", word, re.ASCII)
+        if match is None or int(match[2] or match[1]) < int(match[1]):
+            raise ConfigError(f"--skip is '{words}': expected numbers of images, such as '0,1' or '0-1'")
+        found |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
+    return tuple(sorted(found))
+
+
+def _is_pattern(names: str) -> bool:
+    return "{" not in names and any(sign in names for sign in "*?[")
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """What files are sorted by so that 10 comes after 9."""
+    parts = re.split(r"(\d+)", path.as_posix())
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts if part]
+
+
+def _check_files(files: Sequence[Path]) -> None:
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise DataError(
+            f"{missing[0].parent}: {len(missing)} of {len(files)} files do not exist "
+            f"({shown(file.name for file in missing)})"
+        )
+    seen: set[Path] = set()
+    for file in files:
+        if file.resolve() in seen:
+            raise DataError(f"{file}: is named twice; every step has an image of its own")
+        seen.add(file.resolve())
+
+
+def _check_count(title: str, images: Sequence[ImagePlace], sets: Sequence[int] | None) -> None:
+    """Refuse more or fewer images than the plan has, naming where they begin to be wrong."""
+    if sets is None or len(images) == sum(sets):
+        return
+    planned = sum(sets)
+    said = f"{title}: has {len(images)} images, and the plan {planned}"
+    if len(images) > planned:
+        raise DataError(
+            f"{said}: {shown(place.name for place in images[planned:])} would be left over; the plan lacks "
+            "fringe sets or steps, or there are white, black or other images: --skip leaves those out"
+        )
+    raise DataError(f"{said}: the last {planned - len(images)} of the plan have none after {images[-1].name}")
+
+
+def _some(files: Sequence[Path]) -> str:
+    names = [file.name for file in files]
+    return ", ".join(names) if len(names) < 5 else f"{names[0]}, {names[1]}, {names[2]} … {names[-1]}"
