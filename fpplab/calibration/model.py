@@ -157,8 +157,8 @@ class Calibration:
         if lattice is not self.projector.lattice:
             raise CalibrationError(
                 f"{source}: projector patterns are for a {lattice} lattice but the calibration is for a "
-                f"{self.projector.lattice} one; characterise this rig, name the calibration that fits, or import "
-                f"images from elsewhere with '--lattice {self.projector.lattice}'"
+                f"{self.projector.lattice} one; characterise this rig, name the calibration that fits, or "
+                f"import images from elsewhere with '--lattice {self.projector.lattice}'"
             )
 
     def save(self, path: Path | str) -> None:

@@ -17,7 +17,7 @@ from PIL import Image as Pillow
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
 
-NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
+NPY, ZIP = b"\x93NUMPY", b"PK"
 LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
 """File formats, and compressions of TIFF files, that change grey levels."""
 GREY_MODES = {"L": 8, "I;16": 16, "I;16B": 16, "I;16L": 16}

@@ -172,8 +172,8 @@ def _checked(
         lossy += [place.name] if is_lossy else []
     if lossy:
         warn(
-            f"{len(lossy)} images are compressed with loss, as JPEG files are ({shown(lossy)}): that adds errors "
-            "that no stated uncertainty counts; record PNG or TIFF"
+            f"{len(lossy)} images are compressed with loss, as JPEG files are ({shown(lossy)}): that adds "
+            "errors that no stated uncertainty counts; record PNG or TIFF"
         )
     return _CheckedImages(places, size, *((8, 0) if stored == 8 else levels.depth(bits, warn, tell)))
 
