@@ -68,7 +68,7 @@ _OPTIONS_MEANT = {
     ("--frames",): "--names --filenames --images",
     ("--item",): "--object --artefact --artifact --part",
     ("--model",): "--distortion",
-    ("--out", "--make"): "--output --outfile --output-file --output-dir --save --to -o",
+    ("--out",): "--output --outfile --output-file --output-dir --save --to -o",
     ("--plan",): "--pattern --patterns --fringes -p",
     ("--rig",): "--bench --setup --config -r",
     ("--target",): "--board --checkerboard -t",

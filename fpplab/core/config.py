@@ -105,7 +105,10 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file") from None
+        beside = {one.name: one for one in sorted(path.parent.glob(f"*{path.suffix}")) if one.is_file()}
+        meant = get_close_matches(path.name, beside, n=1, cutoff=0.7)
+        question = f"; did you mean {beside[meant[0]]}?" if meant else ""
+        raise ConfigError(f"{path}: there is no such file{question}") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not a text file in UTF-8") from None
     except OSError as error:

@@ -110,6 +110,9 @@ class Session:
     def __init__(self, path: Path, plan: Plan, records: dict[int, FrameRecord]) -> None:
         self.path, self.plan, self._records = path, plan, records
 
+    def __repr__(self) -> str:
+        return f"<Session {self.path}: {len(self._records)} of {self.plan.images} frames>"
+
     @classmethod
     def create(cls, path: Path, plan: Plan, rig: RigRecord = None, force: bool = False) -> Session:
         """Make a new, empty session.

@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from fpplab import __version__
+from fpplab import Calibration, __version__
 from fpplab.cli import app
 from fpplab.cli.advice import OPTION_SYNONYMS, PURPOSES, SYNONYMS, unknown_command, unknown_option
 from fpplab.cli.lists import global_first
@@ -110,7 +110,7 @@ def test_synonyms_of_options_lead_to_options() -> None:
     ("words", "said"),
     [
         (("scan", "--output", "x"), "`fpplab scan` has no option --output; it is --out"),
-        (("target", "--output", "x"), "`fpplab target` has no option --output; it is --make"),
+        (("target", "--output", "x"), "`fpplab target` has no option --output; it is --out"),
         (("scan", "--calibratio"), "`fpplab scan` has no option --calibratio; did you mean --calibration?"),
         (("characterise", "--board", "x"), "`fpplab characterise` has no option --board; it is --target"),
         (("plan", "show", "--rgi", "x"), "`fpplab plan show` has no option --rgi; did you mean --rig?"),
@@ -168,10 +168,18 @@ def test_commands_ask_for_their_kind(fpplab: Command, tmp_path: Path) -> None:
     assert done.code == 2
     assert "did you mean rig_demo?" in done.json["error"]
     assert "plan_" not in done.json["error"]
-    done = fpplab("target", "target_papr", "--make", tmp_path / "x.pdf", "--json")
+    done = fpplab("target", "target_papr", "--out", tmp_path / "x.pdf", "--json")
     assert done.code == 2
     assert "did you mean target_paper?" in done.json["error"]
     assert "rig_" not in done.json["error"]
+
+
+def test_a_calibration_is_suggested_among_the_files_beside(tmp_path: Path) -> None:
+    (tmp_path / "calibration.yaml").write_text("camera: {}")
+    with pytest.raises(ConfigError, match=r"calibratio.yaml: there is no such file; did you mean .*calibration.yaml\?$"):
+        Calibration.load(tmp_path / "calibratio.yaml")
+    with pytest.raises(ConfigError, match="there is no such file$"):
+        Calibration.load(tmp_path / "other.yaml")
 
 
 def test_options_of_the_program_may_follow_the_command() -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from PIL import Image as Pillow
 
+from fpplab import Session, compare, load_cloud, load_mesh
 from tests.support.commands import Command, Demo
 
 COMPARED = {"smcd_um", "smcd_floor_um", "surface_smcd_um", "completeness"}
@@ -153,6 +155,40 @@ def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tm
     assert done.code == 0, done.err
     assert {"points", "images", "seconds", "cloud"} <= done.json.keys()
     assert done.json["points"] == demo.answer["scans"][1]["points"]
+
+
+def test_loose_images_of_a_diamond_projector_become_a_cloud(
+    fpplab: Command, demo: Demo, tmp_path: Path
+) -> None:
+    """Characterised with some poses and reconstructed, all from image files."""
+    for name in [*(f"board/pose_{k:02d}" for k in range(4)), "pyramid"]:
+        recorded = Session.open(demo.folder / name)
+        folder = tmp_path / "images" / name
+        folder.mkdir(parents=True)
+        for index, image in enumerate(recorded.stack()):
+            Pillow.fromarray(image).save(folder / f"{index}.png")
+        done = fpplab(
+            "import", folder, "--frames", "*.png", "--plan", demo.folder / name / "plan.yaml",
+            "--projector-size", 912, 1140, "--lattice", "diamond", "--out", tmp_path / name, "--json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        assert done.json["warnings"] == []
+    calibration = tmp_path / "c.yaml"
+    done = fpplab("characterise", tmp_path / "board", "--target", "target_paper", "--out", calibration)
+    assert done.code == 0, done.err
+    cloud = tmp_path / "cloud.ply"
+    done = fpplab("reconstruct", tmp_path / "pyramid", "--calibration", calibration, "--out", cloud)
+    assert done.code == 0, done.err
+    found = compare(load_cloud(str(cloud)), load_mesh(str(demo.folder / "pyramid" / "truth.stl")), align=True)
+    assert found.surface_rms_um <= 60.0
+    assert found.completeness >= 0.9
+    fpplab(
+        "import", folder, "--frames", "*.png", "--plan", demo.folder / "pyramid" / "plan.yaml",
+        "--projector-size", 912, 1140, "--lattice", "square", "--out", tmp_path / "square",
+    )  # fmt: skip
+    done = fpplab("reconstruct", tmp_path / "square", "--calibration", calibration, "--out", tmp_path / "s.ply")
+    assert done.code == 5
+    assert "import images from elsewhere with '--lattice diamond'" in done.err
 
 
 def test_view_writes_a_recording(fpplab: Command, demo: Demo, tmp_path: Path) -> None:

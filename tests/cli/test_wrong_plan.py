@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from fpplab.core import config
@@ -60,6 +61,31 @@ def test_a_plan_is_guessed_used_and_found_out(fpplab: Command, tmp_path: Path) -
     assert not (tmp_path / "wrong.npz").exists()
     taken = fpplab("decode", tmp_path / "wrong", "--as-recorded", "--out", tmp_path / "wrong.npz")
     assert taken.code == 0, taken.err
+
+
+def test_a_stack_with_white_and_black_images_is_guessed_and_imported(fpplab: Command, tmp_path: Path) -> None:
+    plan = plan_of("x", (4, 4, 6), (1, 8, 48))
+    frames = list(Bench(plan=plan, seed=76, bits=12).recording().frames)
+    white, black = np.full_like(frames[0], 4000), np.full_like(frames[0], 40)
+    stack = tmp_path / "stack.npz"
+    np.savez_compressed(stack, np.array([white, black, *frames]) << 4)
+    words = stack, "--skip", "0-1", *SIZE
+    without = fpplab("plan", "guess", stack, *SIZE, "--out", tmp_path / "plan.yaml")
+    assert without.code == 4, without.err
+    assert "leave out white, black and other images by --skip" in without.err
+    guessed = fpplab("plan", "guess", *words, "--out", tmp_path / "plan.yaml", "--json")
+    assert guessed.code == 0, guessed.err
+    assert [s["stripes"] for s in guessed.json["fringes"]] == [1.0, 8.0, 48.0]
+    asked = fpplab("import", *words, "--plan", tmp_path / "plan.yaml", "--out", tmp_path / "s")
+    assert asked.code == 2
+    assert "--lattice is missing: 912 x 1140 are the mirrors of a LightCrafter 4500" in asked.err
+    done = fpplab(
+        "import", *words, "--lattice", "diamond", "--plan", tmp_path / "plan.yaml", "--out", tmp_path / "s",
+        "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert (done.json["bits"], done.json["lattice"], done.json["warnings"]) == (12, "diamond", [])
+    np.testing.assert_array_equal(Session.open(str(tmp_path / "s")).stack(), frames)
 
 
 def test_a_depth_that_no_camera_has_is_refused(fpplab: Command, tmp_path: Path) -> None:

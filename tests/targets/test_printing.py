@@ -316,7 +316,7 @@ def run(*words: object) -> Result:
 @FORMATS
 def test_every_board_that_comes_with_fpplab_fits_a4(name: str, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"board{suffix}"
-    result = run(name, "--make", path, "--json")
+    result = run(name, "--out", path, "--json")
     assert result.exit_code == 0
     paper = [210.0, 297.0]
     assert json.loads(result.stdout) == {"file": str(path), "paper_mm": paper, "scale": 1.0}

@@ -23,7 +23,7 @@ def target_command(
             autocompletion=names_of("target"),
         ),
     ],
-    make: Annotated[Path, typer.Option("--make", help="The page to write: .pdf or .svg.")],
+    out: Annotated[Path, typer.Option("--out", "--make", help="The page to write: .pdf or .svg.")],
     paper: Annotated[
         str, typer.Option("--paper", help="A4, A3, letter, or width x height in mm like 300x200.")
     ] = "A4",
@@ -32,13 +32,13 @@ def target_command(
 ) -> None:
     """Draw a board for printing at true scale, with a ruler to check the scale.
 
-    Example: `fpplab target target_paper --make board.pdf`
+    Example: `fpplab target target_paper --out board.pdf`
     """
     from fpplab.core.files import refuse_existing
     from fpplab.targets import Target
     from fpplab.targets.printing import print_target
 
     board = Target.load(name)
-    refuse_existing(make, force)
-    sheet = print_target(board, make, paper, Path(name).stem)
+    refuse_existing(out, force)
+    sheet = print_target(board, out, paper, Path(name).stem)
     console.answer(asdict(sheet), json)
