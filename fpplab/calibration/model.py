@@ -112,10 +112,12 @@ class Calibration:
     def __repr__(self) -> str:
         devices = {"camera": self.camera, "projector": self.projector}
         sizes = ", ".join(
-            f"{name} {one.size[0]} x {one.size[1]} (f {one.matrix[0, 0]:.1f} px)" for name, one in devices.items()
+            f"{name} {one.size[0]} x {one.size[1]} (f {one.matrix[0, 0]:.1f} px)"
+            for name, one in devices.items()
         )
         rms = "".join(f", {name} RMS {value:.3g} px" for name, value in self.rms_px.items())
-        return f"<Calibration: {sizes}, {self.projector.lattice} lattice, baseline {self.baseline_mm:.2f} mm{rms}>"
+        lattice, baseline = self.projector.lattice, f"{self.baseline_mm:.2f}"
+        return f"<Calibration: {sizes}, {lattice} lattice, baseline {baseline} mm{rms}>"
 
     @property
     def baseline_mm(self) -> float:

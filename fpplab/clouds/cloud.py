@@ -102,7 +102,9 @@ class Cloud:
         return len(self.points)
 
     def __repr__(self) -> str:
-        known = [name for name in ("pixels", "normals", "colour", *_SIGMAS) if getattr(self, name) is not None]
+        known = [
+            name for name in ("pixels", "normals", "colour", *_SIGMAS) if getattr(self, name) is not None
+        ]
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         extent = " x ".join(f"{length:.1f}" for length in high - low)
         return f"<Cloud: {len(self)} points, {extent} mm{'; ' * bool(known)}{', '.join(known)}>"

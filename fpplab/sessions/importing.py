@@ -17,7 +17,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.sessions.grey_depth import StoredLevels, check_bits
 from fpplab.sessions.image_files import ImagePlace, grey_images
 from fpplab.sessions.image_names import shown
-from fpplab.sessions.image_sources import ImageSource
+from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.lock import only_writer
 from fpplab.sessions.session import RigRecord, Session, need_space_for_frames
 
@@ -26,7 +26,7 @@ DIAMONDS = {(912, 1140): "LightCrafter 4500", (608, 684): "LightCrafter"}
 
 
 def import_images(
-    source: ImageSource,
+    source: ImageSelection,
     plan: Plan,
     out: Path,
     bits: int | None = None,
@@ -44,7 +44,7 @@ def import_images(
 
     Parameters
     ----------
-    source : ImageSource
+    source : ImageSelection
         Which images, in which order: `plan.images` of them.
     plan : Plan
         What they show.
@@ -97,13 +97,13 @@ def import_images(
 
 
 def read_images(
-    source: ImageSource, bits: int | None = None, *, warn: Say = ignore, tell: Say = ignore
+    source: ImageSelection, bits: int | None = None, *, warn: Say = ignore, tell: Say = ignore
 ) -> tuple[list[Image], int]:
     """Read grey images whose plan is not known.
 
     Parameters
     ----------
-    source : ImageSource
+    source : ImageSelection
         Which images, in which order.
     bits : int, optional
         Depth of the images' grey levels, as for `import_images`.
@@ -144,7 +144,7 @@ class _CheckedImages:
 
 
 def _checked(
-    source: ImageSource, sets: list[int] | None, bits: int | None, warn: Say, tell: Say
+    source: ImageSelection, sets: list[int] | None, bits: int | None, warn: Say, tell: Say
 ) -> _CheckedImages:
     """Find the images of a source and look at each of them."""
     places = source.images(sets, warn, tell)

@@ -176,9 +176,11 @@ def test_commands_ask_for_their_kind(fpplab: Command, tmp_path: Path) -> None:
 
 def test_a_calibration_is_suggested_among_the_files_beside(tmp_path: Path) -> None:
     (tmp_path / "calibration.yaml").write_text("camera: {}")
-    with pytest.raises(ConfigError, match=r"calibratio.yaml: there is no such file; did you mean .*calibration.yaml\?$"):
+    with pytest.raises(
+        ConfigError, match=r"calibratio.yaml: there is no such file; did you mean .*calibration.yaml\?$"
+    ):
         Calibration.load(tmp_path / "calibratio.yaml")
-    with pytest.raises(ConfigError, match="there is no such file$"):
+    with pytest.raises(ConfigError, match=r"there is no such file$"):
         Calibration.load(tmp_path / "other.yaml")
 
 

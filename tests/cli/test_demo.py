@@ -186,7 +186,9 @@ def test_loose_images_of_a_diamond_projector_become_a_cloud(
         "import", folder, "--frames", "*.png", "--plan", demo.folder / "pyramid" / "plan.yaml",
         "--projector-size", 912, 1140, "--lattice", "square", "--out", tmp_path / "square",
     )  # fmt: skip
-    done = fpplab("reconstruct", tmp_path / "square", "--calibration", calibration, "--out", tmp_path / "s.ply")
+    done = fpplab(
+        "reconstruct", tmp_path / "square", "--calibration", calibration, "--out", tmp_path / "s.ply"
+    )
     assert done.code == 5
     assert "import images from elsewhere with '--lattice diamond'" in done.err
 

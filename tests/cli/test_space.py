@@ -14,7 +14,7 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take, take_poses
-from fpplab.sessions.image_sources import ImageSource
+from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import JOURNAL, Session
 from tests.conformance.reference import ReferenceFixture, ReferenceProjector
@@ -112,7 +112,7 @@ def test_imported_images_that_do_not_fit_are_refused(tmp_path: Path, monkeypatch
 
     for index in range(7):
         Pillow.fromarray(image_of(index)).save(tmp_path / f"{index}.png")
-    words = (ImageSource((tmp_path,), "{index}.png"), PLAN, tmp_path / "s")
+    words = (ImageSelection((tmp_path,), "{index}.png"), PLAN, tmp_path / "s")
     leave(monkeypatch, 7 * 20 * 16 - 1)
     with pytest.raises(DataError, match="7 frames of 20 x 16 at 8 bits need 2"):
         import_images(*words, projector_size=(64, 48))

@@ -18,7 +18,7 @@ from fpplab.core.conventions import Lattice
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.image_sources import ImageSource
+from fpplab.sessions.image_selection import ImageSelection
 from fpplab.sessions.importing import import_images
 from fpplab.sessions.session import Session
 from tests.support.recorded import PLAN, image_of
@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def bring(folder: Path, names: str = NAMES, first: int = 0, **options: Any) -> Session:
-    return import_images(ImageSource((folder,), names, first), PLAN, folder.parent / "session", **options)
+    return import_images(ImageSelection((folder,), names, first), PLAN, folder.parent / "session", **options)
 
 
 def refuses(folder: Path, complaint: str, error: type[Exception] = DataError, **options: Any) -> None:
@@ -237,15 +237,15 @@ def test_the_projector_is_asked_for(folder: Path) -> None:
     plan = Plan(fringes=(Sinusoid(axis="x", stripes=1, steps=4),))
     out = folder.parent / "session"
     with pytest.raises(ConfigError, match=r"^--projector-size is missing, and the plan's fringes have no"):
-        import_images(ImageSource((folder,), NAMES), plan, out)
+        import_images(ImageSelection((folder,), NAMES), plan, out)
     assert not out.exists()
     with pytest.raises(
         ConfigError, match="--lattice is missing: 912 x 1140 are the mirrors of a LightCrafter 4500"
     ):
-        import_images(ImageSource((folder,), NAMES), plan, out, projector_size=(912, 1140))
+        import_images(ImageSelection((folder,), NAMES), plan, out, projector_size=(912, 1140))
     assert not out.exists()
     import_images(
-        ImageSource((folder,), NAMES), plan, out, projector_size=(912, 1140), lattice=Lattice.DIAMOND
+        ImageSelection((folder,), NAMES), plan, out, projector_size=(912, 1140), lattice=Lattice.DIAMOND
     )
     session = Session.open(out)
     assert session.projector() == ((912, 1140), Lattice.DIAMOND)

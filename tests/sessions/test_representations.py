@@ -18,5 +18,7 @@ def test_each_is_one_line(tmp_path: Path) -> None:
     assert repr(Cloud(points)) == "<Cloud: 2 points, 10.0 x 20.0 x 10.0 mm>"
     assert repr(record(tmp_path / "s", 3)) == f"<Session {tmp_path / 's'}: 3 of 4 frames>"
     shown = repr(Bench().rig())
-    assert shown.startswith("<Calibration: camera 480 x 320 (f 1278.1 px), projector 912 x 1140 (f 2150.0 px), ")
+    assert shown.startswith(
+        "<Calibration: camera 480 x 320 (f 1278.1 px), projector 912 x 1140 (f 2150.0 px), "
+    )
     assert shown.endswith("square lattice, baseline 150.55 mm>")

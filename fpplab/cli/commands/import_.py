@@ -56,10 +56,10 @@ def import_command(
     """
     from fpplab import pipeline
     from fpplab.patterns.plan import Plan
-    from fpplab.sessions.image_sources import ImageSource, numbers_of
+    from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import import_images
 
-    source = ImageSource(tuple(places or ()), frames, first, first_step, numbers_of(skip))
+    source = ImageSelection(tuple(places or ()), frames, first, first_step, numbers_of(skip))
     warnings: list[str] = []
     with console.progress("Importing") as report:
         session = import_images(

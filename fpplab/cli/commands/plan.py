@@ -107,12 +107,12 @@ def guess_command(
     from fpplab.core.config import dump
     from fpplab.core.files import need_suffix, refuse_existing, write_text
     from fpplab.plan_check import guess_plan
-    from fpplab.sessions.image_sources import ImageSource, numbers_of
+    from fpplab.sessions.image_selection import ImageSelection, numbers_of
     from fpplab.sessions.importing import read_images
 
     need_suffix(out, ".yaml", ".yml")
     refuse_existing(out, force)
-    source = ImageSource(tuple(places or ()), frames, first, first_step, numbers_of(skip))
+    source = ImageSelection(tuple(places or ()), frames, first, first_step, numbers_of(skip))
     images, depth = read_images(
         source, bits, warn=lambda sentence: console.say(f"warning: {sentence}"), tell=console.say
     )

@@ -14,7 +14,8 @@ from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError, DataError, FppError
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.image_sources import ImageSource, numbers_of
+from fpplab.sessions.image_selection import ImageSelection as Chosen
+from fpplab.sessions.image_selection import numbers_of
 from fpplab.sessions.importing import import_images, read_images
 from tests.support.recorded import image_of
 
@@ -36,7 +37,7 @@ def put(folder: Path, names: list[str], images: list[Image] = IMAGES) -> Path:
     return folder
 
 
-def taken(source: ImageSource) -> None:
+def taken(source: Chosen) -> None:
     """Both readers take the seven images in order."""
     images, bits = read_images(source)
     assert bits == 8
@@ -46,7 +47,7 @@ def taken(source: ImageSource) -> None:
     np.testing.assert_array_equal(session.stack(), IMAGES)
 
 
-def refuses(source: ImageSource, complaint: str, error: type[FppError] = DataError, **options: Any) -> None:
+def refuses(source: Chosen, complaint: str, error: type[FppError] = DataError, **options: Any) -> None:
     out = source.places[0].parent / "refused"
     with pytest.raises(error, match=complaint):
         import_images(source, PLAN, out, **options)
@@ -57,39 +58,40 @@ def refuses(source: ImageSource, complaint: str, error: type[FppError] = DataErr
 def test_names_with_set_and_step(tmp_path: Path, form: str) -> None:
     folder = put(tmp_path / "images", [form.format(set=s, step=n) for s, n in STEPS])
     put(folder, ["white.png"], [image_of(9)])
-    taken(ImageSource((folder,), form))
+    taken(Chosen((folder,), form))
 
 
 def test_sets_and_steps_that_count_from_one(tmp_path: Path) -> None:
     form = "set{set}_step{step:02d}.png"
     folder = put(tmp_path / "images", [form.format(set=s + 1, step=n + 1) for s, n in STEPS])
     refuses(
-        ImageSource((folder,), form), r"from set 0 and step 0; they count from set 1 and step 1: --first 1$"
+        Chosen((folder,), form),
+        r"from set 0 and step 0; they count from set 1 and step 1: --first 1$",
     )
-    taken(ImageSource((folder,), form, first=1))
+    taken(Chosen((folder,), form, first=1))
 
 
 def test_only_steps_that_count_from_one(tmp_path: Path) -> None:
     form = "set{set}_step{step}.png"
     folder = put(tmp_path / "images", [form.format(set=s, step=n + 1) for s, n in STEPS])
-    refuses(ImageSource((folder,), form), "they count from set 0 and step 1: --first 0 --first-step 1$")
-    taken(ImageSource((folder,), form, first_step=1))
+    refuses(Chosen((folder,), form), "they count from set 0 and step 1: --first 0 --first-step 1$")
+    taken(Chosen((folder,), form, first_step=1))
 
 
 def test_sets_that_lack_steps_or_have_more_are_named(tmp_path: Path) -> None:
     form = "set{set}_step{step}.png"
     folder = put(tmp_path / "images", [form.format(set=s, step=n) for s, n in STEPS])
     (folder / "set0_step3.png").write_bytes((folder / "set0_step2.png").read_bytes())
-    refuses(ImageSource((folder,), form), r"has 1 images more than the plan's 7 \(set0_step3.png\)")
+    refuses(Chosen((folder,), form), r"has 1 images more than the plan's 7 \(set0_step3.png\)")
     (folder / "set1_step1.png").unlink()
-    refuses(ImageSource((folder,), form), r"1 of the plan's 7 frames are missing \(set1_step1.png\)")
+    refuses(Chosen((folder,), form), r"1 of the plan's 7 frames are missing \(set1_step1.png\)")
     with pytest.raises(DataError, match=r"1 of 8 images are missing \(set1_step1.png\)"):
-        read_images(ImageSource((folder,), form))
+        read_images(Chosen((folder,), form))
 
 
 def test_no_file_of_the_name_says_what_is_there(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"{k:02d}.png" for k in range(7)])
-    wrong = ImageSource((folder,), "f_{index:02d}.png")
+    wrong = Chosen((folder,), "f_{index:02d}.png")
     refuses(wrong, r"7 of the plan's 7 frames .*; the folder has 00.png, 01.png, .* …$")
     with pytest.raises(DataError, match=r"has no image 'f_.*' from index 0; the folder has 00.png, "):
         read_images(wrong)
@@ -98,9 +100,9 @@ def test_no_file_of_the_name_says_what_is_there(tmp_path: Path) -> None:
 def test_a_pattern_is_sorted_by_numbers_and_says_so(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"f_{k}.png" for k in (8, 9, 10, 11, 99, 100, 101)])
     (folder / "._f_8.png").write_text("left by another computer")
-    taken(ImageSource((folder,), "f_*.png"))
+    taken(Chosen((folder,), "f_*.png"))
     said: list[str] = []
-    read_images(ImageSource((folder,), "*.png"), tell=said.append)
+    read_images(Chosen((folder,), "*.png"), tell=said.append)
     assert said == [
         "7 files are taken in the order of the numbers in their names: f_8.png, f_9.png, f_10.png … f_101.png"
     ]
@@ -110,15 +112,16 @@ def test_a_pattern_with_more_or_fewer_files(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"f_{k}.png" for k in range(7)])
     put(folder, ["f_20.png"], [image_of(20)])
     refuses(
-        ImageSource((folder,), "*.png"),
+        Chosen((folder,), "*.png"),
         r"has 8 images, and the plan 7: f_20.png would be left over; .*--skip",
     )
-    taken(ImageSource((folder,), "f_?.png"))
+    taken(Chosen((folder,), "f_?.png"))
     refuses(
-        ImageSource((folder,), "f_[0-4].png"), "has 5 images, and the plan 7: the last 2 of .* after f_4.png"
+        Chosen((folder,), "f_[0-4].png"),
+        "has 5 images, and the plan 7: the last 2 of .* after f_4.png",
     )
-    refuses(ImageSource((folder,), "*.tif"), r"has no file '\*.tif'")
-    refuses(ImageSource((folder,), "../*.png"), "a pattern of names below the folder", ConfigError)
+    refuses(Chosen((folder,), "*.tif"), r"has no file '\*.tif'")
+    refuses(Chosen((folder,), "../*.png"), "a pattern of names below the folder", ConfigError)
 
 
 @pytest.mark.parametrize("beside", [True, False])
@@ -127,13 +130,13 @@ def test_a_list_of_names(tmp_path: Path, beside: bool) -> None:
     folder = put(tmp_path / "images", names)
     listed = (folder if beside else tmp_path) / "list.txt"
     listed.write_text("\n".join([*names[:3], "", *names[3:]]) + "\n")
-    taken(ImageSource(() if beside else (folder,), f"@{listed}"))
+    taken(Chosen(() if beside else (folder,), f"@{listed}"))
 
 
 def test_a_list_that_is_wrong(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"{k}.png" for k in range(7)])
     listed = tmp_path / "list.txt"
-    source = ImageSource((folder,), f"@{listed}")
+    source = Chosen((folder,), f"@{listed}")
     listed.write_text("\n".join(f"{k}.png" for k in (0, 1, 2, 3, 7, 8, 6)))
     refuses(source, r"images: 2 of 7 files do not exist \(7.png, 8.png\)")
     listed.write_text("\n".join(f"{k}.png" for k in (0, 1, 2, 3, 4, 1, 6)))
@@ -142,17 +145,17 @@ def test_a_list_that_is_wrong(tmp_path: Path) -> None:
     refuses(source, "has 6 images, and the plan 7: the last 1 of the plan have none after 5.png")
     listed.write_text("\n\n")
     refuses(source, "list.txt: names no image")
-    refuses(ImageSource((folder,), "@nowhere.txt"), "nowhere.txt", ConfigError)
+    refuses(Chosen((folder,), "@nowhere.txt"), "nowhere.txt", ConfigError)
 
 
 def test_files_one_by_one_and_the_order_of_a_shell(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"f_{k}.png" for k in range(5, 12)])
     files = tuple(folder / f"f_{k}.png" for k in range(5, 12))
     said: list[str] = []
-    np.testing.assert_array_equal(read_images(ImageSource(files), warn=said.append)[0], IMAGES)
-    read_images(ImageSource(files[::-1]), warn=said.append)
+    np.testing.assert_array_equal(read_images(Chosen(files), warn=said.append)[0], IMAGES)
+    read_images(Chosen(files[::-1]), warn=said.append)
     assert said == []
-    read_images(ImageSource(tuple(sorted(files))), warn=said.append)
+    read_images(Chosen(tuple(sorted(files))), warn=said.append)
     assert len(said) == 1
     assert "the order of the letters in their names, f_10.png, f_11.png, f_5.png … f_9.png" in said[0]
     assert "by their numbers they are f_5.png, f_6.png, f_7.png … f_11.png" in said[0]
@@ -187,7 +190,7 @@ def test_a_source_that_does_not_say_which_images(
 ) -> None:
     put(tmp_path / "images", [f"{k}.png" for k in range(7)])
     with pytest.raises(ConfigError, match=complaint):
-        ImageSource(tuple(tmp_path / place for place in places), **options).images([3, 4])
+        Chosen(tuple(tmp_path / place for place in places), **options).images([3, 4])
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -196,10 +199,11 @@ def test_white_and_black_images_are_left_out(tmp_path: Path, first: int) -> None
     folder = put(tmp_path / "images", [f"f_{k}.png" for k in range(first, 10 + first)], images)
     skip = (first, first + 1, first + 9)
     refuses(
-        ImageSource((folder,), "f_{index}.png", first), "has 3 images more than the plan's 7 .*--skip leaves"
+        Chosen((folder,), "f_{index}.png", first),
+        "has 3 images more than the plan's 7 .*--skip leaves",
     )
     for names in ("f_{index}.png", "*.png"):
-        source = ImageSource((folder,), names, first, skip=skip)
+        source = Chosen((folder,), names, first, skip=skip)
         np.testing.assert_array_equal(read_images(source)[0], IMAGES)
         session = import_images(source, PLAN, tmp_path / "session", force=True)
         np.testing.assert_array_equal(session.stack(), IMAGES)
@@ -214,8 +218,8 @@ def test_one_file_of_all_images(tmp_path: Path, kind: str) -> None:
         np.save(stack, np.array(IMAGES))
     else:
         np.savez_compressed(stack, frames=np.array(IMAGES))
-    taken(ImageSource((stack,)))
-    refuses(ImageSource((stack,), skip=(0,)), rf"has 6 images, and the plan 7: .* after stack.{kind} image 6")
+    taken(Chosen((stack,)))
+    refuses(Chosen((stack,), skip=(0,)), rf"has 6 images, and the plan 7: .* after stack.{kind} image 6")
 
 
 def test_a_file_for_each_set(tmp_path: Path) -> None:
@@ -223,10 +227,10 @@ def test_a_file_for_each_set(tmp_path: Path) -> None:
     folder.mkdir()
     np.save(folder / "set_0.npy", np.array(IMAGES[:3]))
     tifffile.imwrite(folder / "set_1.tif", np.array(IMAGES[3:]), photometric="minisblack")
-    taken(ImageSource((folder / "set_0.npy", folder / "set_1.tif")))
-    np.testing.assert_array_equal(read_images(ImageSource((folder,), "set_*"))[0], IMAGES)
+    taken(Chosen((folder / "set_0.npy", folder / "set_1.tif")))
+    np.testing.assert_array_equal(read_images(Chosen((folder,), "set_*"))[0], IMAGES)
     with pytest.raises(DataError, match=r"set_1.tif: holds 4 images, and --frames names each of them"):
-        read_images(ImageSource((folder,), "set_{index}.tif", first=1))
+        read_images(Chosen((folder,), "set_{index}.tif", first=1))
 
 
 @pytest.mark.parametrize(

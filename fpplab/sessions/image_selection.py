@@ -15,7 +15,7 @@ from fpplab.sessions.image_names import NumberedNames, shown
 
 
 @dataclass(frozen=True)
-class ImageSource:
+class ImageSelection:
     """Where images are and in which order they were taken.
 
     Attributes
