@@ -4,7 +4,8 @@ What a pose will tell is known before it is taken: the derivatives of its points
 sizes of the errors that the poses so far show. Added to the normal equations of these they give the
 covariance that will be (I-optimal design: least mean variance of what is to be predicted; F. Pukelsheim,
 "Optimal design of experiments", 1993). What counts is the product of the uncertainties of form and of place:
-the best pose for form alone would leave the place of everything poorly known, and the reverse. Errors that the points of one pose share count as in `pose_effects`.
+the best pose for form alone would leave the place of everything poorly known, and the reverse.
+Errors that the points of one pose share count as in `pose_effects`.
 
 The poses' own parameters are eliminated from the normal equations, one pose after the other (Schur
 complement), so that each candidate is a sum of two small matrices.

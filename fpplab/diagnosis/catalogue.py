@@ -94,8 +94,8 @@ REMEDIES = {
     "it, its front towards both, nothing before it; compare it with the target file",
     FaultCause.BOARD_MOVED: "lean the board against something, or clamp it, and take the hands away until "
     "the pose is taken",
-    FaultCause.POSE_MISFIT: "take the pose again; keep the board flat, and camera, projector and lenses as they "
-    "are",
+    FaultCause.POSE_MISFIT: "take the pose again; keep the board flat, and camera, projector and lenses as "
+    "they are",
     FaultCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
 }
 """What to do, by cause."""

@@ -1,4 +1,4 @@
-"""Guided characterisation: poses are asked for one at a time, each is judged at once, until enough is known."""
+"""Guided characterisation: poses are asked for one at a time, each judged at once, until enough is known."""
 
 from fpplab.guidance.attempts import GuidedRun, PoseAttempt
 from fpplab.guidance.loop import GuidedSettings, guided_characterisation

@@ -1,4 +1,4 @@
-"""The loop of a guided characterisation: ask, take, observe, judge, accept or reject, until enough is known."""
+"""Loop of a guided characterisation: ask, take, observe, judge, accept or reject; until enough is known."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ TRIES = 2
 """How often in succession a pose is asked for before another is."""
 
 MOST_REJECTED, FIRST_REJECTED = 8, 3
-"""Poses rejected in succession, after which the loop ends with what was wrong; and before any was accepted."""
+"""Poses rejected in succession after which the loop ends, saying why; and before any was accepted."""
 
 REJECTED = "rejected"
 """Folder of poses that were rejected, beside those that count."""
@@ -84,8 +84,8 @@ class GuidedSettings:
 
 
 def guided_characterisation(
-    rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings, tell: Callable[[str], object],
-    bar: Bar,
+    rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
+    tell: Callable[[str], object], bar: Bar,
 ) -> GuidedRun:  # fmt: skip
     """Characterise a rig by poses that are asked for one at a time.
 
@@ -314,8 +314,8 @@ class _Loop:
 
 
 def _run_of(
-    result: Characterisation, target: Target, sessions: tuple[Session, ...], attempts: tuple[PoseAttempt, ...],
-    settings: GuidedSettings, depth_mm: DepthInterval,
+    result: Characterisation, target: Target, sessions: tuple[Session, ...],
+    attempts: tuple[PoseAttempt, ...], settings: GuidedSettings, depth_mm: DepthInterval,
 ) -> GuidedRun:  # fmt: skip
     assert result.model is not None
     assert result.solution is not None

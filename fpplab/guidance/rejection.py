@@ -15,7 +15,7 @@ SPOILING = {
     FaultCause.PROJECTOR_FOCUS,
     FaultCause.VIBRATION,
 }
-"""Causes in the frames of a pose that are most often of this pose alone, and go away when it is taken again."""
+"""Causes in the frames of a pose that are most often of this pose alone, and gone when it is taken again."""
 
 
 def frame_findings(recording: Recording) -> tuple[Finding, ...]:

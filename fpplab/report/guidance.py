@@ -15,13 +15,14 @@ from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTa
 
 COLUMNS = ("Pose", "Asked for", "Camera in px", "Projector in px", "Form in µm", "Outcome")
 CAPTION = (
-    "RMS residuals of each pose in the fit with the poses before it, and in brackets what those predict. Form: "
-    "standard uncertainty of form by the calibration after the pose, root mean square over the working volume, "
-    "without the board's scale."
+    "RMS residuals of each pose in the fit with the poses before it, and in brackets what those predict. "
+    "Form: standard uncertainty of form by the calibration after the pose, root mean square over the working "
+    "volume, without the board's scale."
 )
 FIGURE = (
-    "Left: standard uncertainty of form after each pose that counts, and that asked for. Right: RMS residuals "
-    "of each pose taken (bars) and those predicted by the poses before it (lines); rejected poses are hatched."
+    "Left: standard uncertainty of form after each pose that counts, and that asked for. Right: RMS "
+    "residuals of each pose taken (bars) and those predicted by the poses before it (lines); rejected poses "
+    "are hatched."
 )
 
 

@@ -87,8 +87,8 @@ def characterise_command(
             "--until",
             metavar="LENGTH",
             help="With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
-            "over the volume that both devices see within --depth, by the calibration alone, after the best rigid "
-            "motion of all its points, without the board's scale, which no pose tells.",
+            "over the volume that both devices see within --depth, by the calibration alone, after the best "
+            "rigid motion of all its points, without the board's scale, which no pose tells.",
         ),
     ] = None,
     depth: DepthOption = None,
