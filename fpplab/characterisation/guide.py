@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpplab.characterisation.candidate_poses import candidate_poses
+from fpplab.characterisation.coverage import bare_parts, filled_parts
 from fpplab.characterisation.estimate import JointEstimate, first_estimate
 from fpplab.characterisation.first_poses import FIRST_POSES, RoughView, first_pose, working_depth
 from fpplab.characterisation.fitting import DEFAULT_LEVEL
 from fpplab.characterisation.judging import Errors, judge
-from fpplab.characterisation.next_pose import Design, best_pose
+from fpplab.characterisation.next_pose import Design, best_pose, expected_observation
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import DistortionModel, ImageSize
 from fpplab.characterisation.pose_words import FIRST_WORDS, described_pose, outline_px
@@ -137,13 +138,18 @@ class Guide:
             return None
         return volume.form_mm(self.estimate.solution, self.level, self.estimate.covariance)
 
-    def wanted(self) -> WantedPose:
+    def wanted(self, fill: bool = False) -> WantedPose:
         """Choose the next pose.
+
+        Parameters
+        ----------
+        fill : bool
+            Whether it has to bring points into a part of an image that has none, if any pose does.
 
         Returns
         -------
         WantedPose
-            That which lessens the uncertainty of form in the working volume most.
+            That which lessens the uncertainty of form and place in the working volume most.
 
         Raises
         ------
@@ -159,16 +165,40 @@ class Guide:
             return self._asked(pose, view.camera, float(view.first.translation[2]))
         volume, calibration = self.volume, self.estimate.calibration
         assert volume is not None
-        assert self.depth_mm is not None
-        candidates = candidate_poses(calibration, self.target.size_mm, self.depth_mm)
-        refused = {k for k, one in enumerate(candidates) if any(_alike(one, g) for g in self._given_up)}
-        if len(refused) == len(candidates):
+        candidates = self._candidates()
+        if not candidates:
             raise CalibrationError(
                 "every pose that both devices see was rejected; see to the rig, and begin anew"
             )
-        chosen, form_mm = best_pose(Design.of(self.estimate, volume), candidates, refused)
+        candidates = (self._filling(candidates) if fill else []) or candidates
+        chosen, form_mm = best_pose(Design.of(self.estimate, volume), candidates)
         first_mm = float(self.estimate.poses[0].translation[2])
         return self._asked(candidates[chosen], calibration.camera, first_mm, form_mm)
+
+    @property
+    def lacks_part(self) -> bool:
+        """Whether a part of an image has no points yet, and some pose would bring points there."""
+        return self.estimate is not None and bool(self._filling(self._candidates()))
+
+    def _candidates(self) -> list[RigidTransform]:
+        assert self.estimate is not None
+        assert self.depth_mm is not None
+        found = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
+        return [one for one in found if not any(_alike(one, other) for other in self._given_up)]
+
+    def _filling(self, candidates: list[RigidTransform]) -> list[RigidTransform]:
+        """Those that bring points into a part of an image that has none."""
+        assert self.estimate is not None
+        centres = np.array([pose.translation for pose in self.estimate.poses])
+        bare = bare_parts(self.observations, centres, self.estimate.calibration)
+        if not any(part.any() for part in bare.values()):
+            return []
+        sizes, found = dict(zip(bare, self.sizes, strict=True)), []
+        for pose in candidates:
+            seen = expected_observation(self.estimate, pose)
+            if any((bare[d] & filled_parts([seen], d, sizes[d])).any() for d in bare):
+                found.append(pose)
+        return found
 
     def give_up(self, wanted: WantedPose) -> None:
         """Ask for this pose and those like it no more.

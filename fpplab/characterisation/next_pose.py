@@ -13,7 +13,7 @@ complement), so that each candidate is a sum of two small matrices.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,9 +155,7 @@ class Design:
         return _eliminated(problem, matrix, problem.transposed(0, near, basis))
 
 
-def best_pose(
-    design: Design, candidates: Sequence[RigidTransform], refused: Collection[int] = ()
-) -> tuple[int, float]:
+def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int, float]:
     """Choose the candidate that lessens the uncertainty of form most.
 
     Parameters
@@ -166,8 +164,6 @@ def best_pose(
         What the poses so far tell.
     candidates : sequence of RigidTransform
         T_camera_target of each.
-    refused : collection of int
-        Indices of candidates that are not wanted.
 
     Returns
     -------
@@ -177,10 +173,9 @@ def best_pose(
         Standard uncertainty of form in mm that its observation will leave.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        left = [k for k in range(len(candidates)) if k not in refused]
-        predicted = np.array([design.predicted_mm(candidates[k]) for k in left])
+        predicted = np.array([design.predicted_mm(pose) for pose in candidates])
     best = int(np.argmin(predicted.prod(axis=1)))
-    return left[best], float(predicted[best, 1])
+    return best, float(predicted[best, 1])
 
 
 def _eliminated(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floats, Floats]:

@@ -126,12 +126,12 @@ class GuidedRun:
         near, far = self.depth_mm
         known = (
             f"standard uncertainty of form by the calibration, from {near:.0f} to {far:.0f} mm: "
-            f"{1e3 * self.form_mm:.3g} um with {len(self.sessions)} poses; the board's scale adds "
-            f"{1e3 * self.scale_mm:.3g} um, which no pose lessens"
+            f"{1e3 * self.form_mm:.3g} µm with {len(self.sessions)} poses; the board's scale adds "
+            f"{1e3 * self.scale_mm:.3g} µm, which no pose lessens"
         )
         if self.reached:
             return known
-        asked = f"{1e3 * (self.until_mm or 0.0):.3g} um were asked for"
+        asked = f"{1e3 * (self.until_mm or 0.0):.3g} µm were asked for"
         return f"{known}; {asked}: give the same command with more --poses, which keeps those taken"
 
     def summary(self) -> dict[str, Any]:

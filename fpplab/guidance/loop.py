@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,6 +38,9 @@ from fpplab.targets import Target
 
 LEAST_TO_STOP = 5
 """Poses before which the loop does not end: fewer do not show how large the errors of a pose are."""
+
+LAST_TO_FILL = 3
+"""Poses left from which on parts of the images without points come first."""
 
 TRIES = 2
 """How often in succession a pose is asked for before another is."""
@@ -164,8 +167,16 @@ class _Loop:
 
     def _enough(self) -> bool:
         form, until, count = self._guide.form_mm, self._settings.until_mm, len(self._sessions)
+        if count >= self._settings.poses:
+            return True
         reached = form is not None and until is not None and form <= until
-        return count >= self._settings.poses or (reached and count >= LEAST_TO_STOP)
+        return reached and count >= LEAST_TO_STOP and not self._guide.lacks_part
+
+    def _must_fill(self) -> bool:
+        """Whether parts of the images without points come first: little else is left to do."""
+        form, until = self._guide.form_mm, self._settings.until_mm
+        last = self._settings.poses - len(self._sessions) <= LAST_TO_FILL
+        return last or (form is not None and until is not None and form <= until)
 
     def _resume(self) -> None:
         """Count the complete poses of an earlier run, as they were judged then."""
@@ -181,7 +192,7 @@ class _Loop:
         """Ask for a pose, take it and judge it."""
         guide, number = self._guide, self._free_number()
         if self._wanted is None:
-            self._wanted = guide.wanted()
+            self._wanted = guide.wanted(fill=self._must_fill())
         wanted, path = self._wanted, self._path(number)
         self._tell(f"pose {len(self._sessions) + 1}: {wanted.words}")
         picture = self._folder / PICTURE
@@ -323,7 +334,9 @@ def _run_of(
     calibration, model = result.calibration, result.model
     lattice = calibration.projector.lattice
     found = JointEstimate(target, lattice, model, result.observations, result.solution, result.sizes)
-    volume = WorkingVolume.of(calibration, depth_mm)
+    volume, rms = WorkingVolume.of(calibration, depth_mm), result.pose_rms_px
+    # The first poses were taken before anything was known of their residuals.
+    known = [replace(a, rms_px=rms.get(a.name, {})) if a.accepted and not a.rms_px else a for a in attempts]
     form = volume.form_mm(result.solution, model.level, found.covariance)
     scale = model.scale_tolerance * volume.radius_mm
-    return GuidedRun(result, sessions, attempts, form, scale, settings.until_mm, depth_mm)
+    return GuidedRun(result, sessions, tuple(known), form, scale, settings.until_mm, depth_mm)

@@ -29,7 +29,7 @@ def accepted_words(number: int, attempt: PoseAttempt, until_mm: float | None) ->
     if now is None:
         parts.append("uncertainty not known yet")
     else:
-        parts.append(f"uncertainty of form {now:.3g} um" + (f" -> {wanted:.3g} um" if wanted else ""))
+        parts.append(f"uncertainty of form {now:.3g} µm" + (f" -> {wanted:.3g} µm" if wanted else ""))
     parts += [f"as in the pose before: {one.sentence}" for one in attempt.findings[:1]]
     return "; ".join(parts)
 
