@@ -136,12 +136,14 @@ def characterise_command(
     if bool(sessions) == bool(rig):
         raise ConfigError("give either sessions or --rig, to say where the poses come from")
     page = out.with_suffix(".html")
-    refuse_existing(out, force)
-    refuse_existing(page, force)
+    folder = out.with_name(out.stem + "_poses")
+    goes_on = guide and folder.is_dir()  # its poses are kept, its result renewed
+    refuse_existing(out, force or goes_on)
+    refuse_existing(page, force or goes_on)
     board, guided = Target.load(target), None
     level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
     if rig:
-        folder, chosen = out.with_name(out.stem + "_poses"), Plan.load(plan)
+        chosen = Plan.load(plan)
         check_unwrapping(chosen, plan)
         if chosen.axes != ("x", "y"):
             raise ConfigError(
