@@ -222,7 +222,7 @@ class _Loop:
             report(0.5)
             findings = frame_findings(session.recording(verify=False))
         if observation is None:
-            self._reject(session, words, (*findings, unseen_board(reason)))
+            self._reject(session, words, unseen_board(reason, findings))
             return False
         fit = self._guide.judged(observation)
         misfit = residual_finding(fit)

@@ -34,20 +34,27 @@ def frame_findings(recording: Recording) -> tuple[Finding, ...]:
     return tuple(one for one in diagnose_frames(recording) if one.cause in SPOILING)
 
 
-def unseen_board(reason: str) -> Finding:
-    """Name a board that was not found.
+def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Name a board that was not found, behind what its frames give as the cause.
+
+    Where there is no board there are no fringes to be seen either, so darkness comes after it.
 
     Parameters
     ----------
     reason : str
         What the detection said.
+    findings : tuple of Finding
+        Of the frames, the worst first.
 
     Returns
     -------
-    Finding
-        With the catalogue's remedy.
+    tuple of Finding
+        The likeliest cause first.
     """
-    return Finding(FaultCause.BOARD_NOT_FOUND, reason, 1.0)
+    dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
+    unseen = Finding(FaultCause.BOARD_NOT_FOUND, reason, 1.0)
+    causes = tuple(one for one in findings if one.cause not in dark)
+    return (*causes, unseen, *(one for one in findings if one.cause in dark))
 
 
 def inconsistent_pose(reason: str) -> Finding:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation
 from fpplab.characterisation.bundle import uncertainty
 from fpplab.characterisation.candidate_poses import (
@@ -49,8 +50,10 @@ def seen(
 
 @pytest.fixture(scope="module")
 def estimate() -> JointEstimate:
+    """Of five poses over the field, so that errors are small enough for derivatives to tell them."""
     random = np.random.default_rng(1)
-    poses = [seen(pose, random, name=f"pose_{k}") for k, pose in enumerate(tilted(5, 1))]
+    field = candidate_poses(Calibration(CAMERA, PROJECTOR, PAIR, {}), TARGET.size_mm, DEPTH)
+    poses = [seen(pose, random, name=f"pose_{k}") for k, pose in enumerate(field[7::43])]
     return first_estimate(poses, TARGET, SIZES, Lattice.SQUARE)[0]
 
 
@@ -91,20 +94,20 @@ def test_the_prediction_is_the_covariance_with_the_pose(
 def test_what_is_chosen_is_the_best_when_the_pose_is_really_taken(
     estimate: JointEstimate, volume: WorkingVolume, candidates: list[RigidTransform]
 ) -> None:
-    """With fresh noise and a whole adjustment; the errors' sizes are estimated anew, so that ranks agree
-    in the large."""
-    some = [*candidates[::30], candidates[best_pose(Design.of(estimate, volume), candidates)[0]]]
+    """With fresh noise and a whole adjustment, at its own solution."""
     design, random = Design.of(estimate, volume), np.random.default_rng(2)
-    predicted, found = [], []
+    some = [*candidates[::30], candidates[best_pose(design, candidates)[0]]]
+    found = []
     for pose in some:
         taken = estimate.with_pose(seen(pose, random, name="next"))
         covariance = replace(taken, sizes=estimate.sizes).covariance
-        found.append(volume.form_mm(taken.solution, taken.model.level, covariance))
-        predicted.append(design.predicted_mm(pose)[1])
-    assert np.corrcoef(np.log(predicted), np.log(found))[0, 1] > 0.85
-    np.testing.assert_allclose(np.array(found) / predicted, 1.0, atol=0.35)
-    assert found[-1] <= 1.2 * min(found)
-    assert found[-1] < 0.7 * float(np.median(found))
+        slopes = volume.slopes(taken.solution, taken.model.level)
+        found.append([np.sqrt(np.einsum("mi,ij,mj->", one, covariance, one)) for one in slopes])
+    predicted, real = np.array([design.predicted_mm(pose) for pose in some]), np.array(found)
+    np.testing.assert_allclose(real / predicted, 1.0, atol=0.15)
+    products = real.prod(axis=1)
+    assert products[-1] <= 1.3 * products.min()  # each is within 15 % of what is predicted, twice
+    assert products[-1] < 0.9 * np.median(products)
 
 
 def test_the_choice_takes_less_than_a_second(
