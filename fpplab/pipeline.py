@@ -64,6 +64,7 @@ def take(
     *,
     force: bool = False,
     complete_too: bool = False,
+    bring: Callable[[], object] | None = None,
     progress: Progress = no_progress,
     observe_frame: FrameObserver = ignore,
 ) -> Session:
@@ -85,6 +86,8 @@ def take(
         Whether a session that is there already is replaced.
     complete_too : bool
         Whether a session that is complete is left as it is, instead of refused.
+    bring : callable, optional
+        Puts up the item, in place of the fixture's own poses by number.
     progress : callable
         Told the share of the frames that are on disk, 0 … 1.
     observe_frame : callable
@@ -113,7 +116,8 @@ def take(
         if plan.stage_mm is not None and session.missing():
             rig.place_stage(plan.stage_mm)
         if mount is not None and session.missing():
-            rig.need_fixture(f"mounting the {mount[0]}").mount(*mount)
+            fixture = rig.need_fixture(f"mounting the {mount[0]}")
+            bring() if bring else fixture.mount(*mount)
 
         def seen(frame: Frame) -> None:
             progress(1.0 - len(session.missing()) / plan.images)
@@ -630,7 +634,7 @@ def characterise_sessions(
     CalibrationError
         Too few poses remain, or the models do not fit.
     """
-    _require_plan_fits(sessions[0])
+    require_plan_fits(sessions[0])
     size, lattice = sessions[0].projector()
     observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share))
     width, height, _ = sessions[0].format
@@ -648,8 +652,19 @@ def characterise_sessions(
     return result
 
 
-def _require_plan_fits(session: Session) -> None:
-    """Refuse a plan that does not describe the images, before many poses are decoded by it."""
+def require_plan_fits(session: Session) -> None:
+    """Refuse a plan that does not describe the images, before many poses are decoded by it.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+
+    Raises
+    ------
+    CalibrationError
+        Another plan fits the images far better.
+    """
     if fault := _plan_fault(session.recording(verify=False)):
         raise CalibrationError(f"{session.path}: {fault}")
 
@@ -702,15 +717,35 @@ def _observe_sessions(
     left_out: dict[str, str] = {}
     for k, session in enumerate(sessions):
         try:
-            observations.append(_observe_session(session, target, periods))
+            observations.append(observe_session(session, target, periods))
         except CalibrationError as error:
             left_out[session.path.name] = str(error)
         progress((k + 1) / len(sessions))
     return observations, left_out
 
 
-def _observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
-    """What one pose tells. Raises `CalibrationError` that names it."""
+def observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
+    """Find a board in one pose, and its points in camera and projector.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    target : Target
+        The board.
+    periods : tuple of float
+        Of the finest fringes, from `finest_periods`.
+
+    Returns
+    -------
+    Observation
+        What the pose tells.
+
+    Raises
+    ------
+    CalibrationError
+        It tells nothing: the message names the pose, and says why.
+    """
     name, recording = session.path.name, session.recording()
     if fault := _fault_in_step(session, recording):
         raise CalibrationError(f"{name}: {fault}; take this pose again")

@@ -113,7 +113,8 @@ def is_lit_in_view(world: World, setup: Setup) -> bool:
         The item cannot be made.
     """
     vertices, faces = item_shape(world, setup.item)
-    points = item_poses(world, setup.item)[setup.pose].apply(_spread_points(vertices[faces]))
+    held = setup.held or item_poses(world, setup.item)[setup.pose]
+    points = held.apply(_spread_points(vertices[faces]))
     seen = world.camera_model().sees(points)
     lit = world.projector_model().sees(points, setup.T_projector_camera(world))
     return bool(np.any(seen & lit))

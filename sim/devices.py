@@ -24,16 +24,16 @@ from numpy.typing import NDArray
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import ConfigError
+from fpplab.core.errors import ConfigError, SettingError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import (
     Camera,
     CameraCaps,
     CameraSettings,
     DeviceInfo,
-    Fixture,
     FixtureCaps,
     Frame,
+    PosableFixture,
     Projector,
     ProjectorCaps,
     Stage,
@@ -465,8 +465,8 @@ class SimStage(Stage):
         self._bench.setup = replace(self._bench.setup, stage_mm=float(mm))
 
 
-class SimFixture(Fixture):
-    """Holds the world's items, and knows their poses."""
+class SimFixture(PosableFixture):
+    """Holds the world's items, knows their poses, and puts a board into any other."""
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._bench = _shared(bench, self.name, options)
@@ -490,7 +490,13 @@ class SimFixture(Fixture):
         self._bench.check(item, pose)
 
     def _mount(self, item: str, pose: int) -> None:
-        self._bench.setup = replace(self._bench.setup, item=item, pose=pose)
+        self._bench.setup = replace(self._bench.setup, item=item, pose=pose, held=None)
+
+    def _place(self, item: str, T_camera_item: RigidTransform) -> None:
+        placed = replace(self._bench.setup, item=item, pose=0, held=T_camera_item)
+        if not is_lit_in_view(self._bench.world, placed):
+            raise SettingError(self.name, "place", f"nothing of {item} would be lit and seen there")
+        self._bench.setup = placed
 
     def _pose(self, item: str, pose: int) -> RigidTransform:
         return self._held[item][pose]

@@ -27,7 +27,7 @@ from fpplab.characterisation.pose_effects import (
 )
 from fpplab.characterisation.problem import Problem
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import CalibrationError
+from fpplab.core.errors import UndeterminedError
 from fpplab.core.robust import robust_spread
 
 SOFT = 3.0
@@ -307,7 +307,7 @@ def fits_without_each_pose(
 
     Raises
     ------
-    CalibrationError
+    UndeterminedError
         The other poses do not determine the parameters.
     """
     problem = Problem(tuple(observations), model, sizes, best)
@@ -323,7 +323,7 @@ def fits_without_each_pose(
             scaled = left * np.outer(scale, scale) + FIRST_DAMPING**2 * np.eye(len(left))
             factor = np.linalg.cholesky(scaled)
         except np.linalg.LinAlgError as error:
-            raise CalibrationError(UNDETERMINED) from error
+            raise UndeterminedError(UNDETERMINED) from error
         moved = vector.copy()
         moved[others] -= scale * cho_solve((factor, True), scale * (gradient - pull)[others])
         moved[carried] = np.clip(moved[carried], 0.0, 1.0)
@@ -348,12 +348,12 @@ def inverse_of(problem: Problem, normal: Floats) -> Floats:
 
     Raises
     ------
-    CalibrationError
+    UndeterminedError
         A parameter is not determined.
     """
     scale = np.sqrt(np.diag(normal))
     if np.any(scale == 0):
-        raise CalibrationError(UNDETERMINED)
+        raise UndeterminedError(UNDETERMINED)
     scaled = normal / np.outer(scale, scale)
     rational = np.arange(INTRINSICS.index("k4"), len(problem.model.level.terms))
     rational = np.concatenate([rational, len(problem.model.level.terms) + rational])
@@ -362,7 +362,7 @@ def inverse_of(problem: Problem, normal: Floats) -> Floats:
     values, vectors = np.linalg.eigh(scaled)
     judged = np.linalg.eigvalsh(scaled[np.ix_(others, others)]) if len(rational) else values
     if judged[0] < LEAST_EIGENVALUE * judged[-1]:
-        raise CalibrationError(UNDETERMINED)
+        raise UndeterminedError(UNDETERMINED)
     inverse = (vectors / np.maximum(values, LEAST_EIGENVALUE * values[-1])) @ vectors.T
     return np.asarray(inverse / np.outer(scale, scale))
 
@@ -381,7 +381,7 @@ def _descend(problem: Problem, vector: Floats) -> Floats:
         except (np.linalg.LinAlgError, ValueError) as error:
             damping *= 10.0
             if damping > MOST_DAMPING:
-                raise CalibrationError(UNDETERMINED) from error
+                raise UndeterminedError(UNDETERMINED) from error
             continue
         trial[carried] = np.clip(trial[carried], 0.0, 1.0)
         gain = cost - _huber(problem.misfit(trial))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation.observation import Observation
@@ -29,6 +30,9 @@ PARTS = (
     ("lower left", "bottom", "lower right"),
 )
 """Names of the ninths of an image, by row and column."""
+
+Ninths = NDArray[np.bool_]
+"""(3, 3), by row and column of an image."""
 
 
 def warnings(
@@ -103,16 +107,7 @@ def _about_distances(distances: Floats) -> Iterator[str]:
 def _about_parts(
     observations: Sequence[Observation], centres: Floats, calibration: Calibration
 ) -> Iterator[str]:
-    pair = calibration.T_projector_camera
-    camera, projector = calibration.camera, calibration.projector
-    sides = (
-        ("camera", camera, projector, pair, [o.camera_px for o in observations], centres),
-        ("projector", projector, camera, pair.inverse(), [o.projector_px for o in observations],
-         pair.apply(centres)),
-    )  # fmt: skip
-    for name, device, other, T_other_device, pixels, places in sides:
-        reachable = _seen_by_both(device, other, T_other_device, float(np.median(places[:, 2])))
-        bare = reachable & ~_held(np.concatenate(pixels), device.size)
+    for name, bare in bare_parts(observations, centres, calibration).items():
         if bare.any():
             where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
             yield (
@@ -121,17 +116,63 @@ def _about_parts(
             )
 
 
-def _held(pixels: Floats, size: tuple[int, int]) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-    """Tell which ninths (3, 3) of an image contain any of the pixels (K, 2)."""
+def bare_parts(
+    observations: Sequence[Observation], centres: Floats, calibration: Calibration
+) -> dict[str, Ninths]:
+    """Find the parts of both images in which no point of a board lay.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    centres : Floats
+        (M, 3) middle of the board in each, in mm in the camera's frame.
+    calibration : Calibration
+        Of both devices.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, (3, 3)
+        By `camera` and `projector`: ninths of the image without points whose centre both devices see.
+    """
+    pair = calibration.T_projector_camera
+    camera, projector = calibration.camera, calibration.projector
+    sides = (
+        ("camera", camera, projector, pair, centres),
+        ("projector", projector, camera, pair.inverse(), pair.apply(centres)),
+    )
+    return {
+        name: _seen_by_both(device, other, T_other_device, float(np.median(places[:, 2])))
+        & ~filled_parts(observations, name, device.size)
+        for name, device, other, T_other_device, places in sides
+    }
+
+
+def filled_parts(observations: Sequence[Observation], device: str, size: tuple[int, int]) -> Ninths:
+    """Tell which ninths of an image contain points of a board.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    device : str
+        `camera` or `projector`.
+    size : tuple of int
+        (width, height) of its image in px.
+
+    Returns
+    -------
+    ndarray of bool
+        (3, 3), by row and column.
+    """
+    pixels = np.concatenate([getattr(o, f"{device}_px") for o in observations])
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
     held[row, column] = True
     return held
 
 
-def _seen_by_both(
-    device: Pinhole, other: Pinhole, T_other_device: RigidTransform, distance: float
-) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+def _seen_by_both(device: Pinhole, other: Pinhole, T_other_device: RigidTransform, distance: float) -> Ninths:
     """Tell which ninths (3, 3) have a centre that the other device sees as well, at the boards' distance.
 
     The others cannot contain points of a board, and no point will ever be measured there.

@@ -13,9 +13,8 @@ from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
-from fpplab.calibration.board import FittedBoard, FittedErrors
-from fpplab.calibration.model import Calibration
 from fpplab.characterisation import coverage, outliers
+from fpplab.characterisation.assembly import calibration_of
 from fpplab.characterisation.board_diagnosis import find_description_error
 from fpplab.characterisation.bundle import (
     adjust_bundle,
@@ -39,15 +38,12 @@ from fpplab.characterisation.validation import compare_with_fewer_poses
 from fpplab.characterisation.zhang import (
     calibrate_separately,
     check_not_mirrored,
-    matrix_of,
     rms,
     stereo,
     transform,
 )
-from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
-from fpplab.core.errors import CalibrationError
-from fpplab.core.geometry import Pinhole
+from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.targets import Target
 
 LEAST_POSES = 3
@@ -145,8 +141,8 @@ def _characterised(
 ) -> Characterisation:  # fmt: skip
     chosen = DEFAULT_LEVEL if level == "auto" else level
     refined = refine_board is not False
-    model = Model(chosen, target.points(), refined, target.tolerance_mm, _scale(target), image_sizes)
-    kept, fit, separate_px = _settled(observations, target, model, image_sizes, missing)
+    model = model_of(target, image_sizes, chosen, refined)
+    kept, fit, separate_px = settled(observations, target, model, image_sizes, missing)
     kept, fit, rejected = _without_outliers(kept, fit, model)
     solution, sizes = fit
     # A model with few coefficients would hide that tilts are missing, so k1 to k3 are estimated here.
@@ -158,14 +154,7 @@ def _characterised(
     known = uncertainty(kept, solution, model, sizes)
     proof = compare_with_fewer_poses(kept, solution, model, sizes, without) if without else None
     cameras, projectors = zip(*(solution.residuals(i, o) for i, o in enumerate(kept)), strict=True)
-    calibration = Calibration(
-        Pinhole(image_sizes[0], matrix_of(solution.camera), solution.camera[4:]),
-        Pinhole(image_sizes[1], matrix_of(solution.projector), solution.projector[4:], lattice),
-        transform(solution.T_projector_camera),
-        tried[chosen].fitted_px,
-        known,
-        FittedBoard(config.plain(target), solution.board, _errors(sizes, solution, model)),
-    )
+    calibration = calibration_of(target, lattice, solution, sizes, model, tried[chosen].fitted_px, known)
     poses = tuple(transform(p) for p in solution.poses)
     return Characterisation(
         calibration,
@@ -195,20 +184,30 @@ def _characterised(
     )
 
 
-def _errors(sizes: ErrorSizes, solution: Solution, model: Model) -> FittedErrors:
-    return FittedErrors(
-        camera_px=sizes.camera_px,
-        projector_px=sizes.projector_px,
-        camera_shared_px=sizes.camera_shared_px,
-        projector_shared_px=sizes.projector_shared_px,
-        carried=solution.carried,
-        scale=model.scale_tolerance,
-    )
+def model_of(
+    target: Target, image_sizes: tuple[ImageSize, ImageSize], level: DistortionModel, refined: bool = True
+) -> Model:
+    """State what is fitted to poses of a board.
 
+    Parameters
+    ----------
+    target : Target
+        The board.
+    image_sizes : tuple of ImageSize
+        (width, height) in px of camera and projector.
+    level : DistortionModel
+        How many distortion coefficients are estimated.
+    refined : bool
+        Whether the board's shape is estimated too.
 
-def _scale(target: Target) -> float:
+    Returns
+    -------
+    Model
+        For `settled` and `adjust_bundle`.
+    """
     given = target.scale_tolerance
-    return DEFAULT_SCALE_TOLERANCE if given is None else given
+    scale = DEFAULT_SCALE_TOLERANCE if given is None else given
+    return Model(level, target.points(), refined, target.tolerance_mm, scale, image_sizes)
 
 
 def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tuple[str, ...]:
@@ -224,13 +223,38 @@ def _motion(observations: Sequence[Observation], fit: Fit, model: Model) -> tupl
     )
 
 
-def _settled(
+def settled(
     observations: Sequence[Observation], target: Target, model: Model, sizes: tuple[ImageSize, ImageSize],
     missing: dict[str, str],
 ) -> tuple[list[Observation], Fit, dict[str, float]]:  # fmt: skip
-    """Select the poses that are consistent: these, their joint fit, and the RMS of the steps before it.
+    """Select the poses that are consistent, and fit them.
 
-    The others are added to `missing`.
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    target : Target
+        The board.
+    model : Model
+        What is fitted.
+    sizes : tuple of ImageSize
+        (width, height) in px of camera and projector.
+    missing : dict of str to str
+        Why poses are left out, by name; those that are inconsistent are added.
+
+    Returns
+    -------
+    kept : list of Observation
+        The consistent poses.
+    fit : tuple of Solution and ErrorSizes
+        Their joint fit.
+    separate_px : dict of str to float
+        RMS in px of the steps before it.
+
+    Raises
+    ------
+    CalibrationError
+        Too few poses remain, or they do not determine the devices.
     """
     kept = list(observations)
     while True:
@@ -257,9 +281,9 @@ def _started(
     try:
         start, projector_poses, separate_px = calibrate_separately(observations, target.points(), *sizes)
     except CalibrationError as error:
-        raise CalibrationError(
-            find_description_error(observations, target, sizes[0]) or str(error)
-        ) from error
+        if mistake := find_description_error(observations, target, sizes[0]):
+            raise CalibrationError(mistake) from error
+        raise
     if separate_px["camera"] > SUSPECT_PX:
         mistake = find_description_error(observations, target, sizes[0], separate_px["camera"])
         if mistake:
@@ -334,7 +358,7 @@ def _enough(observations: Sequence[Observation], left_out: dict[str, str]) -> No
     if len(observations) >= LEAST_POSES:
         return
     why = f" ({_reasons(left_out)})" if left_out else ""
-    raise CalibrationError(
+    raise UndeterminedError(
         f"only {len(observations)} of {len(observations) + len(left_out)} poses can be used, "
         f"at least {LEAST_POSES} are needed{why}; capture more poses, each tilted differently"
     )

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from fpplab.calibration.model import INTRINSICS, Calibration
 from fpplab.characterisation.bundle import adjust_bundle, uncertainty
+from fpplab.characterisation.displacement import moved_points, without_motion
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ErrorSizes, Model, Solution, view
 from fpplab.characterisation.problem import without_poses
@@ -217,14 +218,15 @@ def _quantities(fit: _Fit) -> tuple[_Quantity, ...]:
     n = 2 * free + 6
     every, translation = np.eye(n), best.T_projector_camera[3:]
     baseline = np.append(np.zeros(n - 3), translation / np.linalg.norm(translation))
-    moved = _moved(fit)
-    points = len(moved) // 3
+    probes = _probes(fit)
+    moved = moved_points(best, model.level, probes)
+    points = len(probes)
     return (
         _Quantity("camera.fx", "px", every[:1]),
         _Quantity("projector.fx", "px", every[free : free + 1]),
         _Quantity("baseline", "mm", baseline[None]),
         _Quantity("place", "mm", moved, 1.0 / points),
-        _Quantity("form", "mm", _without_motion(moved, _probes(fit)), 1.0 / points),
+        _Quantity("form", "mm", without_motion(moved, probes), 1.0 / points),
     )
 
 
@@ -236,32 +238,6 @@ def _probes(fit: _Fit) -> Floats:
         chosen = observation.ids[:: max(1, len(observation.ids) // PROBES)]
         places.append(RigidTransform.from_vectors(pose[:3], pose[3:]).apply(best.board[chosen]))
     return np.concatenate(places)
-
-
-def _moved(fit: _Fit) -> Floats:
-    """Derivatives (3 m, n) of triangulated points by the devices' parameters, all pixels held."""
-    _, best, model, _ = fit
-    free, probes, still = len(model.level.terms), _probes(fit), np.zeros(6)
-    seen = view(probes, still, best.camera)[1].reshape(-1, 2, 6 + len(INTRINSICS))
-    lit = view(probes, best.T_projector_camera, best.projector)[1].reshape(seen.shape)
-    turn = RigidTransform.from_vectors(best.T_projector_camera[:3], np.zeros(3)).rotation
-    by_place = np.concatenate([seen[..., 3:6], lit[..., 3:6] @ turn], axis=1)
-    by_device = np.zeros((len(probes), 4, 2 * free + 6))
-    by_device[:, :2, :free] = seen[..., 6 : 6 + free]
-    by_device[:, 2:, free : 2 * free] = lit[..., 6 : 6 + free]
-    by_device[:, 2:, 2 * free :] = lit[..., :6]
-    return np.asarray(-np.linalg.pinv(by_place) @ by_device).reshape(-1, 2 * free + 6)
-
-
-def _without_motion(moved: Floats, places: Floats) -> Floats:
-    """Take the best rigid motion from changes (3 m, n) of places (m, 3)."""
-    x, y, z = (places - places.mean(axis=0)).T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    turns = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]
-    shifts = [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
-    motions = np.stack([np.stack(m, axis=1).ravel() for m in (*turns, *shifts)], axis=1)
-    basis, _ = np.linalg.qr(motions)
-    return np.asarray(moved - basis @ (basis.T @ moved))
 
 
 def projected_uncertainty(

@@ -16,7 +16,7 @@ from fpplab.calibration.model import INTRINSICS
 from fpplab.characterisation.observation import Observation
 from fpplab.characterisation.parameters import ImageSize, Solution, vectors_of
 from fpplab.core.conventions import Floats
-from fpplab.core.errors import CalibrationError
+from fpplab.core.errors import CalibrationError, UndeterminedError
 from fpplab.core.geometry import RigidTransform
 
 BoardPixels = list[Floats]
@@ -129,7 +129,7 @@ def zhang(
 
     Raises
     ------
-    CalibrationError
+    UndeterminedError
         The poses do not determine the device.
 
     References
@@ -141,7 +141,7 @@ def zhang(
     guesses = [(across * (width - 1), down * (height - 1)) for across, down in places]
     fits = [fit for guess in guesses if (fit := _zhang_from(guess, boards, pixels, size)) is not None]
     if not fits:
-        raise CalibrationError(
+        raise UndeterminedError(
             f"the poses do not determine the {device}: they are parallel or nearly so; "
             "tilt the board by 20° or more, each time differently"
         )

@@ -111,6 +111,10 @@ class CalibrationError(FppError):
     exit_code = 5
 
 
+class UndeterminedError(CalibrationError):
+    """The poses do not determine the devices: more of them would, tilted differently."""
+
+
 class Cancelled(FppError):  # noqa: N818 - not an error: the user's own wish
     """The user stopped the work."""
 

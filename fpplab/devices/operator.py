@@ -6,12 +6,13 @@ fixture: {backend: "fpplab.devices.operator:Operator"}
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from fpplab.core.errors import DeviceError
-from fpplab.devices import DeviceInfo, Fixture, FixtureCaps
+from fpplab.devices import DeviceInfo, FixtureCaps, InstructableFixture
 
 
-class Operator(Fixture):
+class Operator(InstructableFixture):
     """Asks on stderr and waits for Enter on stdin."""
 
     def _open(self) -> None:
@@ -31,7 +32,14 @@ class Operator(Fixture):
 
     def _mount(self, item: str, pose: int) -> None:
         ask = "Take everything away" if item == "nothing" else f"Put {item} in pose {pose + 1}"
-        sys.stderr.write(f"{ask} in front of the rig, then press Enter: ")
+        self._wait("mount", f"{ask} in front of the rig")
+
+    def _instruct(self, item: str, words: str, picture: Path | None) -> None:
+        shown = f" (see {picture})" if picture else ""
+        self._wait("instruct", f"Hold {item} {words}{shown}")
+
+    def _wait(self, doing: str, ask: str) -> None:
+        sys.stderr.write(f"{ask}, then press Enter: ")
         sys.stderr.flush()
         if not sys.stdin.readline():
-            raise DeviceError(self.name, "mount", "the terminal was closed", "run the command again")
+            raise DeviceError(self.name, doing, "the terminal was closed", "run the command again")

@@ -52,6 +52,12 @@ class FaultCause(StrEnum):
     """Frames differ in brightness."""
     SMALL_ANGLE = "small_angle"
     """Camera and projector look from nearly the same direction."""
+    BOARD_NOT_FOUND = "board_not_found"
+    """The board, or enough of its points, is not found in the frames of a pose."""
+    BOARD_MOVED = "board_moved"
+    """The board was not at rest while a pose was taken."""
+    POSE_MISFIT = "pose_misfit"
+    """A pose fits far worse than the others."""
     UNDERSAMPLED = "undersampled"
     """The finest stripes are too narrow for the camera's pixels."""
 
@@ -84,6 +90,12 @@ REMEDIES = {
     FaultCause.FLICKER: "expose for whole periods of the lamp and of the mains, and let the lamp warm up",
     FaultCause.SMALL_ANGLE: "move the projector away from the camera, to 15 to 30 degrees, and characterise "
     "again",
+    FaultCause.BOARD_NOT_FOUND: "hold the whole board where the camera sees it and the projector lights "
+    "it, its front towards both, nothing before it; compare it with the target file",
+    FaultCause.BOARD_MOVED: "lean the board against something, or clamp it, and take the hands away until "
+    "the pose is taken",
+    FaultCause.POSE_MISFIT: "take the pose again; keep the board flat, and camera, projector and lenses as "
+    "they are",
     FaultCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
 }
 """What to do, by cause."""

@@ -23,11 +23,13 @@ from fpplab.core.conventions import Axis, Floats, Image, Map
 from fpplab.core.files import write_text
 from fpplab.core.version import __version__
 from fpplab.diagnosis import Diagnosis
+from fpplab.guidance import GuidedRun
 from fpplab.patterns.response import Response
 from fpplab.phase import Decoded, Wrapped
 from fpplab.reconstruction.depth_range import DepthRange
 from fpplab.reconstruction.filtering import removal
 from fpplab.report import devices, figures, response_figures, uncertainty
+from fpplab.report.guidance import guided_section
 from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
 
 
@@ -82,6 +84,7 @@ def write_report(
     response: tuple[Response, Floats] | None = None,
     characterisation: Characterisation | None = None,
     judgement: Judgement | None = None,
+    guided: GuidedRun | None = None,
     scans: Sequence[ScanSection] = (),
     when: datetime | None = None,
 ) -> None:
@@ -101,6 +104,8 @@ def write_report(
         Shown with its residuals.
     judgement : Judgement, optional
         Errors in poses that were not fitted, beside those predicted.
+    guided : GuidedRun, optional
+        How a guided characterisation came about.
     scans : sequence of ScanSection
         One section each.
     when : datetime, optional
@@ -114,6 +119,8 @@ def write_report(
     sections = []
     if response:
         sections.append(_response_section(*response))
+    if guided:
+        sections.append(guided_section(guided))
     if characterisation:
         sections.append(devices.characterisation_section(characterisation))
     if judgement:

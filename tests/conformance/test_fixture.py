@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from fpplab.core.errors import ConfigError, SettingError
-from fpplab.devices import Fixture, State
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices import Fixture, PosableFixture, State
 from fpplab.devices.rig import Rig
 
 
@@ -41,3 +43,18 @@ def test_a_rig_says_when_it_has_no_fixture(rig: Rig) -> None:
     else:
         with pytest.raises(ConfigError, match="'fixture' is missing, and this test needs one"):
             rig.need_fixture("this test")
+
+
+def test_a_fixture_that_can_be_told_a_pose_takes_its_own_and_refuses_others(fixture: Fixture) -> None:
+    if not isinstance(fixture, PosableFixture):
+        return
+    with pytest.raises(SettingError, match="has no item 'philosopher's stone'"):
+        fixture.place("philosopher's stone", RigidTransform.identity())
+    for item in fixture.caps.items or {}:
+        held = fixture.pose(item)
+        assert held is not None
+        fixture.place(item, held)
+        with pytest.raises(SettingError):
+            fixture.place(item, held.moved(np.array([0.0, 0.0, -1e4])))
+        fixture.mount(item)
+    assert fixture.state is State.IDLE

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -18,15 +19,17 @@ def test_a_person_is_asked_for_item_and_pose(
     hand, terminal = os.openpty()
     with open(terminal, encoding="utf-8") as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
-        os.write(hand, b"\n\n")
+        os.write(hand, b"\n\n\n")
         with Operator("fixture", {}) as operator:
             operator.mount("board", 2)
             operator.mount("pyramid")
             assert operator.pose("pyramid") is None
+            operator.instruct("board", "in the middle of the image", Path("next_pose.png"))
     os.close(hand)
     asked = capsys.readouterr().err
     assert "Put board in pose 3 in front of the rig" in asked
     assert "Put pyramid" in asked
+    assert "Hold board in the middle of the image (see next_pose.png), then press Enter" in asked
 
 
 def test_without_a_terminal_there_is_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:

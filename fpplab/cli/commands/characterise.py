@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, PlanName, app
+from fpplab.cli.app import PREPARE, DepthOption, Force, Json, PlanName, app
 from fpplab.cli.completion import names_of
+from fpplab.cli.guided import run_guided, wanted_mm
 from fpplab.core.errors import CalibrationError, ConfigError, FppError
 
 if TYPE_CHECKING:
@@ -74,6 +75,23 @@ def characterise_command(
             "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
         ),
     ] = None,
+    guide: Annotated[
+        bool,
+        typer.Option(
+            "--guide", help="With --rig: ask for the poses one at a time, by what is still uncertain."
+        ),
+    ] = False,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until",
+            metavar="LENGTH",
+            help="With --guide: end at this standard uncertainty of form, such as 20um: root mean square "
+            "over the volume that both devices see within --depth, by the calibration alone, after the best "
+            "rigid motion of all its points, without the board's scale, which no pose tells.",
+        ),
+    ] = None,
+    depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -86,11 +104,17 @@ def characterise_command(
     `verdict` says whether to believe the result; `findings` name what is wrong with the poses' frames, each
     with what to do about it.
 
+    With `--guide` each pose is chosen to lessen the uncertainty most, and judged at once: a bad one is
+    rejected, with its cause, while the board is still there. It ends at `--until`, or after `--poses`. A
+    person is asked in words and by a picture (`next_pose.png` beside the poses); give the same command
+    again to go on. `--depth` is the range of the board's distance, by default some percent about the first.
+
     With `--judge` nothing is fitted but where the board stands: the errors in these poses are shown beside
     those that the calibration predicts. The exit code is 5 where they contradict it.
 
     Examples: `fpplab characterise poses/ --target target_paper --out calibration.yaml`;
     `fpplab characterise --rig rig_demo --target target_paper --out calibration.yaml`;
+    `fpplab characterise --rig my_rig --target target_paper --guide --until 20um --out calibration.yaml`;
     `fpplab characterise --judge calibration.yaml later_poses/`
     """
     if judged:
@@ -106,16 +130,20 @@ def characterise_command(
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
+    until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
         raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
     if bool(sessions) == bool(rig):
         raise ConfigError("give either sessions or --rig, to say where the poses come from")
     page = out.with_suffix(".html")
-    refuse_existing(out, force)
-    refuse_existing(page, force)
-    board = Target.load(target)
+    folder = out.with_name(out.stem + "_poses")
+    goes_on = guide and folder.is_dir()  # its poses are kept, its result renewed
+    refuse_existing(out, force or goes_on)
+    refuse_existing(page, force or goes_on)
+    board, guided = Target.load(target), None
+    level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
     if rig:
-        folder, chosen = out.with_name(out.stem + "_poses"), Plan.load(plan)
+        chosen = Plan.load(plan)
         check_unwrapping(chosen, plan)
         if chosen.axes != ("x", "y"):
             raise ConfigError(
@@ -123,16 +151,27 @@ def characterise_command(
             )
         if folder.exists() and not force:
             console.say(f"{folder}: complete poses there are kept; --force takes all anew")
-        with Rig.load(rig) as bench, console.progress("Taking poses") as report:
-            recorded = take_poses(bench, chosen, item, poses, folder, force, report)
+        with Rig.load(rig) as bench:
+            if guide:
+                guided = run_guided(
+                    *(bench, chosen, board, folder, level, refine_board, force),
+                    item=item, poses=poses, until_mm=until_mm, depth_mm=depth,
+                )  # fmt: skip
+            else:
+                with console.progress("Taking poses") as report:
+                    recorded = take_poses(bench, chosen, item, poses, folder, force, report)
     else:
         recorded = recorded_sessions(sessions or [])
-    level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
-    try:
-        with console.progress("Characterising") as report:
-            result = characterise_sessions(recorded, board, report, level=level, refine_board=refine_board)
-    except CalibrationError as error:
-        raise _with_causes(error, recorded) from error
+    if guided:
+        result, recorded = guided.result, list(guided.sessions)
+    else:
+        try:
+            with console.progress("Characterising") as report:
+                result = characterise_sessions(
+                    recorded, board, report, level=level, refine_board=refine_board
+                )
+        except CalibrationError as error:
+            raise _with_causes(error, recorded) from error
     diagnosis = _diagnosis(recorded, result.warnings, result.left_out)
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")
@@ -140,10 +179,10 @@ def characterise_command(
         console.say(f"warning: {warning}")
     console.say(diagnosis.sentence)
     result.calibration.save(out)
-    write_report(page, f"Characterisation {out.stem}", facts=result.facts(), characterisation=result)
-    console.answer(
-        {**diagnosis.summary(), **result.summary(), "left_out": result.left_out, "report": str(page)}, json
-    )
+    title, facts = f"Characterisation {out.stem}", result.facts()
+    write_report(page, title, facts=facts, characterisation=result, guided=guided)
+    answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}
+    console.answer(answer | ({"guided": guided.summary()} if guided else {}) | {"report": str(page)}, json)
 
 
 def _diagnosis(

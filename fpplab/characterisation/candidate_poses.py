@@ -1,0 +1,176 @@
+"""Poses of a board to choose from: over the field, the depth and the tilts that both devices see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.depth import DepthInterval
+from fpplab.core.errors import CalibrationError
+from fpplab.core.geometry import RigidTransform
+
+TILT_DEG = 35.0
+"""Tilt of the board against the image plane; more would blur and foreshorten what is printed on it."""
+
+DIRECTIONS = tuple((x, y) for y, x in product((-1, 0, 1), repeat=2) if x or y)
+"""To the right and down: towards which part of the image the board is moved, or which edge is tilted away."""
+
+MOST_SLANT_DEG = 50.0
+"""Greatest angle between the board's normal and the line to the projector; the light is grazing beyond."""
+
+HAND_MM = 5.0
+"""Rim around the board that has to be seen too: a hand does not hold it exactly where it should."""
+
+STEPS = 12
+"""Steps from the middle of the field to the edge of the image, in which the board is moved."""
+
+LEAST_SEEN = 0.6
+"""Share of the board that has to be seen where it is too large to be seen whole."""
+
+DEPTH_LEVELS = 3
+
+
+def tilted_away(direction: tuple[float, float], tilt_deg: float) -> Floats:
+    """Tilt a board that faces the camera.
+
+    Parameters
+    ----------
+    direction : tuple of float
+        To the right and down: the edge or corner that goes away from the camera.
+    tilt_deg : float
+        By how much.
+
+    Returns
+    -------
+    Floats
+        (3, 3) rotation of T_camera_target.
+    """
+    x, y = np.array(direction, np.float64) / np.hypot(*direction)
+    return RigidTransform.from_vectors(np.radians(tilt_deg) * np.array([y, -x, 0.0]), np.zeros(3)).rotation
+
+
+def board_grid(size_mm: tuple[float, float], rim_mm: float = 0.0) -> Floats:
+    """Spread points over a board and a rim around it.
+
+    Parameters
+    ----------
+    size_mm : tuple of float
+        (width, height) of the board in mm.
+    rim_mm : float
+        Width of the rim in mm.
+
+    Returns
+    -------
+    Floats
+        (25, 3) in mm in the board's frame; the outermost are on the edge.
+    """
+    x, y = (np.linspace(-0.5, 0.5, 5) * (side + 2.0 * rim_mm) for side in size_mm)
+    u, v = np.meshgrid(x, y)
+    return np.asarray(np.stack([u, v, np.zeros_like(u)], axis=-1).reshape(-1, 3))
+
+
+def share_seen(calibration: Calibration, places: Floats) -> Floats:
+    """Compute the share of points that camera and projector both see.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Both devices.
+    places : Floats
+        (..., K, 3) in mm in the camera's frame.
+
+    Returns
+    -------
+    Floats
+        (...).
+    """
+    seen: Mask = calibration.camera.sees(places)
+    seen &= calibration.projector.sees(places, calibration.T_projector_camera)
+    return np.asarray(seen.mean(axis=-1))
+
+
+def candidate_poses(
+    calibration: Calibration,
+    size_mm: tuple[float, float],
+    depth_mm: DepthInterval,
+) -> list[RigidTransform]:
+    """List poses of a board that both devices see whole.
+
+    For each tilt and depth the board is in the middle of the field that both devices see, and as far from
+    there as it is still seen, towards each edge and corner of the camera's image.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Both devices, as they are known so far.
+    size_mm : tuple of float
+        (width, height) of the board in mm.
+    depth_mm : DepthInterval
+        Range of the distance of the board's centre from the camera, in mm.
+
+    Returns
+    -------
+    list of RigidTransform
+        T_camera_target; of boards that are nowhere seen whole, those that are for the greatest part.
+
+    Raises
+    ------
+    CalibrationError
+        The board is nowhere seen for the greatest part.
+    """
+    grid = board_grid(size_mm, HAND_MM)
+    for least in (1.0, LEAST_SEEN):
+        if found := list(_seen_poses(calibration, grid, depth_mm, least)):
+            return found
+    raise CalibrationError(
+        f"a board of {size_mm[0]:g} x {size_mm[1]:g} mm is not seen by both devices from "
+        f"{depth_mm[0]:.0f} to {depth_mm[1]:.0f} mm from the camera; use a smaller board, or turn both "
+        "devices to one place"
+    )
+
+
+def _seen_poses(
+    calibration: Calibration,
+    grid: Floats,
+    depth_mm: DepthInterval,
+    least: float,
+) -> Iterator[RigidTransform]:
+    tilts = [np.eye(3), *(tilted_away(one, TILT_DEG) for one in DIRECTIONS)]
+    for z, rotation in product(np.linspace(*depth_mm, DEPTH_LEVELS), tilts):
+        board = grid @ rotation.T
+        paths = _paths(calibration, float(z))
+        share = share_seen(calibration, paths[:, :, None] + board)
+        good = (share >= least) & _faces_projector(calibration, rotation, paths)
+        last = np.where(good.any(axis=1), STEPS - np.argmax(good[:, ::-1], axis=1), -1)
+        placed = {tuple(paths[k, step]) for k, step in enumerate(last) if step >= 0}
+        yield from (RigidTransform(rotation, np.array(place)) for place in sorted(placed))
+
+
+def _paths(calibration: Calibration, z: float) -> Floats:
+    """Places (9, STEPS + 1, 3) at a depth, from the middle of the field to it, the edges and the corners."""
+    camera = calibration.camera
+    (width, height), shares = camera.size, np.linspace(0.0, 1.0, 9)
+    pixels = np.stack(np.meshgrid(shares * (width - 1), shares * (height - 1)), axis=-1).reshape(-1, 2)
+    places = z * np.column_stack([camera.normalise(pixels), np.ones(len(pixels))])
+    seen = calibration.projector.sees(places, calibration.T_projector_camera)
+    middle = pixels[seen].mean(axis=0) if seen.any() else pixels.mean(axis=0)
+    size = np.array([width - 1.0, height - 1.0])
+    ends = np.array([middle, *(0.5 * size * (1.0 + np.array(one)) for one in DIRECTIONS)])
+    # Towards an edge, not the middle of it: the other coordinate stays.
+    for k, one in enumerate(DIRECTIONS, 1):
+        ends[k] = np.where(np.array(one) == 0, middle, ends[k])
+    steps = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
+    along = middle + steps * (ends - middle)[:, None]
+    slopes = camera.normalise(along.reshape(-1, 2)).reshape(along.shape)
+    return np.asarray(z * np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=-1))
+
+
+def _faces_projector(calibration: Calibration, rotation: Floats, places: Floats) -> Mask:
+    """Whether the board's front is lit from not too far aside."""
+    away = places - calibration.projector_centre
+    cosine = away @ rotation[:, 2] / np.linalg.norm(away, axis=-1)
+    return np.asarray(cosine > np.cos(np.radians(MOST_SLANT_DEG)))

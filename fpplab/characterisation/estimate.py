@@ -1,0 +1,184 @@
+"""What the poses so far tell of camera and projector: an estimate that grows by one pose at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation.assembly import calibration_of
+from fpplab.characterisation.bundle import adjust_bundle, fit_pose, uncertainty
+from fpplab.characterisation.fitting import DEFAULT_LEVEL, model_of, settled
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import DistortionModel, ErrorSizes, ImageSize, Model, Solution
+from fpplab.characterisation.problem import without_poses
+from fpplab.characterisation.zhang import matrix_of, rms
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.geometry import RigidTransform
+from fpplab.targets import Target
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """Joint fit of the poses so far.
+
+    Attributes
+    ----------
+    target : Target
+        The board.
+    lattice : Lattice
+        Arrangement of the projector's mirrors.
+    model : Model
+        What is fitted, with the image sizes.
+    observations : tuple of Observation
+        The poses.
+    solution : Solution
+        All parameters.
+    sizes : ErrorSizes
+        Of the errors, as estimated.
+    """
+
+    target: Target
+    lattice: Lattice
+    model: Model
+    observations: tuple[Observation, ...]
+    solution: Solution
+    sizes: ErrorSizes
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """Both devices with their covariance, and the board."""
+        with threadpool_limits(limits=1, user_api="blas"):
+            known = uncertainty(self.observations, self.solution, self.model, self.sizes)
+        pairs = [self.solution.residuals(k, o) for k, o in enumerate(self.observations)]
+        cameras, projectors = zip(*pairs, strict=True)
+        figures = {"camera": rms(cameras), "projector": rms(projectors), "joint": rms(cameras + projectors)}
+        return calibration_of(
+            self.target, self.lattice, self.solution, self.sizes, self.model, figures, known
+        )
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (n, n) of the devices without the board's scale, which no pose tells."""
+        exact = replace(self.model, scale_tolerance=0.0)
+        with threadpool_limits(limits=1, user_api="blas"):
+            return uncertainty(self.observations, self.solution, exact, self.sizes).covariance
+
+    def with_pose(self, observation: Observation) -> JointEstimate:
+        """Fit one more pose together with the others.
+
+        Parameters
+        ----------
+        observation : Observation
+            The pose.
+
+        Returns
+        -------
+        JointEstimate
+            Of all of them.
+
+        Raises
+        ------
+        CalibrationError
+            The fit fails.
+        """
+        pose = fit_pose(observation, self.solution, self.started_pose(observation))
+        start = replace(self.solution, poses=np.vstack([self.solution.poses, pose]))
+        return self._fitted((*self.observations, observation), start)
+
+    def without_pose(self, index: int) -> JointEstimate:
+        """Fit the poses but one.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose that is left out.
+
+        Returns
+        -------
+        JointEstimate
+            Of the others.
+
+        Raises
+        ------
+        CalibrationError
+            They do not determine the devices.
+        """
+        others = tuple(o for k, o in enumerate(self.observations) if k != index)
+        return self._fitted(others, without_poses(self.solution, index))
+
+    def started_pose(self, observation: Observation) -> Floats:
+        """Compute about where the board stands in a pose, by the camera alone.
+
+        Parameters
+        ----------
+        observation : Observation
+            The pose.
+
+        Returns
+        -------
+        Floats
+            (6,) `T_camera_target`: rotation vector in rad and translation in mm.
+        """
+        lens, points = self.solution.camera, self.solution.board[observation.ids]
+        _, turn, place = cv2.solvePnP(points, observation.camera_px, matrix_of(lens), lens[4:])
+        return np.concatenate([turn, place]).ravel()
+
+    @property
+    def poses(self) -> list[RigidTransform]:
+        """`T_camera_target` of each pose."""
+        return [RigidTransform.from_vectors(p[:3], p[3:]) for p in self.solution.poses]
+
+    def _fitted(self, observations: tuple[Observation, ...], start: Solution) -> JointEstimate:
+        with threadpool_limits(limits=1, user_api="blas"):
+            solution, sizes = adjust_bundle(observations, start, self.model, first=self.sizes)
+        return replace(self, observations=observations, solution=solution, sizes=sizes)
+
+
+def first_estimate(
+    observations: Sequence[Observation],
+    target: Target,
+    image_sizes: tuple[ImageSize, ImageSize],
+    lattice: Lattice,
+    level: DistortionModel = DEFAULT_LEVEL,
+    refined: bool = True,
+) -> tuple[JointEstimate, dict[str, str]]:
+    """JointEstimate the devices from the first poses.
+
+    Parameters
+    ----------
+    observations : sequence of Observation
+        Three poses or more, tilted differently.
+    target : Target
+        The board.
+    image_sizes : tuple of ImageSize
+        (width, height) in px of camera and projector.
+    lattice : Lattice
+        Arrangement of the projector's mirrors.
+    level : DistortionModel
+        How many distortion coefficients are estimated.
+    refined : bool
+        Whether the board's shape is estimated too.
+
+    Returns
+    -------
+    estimate : JointEstimate
+        Of the consistent poses.
+    odd : dict of str to str
+        Why each of the others is inconsistent, by name.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine the devices.
+    """
+    odd: dict[str, str] = {}
+    model = model_of(target, image_sizes, level, refined)
+    with threadpool_limits(limits=1, user_api="blas"):
+        kept, (solution, sizes), _ = settled(observations, target, model, image_sizes, odd)
+    return JointEstimate(target, lattice, model, tuple(kept), solution, sizes), odd

@@ -1,0 +1,189 @@
+"""The first poses of a guided characterisation, while nothing is known but what the poses before show.
+
+Three poses, tilted differently and at different distances, determine both devices well enough to choose the
+next by their covariance. Until then the camera is taken as a pinhole without distortion whose axis passes the
+middle of its image; what the projector lights is known from the first pose by the homography of its plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fpplab.characterisation.candidate_poses import TILT_DEG, board_grid, tilted_away
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ImageSize
+from fpplab.core.conventions import Floats
+from fpplab.core.depth import DepthInterval
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.targets import Target
+
+FIRST_POSES = (
+    ((0.0, 0.0), 0.0, (0.0, -1.0)),
+    ((-0.6, 0.3), -1.0, (1.0, 0.0)),
+    ((0.6, -0.3), 1.0, (-1.0, 1.0)),
+)
+"""Place from the image's middle, right and down, in half sizes; depth in half ranges; edge that is away."""
+
+DEPTH_SHARE = 0.055
+"""Half the range of depths, as a share of the first board's distance, where none is stated."""
+
+FOCAL_GUESS, LEAST_FOCAL, MOST_FOCAL = 2.0, 0.5, 20.0
+"""Focal length in sizes of the image that is taken where a view does not tell it, and the range believed."""
+
+EDGE_SHARE = 0.06
+"""Rim of the projector's image that is avoided: the homography holds for the first board's plane alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoughView:
+    """What the first poses tell before the devices can be calibrated.
+
+    Attributes
+    ----------
+    camera : Pinhole
+        Without distortion.
+    first : RigidTransform
+        T_camera_target of the first pose.
+    light : Floats
+        (3, 3) homography from camera to projector pixels in the first board's plane.
+    projector_size : tuple of int
+        (width, height) in px.
+    """
+
+    camera: Pinhole
+    first: RigidTransform
+    light: Floats
+    projector_size: ImageSize
+
+    @classmethod
+    def of(
+        cls, observations: Sequence[Observation], target: Target, sizes: tuple[ImageSize, ImageSize],
+        known: RigidTransform | None = None,
+    ) -> RoughView:  # fmt: skip
+        """Estimate the camera's focal length and the first pose.
+
+        Parameters
+        ----------
+        observations : sequence of Observation
+            One pose or more.
+        target : Target
+            The board.
+        sizes : tuple of ImageSize
+            (width, height) in px of camera and projector.
+        known : RigidTransform, optional
+            T_camera_target of the first pose, where the fixture knows it.
+
+        Returns
+        -------
+        RoughView
+            Right to some percent.
+        """
+        first, points = observations[0], target.points()[observations[0].ids]
+        middle = (0.5 * (sizes[0][0] - 1), 0.5 * (sizes[0][1] - 1))
+        centred = [(target.points()[o.ids], o.camera_px - middle) for o in observations]
+        focal = _focal(centred) if known is None else _focal_of_known(known.apply(points), centred[0][1])
+        focal = focal if LEAST_FOCAL * max(sizes[0]) < focal < MOST_FOCAL * max(sizes[0]) else (
+            FOCAL_GUESS * max(sizes[0])
+        )  # fmt: skip
+        camera = Pinhole.from_focal(sizes[0], (focal, focal), middle)
+        _, turn, place = cv2.solvePnP(points, first.camera_px, camera.matrix, camera.distortion)
+        pose = RigidTransform.from_vectors(np.float64(turn).ravel(), np.float64(place).ravel())
+        light, _ = cv2.findHomography(first.camera_px, first.projector_px)
+        return cls(camera, pose, np.asarray(light, np.float64), sizes[1])
+
+    def shows(self, places: Floats) -> bool:
+        """Tell whether camera and projector both see places, as far as that is known.
+
+        Parameters
+        ----------
+        places : Floats
+            (K, 3) in mm in the camera's frame.
+
+        Returns
+        -------
+        bool
+            Whether all of them are seen.
+        """
+        if not self.camera.sees(places).all():
+            return False
+        lit = cv2.perspectiveTransform(self.camera.project(places)[None], self.light)[0]
+        size = np.array(self.projector_size)
+        return bool(((lit > EDGE_SHARE * size) & (lit < (1.0 - EDGE_SHARE) * size)).all())
+
+
+def first_pose(
+    number: int, view: RoughView, target: Target, depth_mm: DepthInterval | None = None
+) -> RigidTransform:
+    """Choose the second or third pose.
+
+    Parameters
+    ----------
+    number : int
+        Of the pose from 0, an index of `FIRST_POSES`; those after them begin again with other tilts.
+    view : RoughView
+        What the poses before tell.
+    target : Target
+        The board.
+    depth_mm : DepthInterval, optional
+        Working range of depths; by default some percent about the first pose's.
+
+    Returns
+    -------
+    RigidTransform
+        T_camera_target, moved towards the first pose until both devices see it.
+    """
+    (right, down), deep, edge = FIRST_POSES[number % len(FIRST_POSES)]
+    sign = 1.0 if number < len(FIRST_POSES) else -1.0
+    rotation = tilted_away((sign * edge[0], sign * edge[1]), TILT_DEG)
+    near, far = depth_mm or working_depth(view.first)
+    z = 0.5 * (near + far) + 0.5 * deep * (far - near)
+    half, start = 0.5 * np.array(view.camera.size), view.camera.project(view.first.translation)
+    aim = half * (1.0 + np.array([right, down]))
+    grid = board_grid(target.size_mm) @ rotation.T
+    for share in np.linspace(1.0, 0.0, 9):
+        centre = z * np.append(view.camera.normalise(start + share * (aim - start)), 1.0)
+        if view.shows(centre + grid):
+            break
+    return RigidTransform(rotation, centre)
+
+
+def working_depth(first: RigidTransform) -> DepthInterval:
+    """Choose the working range of depths where none is stated.
+
+    Parameters
+    ----------
+    first : RigidTransform
+        T_camera_target of the first pose.
+
+    Returns
+    -------
+    DepthInterval
+        Some percent about its distance, in mm.
+    """
+    z = float(first.translation[2])
+    return (1.0 - DEPTH_SHARE) * z, (1.0 + DEPTH_SHARE) * z
+
+
+def _focal_of_known(places: Floats, centred_px: Floats) -> float:
+    slopes = places[:, :2] / places[:, 2:]
+    return float(np.sum(slopes * centred_px) / np.sum(slopes**2))
+
+
+def _focal(views: Sequence[tuple[Floats, Floats]]) -> float:
+    """Focal length in px by the homographies of tilted boards; NaN where they do not tell it."""
+    left, right = [], []
+    for points, pixels in views:
+        found, _ = cv2.findHomography(points[:, :2], pixels)
+        if found is None:
+            continue
+        h = found / np.linalg.norm(found[2, :2]) if np.linalg.norm(found[2, :2]) > 0 else found
+        (a, b), (c, d), (e, f) = h[0, :2], h[1, :2], h[2, :2]
+        left += [a * b + c * d, a * a + c * c - b * b - d * d]
+        right += [-e * f, f * f - e * e]
+    squares = float(np.dot(left, left))
+    inverse = float(np.dot(left, right)) / squares if squares > 0 else np.nan
+    return float(1.0 / np.sqrt(inverse)) if inverse > 0 else np.nan

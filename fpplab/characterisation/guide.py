@@ -1,0 +1,333 @@
+"""Guide through a characterisation: which pose next, whether one fits the others, and what is known by now.
+
+Knows observations only: who holds the board, and how frames are taken, is not its concern.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.characterisation.candidate_poses import candidate_poses
+from fpplab.characterisation.coverage import bare_parts, filled_parts
+from fpplab.characterisation.estimate import JointEstimate, first_estimate
+from fpplab.characterisation.first_poses import FIRST_POSES, RoughView, first_pose, working_depth
+from fpplab.characterisation.fitting import DEFAULT_LEVEL
+from fpplab.characterisation.judging import Errors, judge
+from fpplab.characterisation.next_pose import Design, best_pose, expected_observation
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import DistortionModel, ImageSize
+from fpplab.characterisation.pose_words import FIRST_WORDS, described_pose, outline_px
+from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.characterisation.zhang import rms
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.depth import DepthInterval
+from fpplab.core.errors import CalibrationError, UndeterminedError
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.targets import Target
+
+FAR = 2.0
+"""Residuals beyond those predicted by this factor are far, if chance does not explain them either."""
+
+SURE = 6
+"""Poses from which on a pose that contradicts them is the one that is wrong."""
+
+MOST_FIRST = 6
+"""Poses by which the devices have to be determined."""
+
+ALIKE_MM, ALIKE_DEG = 15.0, 12.0
+"""Candidates that differ by less from a pose that was given up are given up, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class WantedPose:
+    """A pose that is asked for.
+
+    Attributes
+    ----------
+    words : str
+        For a person.
+    T_camera_target : RigidTransform or None
+        For a robot or a simulation; None for the very first pose.
+    outline_px : Floats or None
+        (40, 2) outline of the board to match in the camera's image, clockwise from its upper left corner.
+    form_mm : float or None
+        Standard uncertainty of form in mm that the pose is expected to leave.
+    """
+
+    words: str
+    T_camera_target: RigidTransform | None = None
+    outline_px: Floats | None = None
+    form_mm: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """Residuals of one pose beside those that the other poses predict.
+
+    Attributes
+    ----------
+    camera, projector : Errors
+        Of the two devices, with only the board's pose fitted.
+    odd : str or None
+        Name of an earlier pose that is in the wrong instead of this one.
+    """
+
+    camera: Errors
+    projector: Errors
+    odd: str | None = None
+
+    @property
+    def far(self) -> tuple[str, ...]:
+        """Devices in which the residuals are far beyond those predicted."""
+        pairs = (("camera", self.camera), ("projector", self.projector))
+        return tuple(n for n, e in pairs if e.contradicts and e.rms_px > FAR * e.predicted_px)
+
+
+class Guide:
+    """The state of a guided characterisation.
+
+    Parameters
+    ----------
+    target : Target
+        The board.
+    image_sizes : tuple of ImageSize
+        (width, height) in px of camera and projector.
+    lattice : Lattice
+        Arrangement of the projector's mirrors.
+    depth_mm : DepthInterval, optional
+        Working range of depths in mm; by default some percent about the first pose.
+    level : DistortionModel
+        How many distortion coefficients are estimated.
+    refined : bool
+        Whether the board's shape is estimated too.
+    """
+
+    def __init__(
+        self, target: Target, image_sizes: tuple[ImageSize, ImageSize], lattice: Lattice = Lattice.SQUARE,
+        depth_mm: DepthInterval | None = None, level: DistortionModel = DEFAULT_LEVEL, refined: bool = True,
+    ) -> None:  # fmt: skip
+        self.target, self.sizes, self.lattice = target, image_sizes, lattice
+        self.level, self.refined = level, refined
+        self.observations: list[Observation] = []
+        self.estimate: JointEstimate | None = None
+        self.first_known: RigidTransform | None = None
+        self._stated_mm = depth_mm
+        self._given_up: list[RigidTransform] = []
+
+    @property
+    def depth_mm(self) -> DepthInterval | None:
+        """Working range of depths in mm; None before the first pose where none is stated."""
+        if self._stated_mm or not self.observations:
+            return self._stated_mm
+        return working_depth(self.estimate.poses[0] if self.estimate else self._view().first)
+
+    @property
+    def volume(self) -> WorkingVolume | None:
+        """The working volume; None before there is an estimate."""
+        if self.estimate is None or self.depth_mm is None:
+            return None
+        return WorkingVolume.of(self.estimate.calibration, self.depth_mm)
+
+    @property
+    def form_mm(self) -> float | None:
+        """Standard uncertainty of form in the working volume in mm, without the board's scale."""
+        volume = self.volume
+        if volume is None or self.estimate is None:
+            return None
+        return volume.form_mm(self.estimate.solution, self.level, self.estimate.covariance)
+
+    def wanted(self, fill: bool = False) -> WantedPose:
+        """Choose the next pose.
+
+        Parameters
+        ----------
+        fill : bool
+            Whether it has to bring points into a part of an image that has none, if any pose does.
+
+        Returns
+        -------
+        WantedPose
+            That which lessens the uncertainty of form and place in the working volume most.
+
+        Raises
+        ------
+        CalibrationError
+            No pose is left that both devices see.
+        """
+        if not self.observations:
+            return WantedPose(FIRST_WORDS)
+        if self.estimate is None:
+            view = self._view()
+            number = len(self.observations) + len(self._given_up)
+            pose = first_pose(number, view, self.target, self._stated_mm)
+            return self._asked(pose, view.camera, float(view.first.translation[2]))
+        volume, calibration = self.volume, self.estimate.calibration
+        assert volume is not None
+        candidates = self._candidates()
+        if not candidates:
+            raise CalibrationError(
+                "every pose that both devices see was rejected; see to the rig, and begin anew"
+            )
+        candidates = (self._filling(candidates) if fill else []) or candidates
+        chosen, form_mm = best_pose(Design.of(self.estimate, volume), candidates)
+        first_mm = float(self.estimate.poses[0].translation[2])
+        return self._asked(candidates[chosen], calibration.camera, first_mm, form_mm)
+
+    @property
+    def lacks_part(self) -> bool:
+        """Whether a part of an image has no points yet, and some pose would bring points there."""
+        return self.estimate is not None and bool(self._filling(self._candidates()))
+
+    def _candidates(self) -> list[RigidTransform]:
+        assert self.estimate is not None
+        assert self.depth_mm is not None
+        found = candidate_poses(self.estimate.calibration, self.target.size_mm, self.depth_mm)
+        return [one for one in found if not any(_alike(one, other) for other in self._given_up)]
+
+    def _filling(self, candidates: list[RigidTransform]) -> list[RigidTransform]:
+        """Those that bring points into a part of an image that has none."""
+        assert self.estimate is not None
+        centres = np.array([pose.translation for pose in self.estimate.poses])
+        bare = bare_parts(self.observations, centres, self.estimate.calibration)
+        if not any(part.any() for part in bare.values()):
+            return []
+        sizes, found = dict(zip(bare, self.sizes, strict=True)), []
+        for pose in candidates:
+            seen = expected_observation(self.estimate, pose)
+            if any((bare[d] & filled_parts([seen], d, sizes[d])).any() for d in bare):
+                found.append(pose)
+        return found
+
+    def give_up(self, wanted: WantedPose) -> None:
+        """Ask for this pose and those like it no more.
+
+        Parameters
+        ----------
+        wanted : WantedPose
+            That was rejected again.
+        """
+        if wanted.T_camera_target is not None:
+            self._given_up.append(wanted.T_camera_target)
+
+    def judged(self, observation: Observation) -> PoseFit | None:
+        """Compare the residuals of a pose with those that the poses before predict.
+
+        Parameters
+        ----------
+        observation : Observation
+            The pose.
+
+        Returns
+        -------
+        PoseFit or None
+            None where there are too few poses to predict them.
+        """
+        if self.estimate is None:
+            return None
+        found = judge(self.estimate.calibration, [observation]).poses[0]
+        fit = PoseFit(found.camera, found.projector)
+        odd = self._odd(observation) if fit.far else None
+        return PoseFit(found.camera, found.projector, odd)
+
+    def add(self, observation: Observation) -> dict[str, str]:
+        """Add a pose to the estimate.
+
+        Parameters
+        ----------
+        observation : Observation
+            The pose.
+
+        Returns
+        -------
+        dict of str to str
+            Why poses are left out again, by name: of the first poses one may turn out inconsistent.
+
+        Raises
+        ------
+        CalibrationError
+            The fit fails.
+        """
+        self.observations.append(observation)
+        if self.estimate is not None:
+            self.estimate = self.estimate.with_pose(observation)
+            return {}
+        if len(self.observations) < len(FIRST_POSES):
+            return {}
+        try:
+            found, odd = first_estimate(
+                self.observations, self.target, self.sizes, self.lattice, self.level, self.refined
+            )
+        except UndeterminedError:
+            if len(self.observations) >= MOST_FIRST:
+                raise
+            return {}
+        self.estimate, self.observations = found, list(found.observations)
+        return odd
+
+    def drop(self, name: str) -> None:
+        """Take a pose out again.
+
+        Parameters
+        ----------
+        name : str
+            Of the pose.
+
+        Raises
+        ------
+        CalibrationError
+            The others do not determine the devices.
+        """
+        index = [o.name for o in self.observations].index(name)
+        del self.observations[index]
+        if len(self.observations) < len(FIRST_POSES):
+            self.estimate = None
+        elif self.estimate is not None:
+            self.estimate = self.estimate.without_pose(index)
+
+    def rms_px(self, name: str) -> dict[str, float]:
+        """Compute the residuals of a pose in the fit of all.
+
+        Parameters
+        ----------
+        name : str
+            Of the pose.
+
+        Returns
+        -------
+        dict of str to float
+            RMS in px of `camera` and `projector`; empty before there is an estimate.
+        """
+        if self.estimate is None:
+            return {}
+        index = [o.name for o in self.observations].index(name)
+        pair = self.estimate.solution.residuals(index, self.observations[index])
+        return {device: rms([one]) for device, one in zip(("camera", "projector"), pair, strict=True)}
+
+    def _odd(self, observation: Observation) -> str | None:
+        """Which of a few poses is in the wrong, if it is not the new one."""
+        assert self.estimate is not None
+        if len(self.observations) >= SURE:
+            return None
+        try:
+            joint = self.estimate.with_pose(observation)
+            left = [joint.without_pose(k).calibration.rms_px["joint"] for k in range(len(joint.observations))]
+        except CalibrationError:
+            return None
+        odd = joint.observations[int(np.argmin(left))].name
+        return None if odd == observation.name else odd
+
+    def _view(self) -> RoughView:
+        return RoughView.of(self.observations, self.target, self.sizes, self.first_known)
+
+    def _asked(
+        self, pose: RigidTransform, camera: Pinhole, first_mm: float, form_mm: float | None = None
+    ) -> WantedPose:
+        outline = outline_px(pose, camera, self.target.size_mm)
+        return WantedPose(described_pose(pose, camera, first_mm), pose, outline, form_mm)
+
+
+def _alike(one: RigidTransform, other: RigidTransform) -> bool:
+    turn = np.degrees(np.linalg.norm((one @ other.inverse()).rotation_vector))
+    return bool(np.linalg.norm(one.translation - other.translation) < ALIKE_MM and turn < ALIKE_DEG)

@@ -1,0 +1,222 @@
+"""Choice of the next pose: that which lessens the uncertainty of form and place in the working volume most.
+
+What a pose will tell is known before it is taken: the derivatives of its points by all parameters, and the
+sizes of the errors that the poses so far show. Added to the normal equations of these they give the
+covariance that will be (I-optimal design: least mean variance of what is to be predicted; F. Pukelsheim,
+"Optimal design of experiments", 1993). What counts is the product of the uncertainties of form and of place:
+the best pose for form alone would leave the place of everything poorly known, and the reverse.
+Errors that the points of one pose share count as in `pose_effects`.
+
+The poses' own parameters are eliminated from the normal equations, one pose after the other (Schur
+complement), so that each candidate is a sum of two small matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits
+
+from fpplab.characterisation.bundle import SOFT
+from fpplab.characterisation.estimate import JointEstimate
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ErrorSizes, Solution, chain, vectors_of, view
+from fpplab.characterisation.pose_effects import FUNCTIONS, effects_of_pose
+from fpplab.characterisation.problem import Problem
+from fpplab.characterisation.working_volume import WorkingVolume
+from fpplab.core.conventions import Floats
+from fpplab.core.geometry import RigidTransform
+from fpplab.targets.views import LEAST_POINTS
+
+MOST_POINTS = 80
+"""Boards of more points are thinned for the choice, and the points that remain count for the others."""
+
+
+def expected_observation(estimate: JointEstimate, pose: RigidTransform) -> Observation:
+    """Predict what a pose will show, without errors.
+
+    Parameters
+    ----------
+    estimate : JointEstimate
+        Devices and board as known so far.
+    pose : RigidTransform
+        T_camera_target.
+
+    Returns
+    -------
+    Observation
+        Of the points that both devices will see.
+    """
+    best, calibration = estimate.solution, estimate.calibration
+    vector, places = vectors_of(pose), pose.apply(estimate.solution.board)
+    seen = calibration.camera.sees(places) & calibration.projector.sees(
+        places, calibration.T_projector_camera
+    )
+    points = best.board[seen]
+    camera_px = view(points, vector, best.camera)[0]
+    projector_px = view(points, chain(vector, best.T_projector_camera)[0], best.projector)[0]
+    return Observation("next", np.flatnonzero(seen), camera_px, projector_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What the poses so far tell of devices and board, the poses' own parameters eliminated.
+
+    Attributes
+    ----------
+    estimate : JointEstimate
+        Of the poses so far.
+    information : Floats
+        (y, y) normal equations of devices and board.
+    shared : Floats
+        (y, y) covariance of their right-hand side by errors that the points of one pose share.
+    wanted : Floats
+        (y, k) factor of the mean square over the working volume of the form, by devices and board, in mm.
+    """
+
+    estimate: JointEstimate
+    information: Floats
+    shared: Floats
+    wanted: Floats
+
+    @classmethod
+    def of(cls, estimate: JointEstimate, volume: WorkingVolume) -> Design:
+        """Collect what the poses so far tell.
+
+        Parameters
+        ----------
+        estimate : JointEstimate
+            Of the poses so far.
+        volume : WorkingVolume
+            Where the form is to be known.
+
+        Returns
+        -------
+        Design
+            To add candidates to.
+        """
+        thin = _thinned(estimate)
+        problem = Problem(thin.observations, thin.model, thin.sizes, thin.solution)
+        vector, best = problem.pack(thin.solution), thin.solution
+        matrix, _ = problem.normal_equations(vector, SOFT)
+        through = []
+        for index in range(len(thin.observations)):
+            basis = effects_of_pose(problem, index, best)
+            _, weight = problem.weighted_residuals(index, best, SOFT)
+            through.append(problem.transposed(index, best, weight[:, None] * basis) * _shared_px(thin.sizes))
+        information, shared = _eliminated(problem, matrix, np.hstack(through))
+        # Of the devices alone, and of no higher rank than they have parameters.
+        factors = [
+            np.asarray(np.linalg.qr(slopes, mode="r")).T for slopes in volume.slopes(best, thin.model.level)
+        ]
+        wanted = np.zeros((len(information), sum(f.shape[1] for f in factors)))
+        wanted[: len(factors[0])] = np.hstack(factors)
+        return cls(thin, information, shared, wanted)
+
+    def predicted_mm(self, pose: RigidTransform | None = None) -> tuple[float, float]:
+        """Predict the standard uncertainty of form with one more pose.
+
+        Parameters
+        ----------
+        pose : RigidTransform, optional
+            T_camera_target of the pose; None gives that of the poses so far.
+
+        Returns
+        -------
+        float
+            In mm, as `WorkingVolume.form_mm`; infinite where hardly a point of the board would be seen.
+        """
+        information, shared = self.information, self.shared
+        if pose is not None:
+            told = self._told(pose)
+            if told is None:
+                return np.inf, np.inf
+            information, shared = information + told[0], shared + told[1]
+        scale = 1.0 / np.sqrt(np.diag(information))
+        factor = np.linalg.cholesky(information * np.outer(scale, scale))
+        half = solve_triangular(factor, scale[:, None] * self.wanted, lower=True)
+        solved = scale[:, None] * solve_triangular(factor, half, lower=True, trans="T")
+        variances = (half**2).sum(axis=0) + (solved * (shared @ solved)).sum(axis=0)
+        place, form = np.sqrt(variances.reshape(2, -1).sum(axis=1)).tolist()
+        return place, form
+
+    def _told(self, pose: RigidTransform) -> tuple[Floats, Floats] | None:
+        """What a pose would add to `information` and `shared`."""
+        seen = expected_observation(self.estimate, pose)
+        if len(seen.ids) < LEAST_POINTS:
+            return None
+        near = replace(self.estimate.solution, poses=vectors_of(pose)[None])
+        problem = Problem((seen,), self.estimate.model, self.estimate.sizes, near)
+        matrix, _ = problem.pose_equations(0, problem.pack(near))
+        basis = effects_of_pose(problem, 0, near) * _shared_px(self.estimate.sizes)
+        return _eliminated(problem, matrix, problem.transposed(0, near, basis))
+
+
+def best_pose(design: Design, candidates: Sequence[RigidTransform]) -> tuple[int, float]:
+    """Choose the candidate that lessens the uncertainty of form most.
+
+    Parameters
+    ----------
+    design : Design
+        What the poses so far tell.
+    candidates : sequence of RigidTransform
+        T_camera_target of each.
+
+    Returns
+    -------
+    index : int
+        Of the candidate.
+    form_mm : float
+        Standard uncertainty of form in mm that its observation will leave.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        predicted = np.array([design.predicted_mm(pose) for pose in candidates])
+    best = int(np.argmin(predicted.prod(axis=1)))
+    return best, float(predicted[best, 1])
+
+
+def _eliminated(problem: Problem, matrix: Floats, through: Floats) -> tuple[Floats, Floats]:
+    """Eliminate the poses: normal equations (y, y), and covariance (y, y) of the right-hand side."""
+    _, _, _, first, board = problem.heads
+    poses = slice(first, board)
+    others = np.delete(np.arange(len(matrix)), np.arange(first, board))
+    carried = np.linalg.solve(matrix[poses, poses], np.hstack([matrix[poses][:, others], through[poses]]))
+    across = matrix[others][:, poses]
+    left = np.hstack([matrix[np.ix_(others, others)], through[others]]) - across @ carried
+    reached = left[:, len(others) :]
+    return left[:, : len(others)], reached @ reached.T
+
+
+def _shared_px(sizes: ErrorSizes) -> Floats:
+    """Standard deviation (24,) in px of each effect of a pose, in the order of `effects_of_pose`."""
+    return np.repeat([sizes.camera_shared_px, sizes.projector_shared_px], 2 * FUNCTIONS)
+
+
+def _thinned(estimate: JointEstimate) -> JointEstimate:
+    """Keep so many points of the board that the choice is quick, each in place of several."""
+    count = len(estimate.solution.board)
+    kept = np.arange(0, count, -(-count // MOST_POINTS))
+    if len(kept) == count:
+        return estimate
+    share = float(np.sqrt(len(kept) / count))
+    own = ("camera_px", "projector_px", "in_plane_mm", "out_of_plane_mm")
+    sizes = replace(estimate.sizes, **{name: share * getattr(estimate.sizes, name) for name in own})
+    row = np.full(count, -1)
+    row[kept] = np.arange(len(kept))
+    observations = []
+    for one in estimate.observations:
+        there = row[one.ids] >= 0
+        observations.append(
+            replace(
+                one,
+                ids=row[one.ids[there]],
+                camera_px=one.camera_px[there],
+                projector_px=one.projector_px[there],
+            )
+        )
+    solution: Solution = replace(estimate.solution, board=estimate.solution.board[kept])
+    model = replace(estimate.model, drawn=estimate.model.drawn[kept])
+    return replace(estimate, observations=tuple(observations), solution=solution, sizes=sizes, model=model)

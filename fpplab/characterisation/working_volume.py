@@ -1,0 +1,114 @@
+"""The working volume, and how well a calibration knows the form of what is measured in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation.displacement import moved_points, without_motion
+from fpplab.characterisation.parameters import DistortionModel, Solution
+from fpplab.core.conventions import Floats
+from fpplab.core.depth import DepthInterval
+from fpplab.core.errors import CalibrationError
+
+COLUMNS, ROWS, DEPTHS = 9, 7, 3
+"""Sample of the working volume: pixels across the camera's image, and depths."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorkingVolume:
+    """Places that camera and projector both see, within a range of depths.
+
+    Attributes
+    ----------
+    points : Floats
+        (m, 3) evenly spread over it, in mm in the camera's frame.
+    """
+
+    points: Floats
+
+    @classmethod
+    def of(cls, calibration: Calibration, depth_mm: DepthInterval) -> WorkingVolume:
+        """Sample what both devices see.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Both devices.
+        depth_mm : DepthInterval
+            Least and greatest distance from the camera along its axis, in mm.
+
+        Returns
+        -------
+        WorkingVolume
+            Its points.
+
+        Raises
+        ------
+        CalibrationError
+            The devices see next to nothing in common there.
+        """
+        camera = calibration.camera
+        u, v = (np.linspace(0, n - 1, k) for n, k in zip(camera.size, (COLUMNS, ROWS), strict=True))
+        slopes = camera.normalise(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+        slopes = slopes[np.isfinite(slopes).all(axis=1)]
+        rays = np.column_stack([slopes, np.ones(len(slopes))])
+        points = (np.linspace(*depth_mm, DEPTHS)[:, None, None] * rays).reshape(-1, 3)
+        seen = points[calibration.projector.sees(points, calibration.T_projector_camera)]
+        if len(seen) < 2 * DEPTHS:
+            raise CalibrationError(
+                f"camera and projector see next to nothing in common from {depth_mm[0]:.0f} to "
+                f"{depth_mm[1]:.0f} mm from the camera; turn both to one place, or correct the range"
+            )
+        return cls(seen)
+
+    def slopes(self, solution: Solution, level: DistortionModel) -> tuple[Floats, Floats]:
+        """Differentiate what is measured here by the devices' parameters.
+
+        Parameters
+        ----------
+        solution : Solution
+            The devices.
+        level : DistortionModel
+            Which distortion coefficients are estimated.
+
+        Returns
+        -------
+        place : Floats
+            (3 m, n) displacements in the camera's frame, divided by √m, so that the sum of squares is a mean
+            square over the volume.
+        form : Floats
+            (3 m, n) what the best rigid motion of all points leaves of them.
+        """
+        moved = moved_points(solution, level, self.points) / np.sqrt(len(self.points))
+        return moved, without_motion(moved, self.points)
+
+    def form_mm(self, solution: Solution, level: DistortionModel, covariance: Floats) -> float:
+        """Compute the standard uncertainty of form in the volume.
+
+        Parameters
+        ----------
+        solution : Solution
+            The devices.
+        level : DistortionModel
+            Which distortion coefficients are estimated.
+        covariance : Floats
+            (n, n) of the devices' parameters.
+
+        Returns
+        -------
+        float
+            In mm: root mean square over the volume of the standard uncertainty of a point's position after
+            the best rigid motion of all points.
+        """
+        _, slopes = self.slopes(solution, level)
+        return float(np.sqrt(max(np.einsum("mi,ij,mj->", slopes, covariance, slopes), 0.0)))
+
+    @cached_property
+    def radius_mm(self) -> float:
+        """Root mean square distance of the points from their centre in mm: how far a scale moves them."""
+        centred = self.points - self.points.mean(axis=0)
+        return float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))

@@ -1,0 +1,114 @@
+"""`fpplab characterise --guide`: its options, and what it prints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from fpplab.cli import console
+from fpplab.core.depth import DepthInterval
+from fpplab.core.errors import ConfigError
+from fpplab.core.units import length_mm
+
+if TYPE_CHECKING:
+    from fpplab.characterisation import DistortionModel
+    from fpplab.devices.rig import Rig
+    from fpplab.guidance import GuidedRun
+    from fpplab.patterns.plan import Plan
+    from fpplab.targets import Target
+
+
+def wanted_mm(
+    guide: bool, until: str | None, depth_mm: DepthInterval | None, rig: str | None
+) -> float | None:
+    """Check the options that go with one another.
+
+    Parameters
+    ----------
+    guide : bool
+        Whether `--guide` was given.
+    until : str or None
+        Of `--until`.
+    depth_mm : DepthInterval or None
+        Of `--depth`.
+    rig : str or None
+        Of `--rig`.
+
+    Returns
+    -------
+    float or None
+        The uncertainty that is wanted, in mm.
+
+    Raises
+    ------
+    ConfigError
+        An option lacks another, or its value is wrong.
+    """
+    for option, value in (("--until", until), ("--depth", depth_mm)):
+        if value is not None and not guide:
+            raise ConfigError(f"{option} goes with --guide, which asks for poses; add --guide")
+    if guide and rig is None:
+        raise ConfigError("--guide takes poses one at a time, and needs --rig to take them on")
+    if depth_mm is not None and not 0 < depth_mm[0] < depth_mm[1]:
+        raise ConfigError(
+            f"--depth is {depth_mm[0]:g} {depth_mm[1]:g}: must be two rising positive distances in mm"
+        )
+    return None if until is None else length_mm(until, "--until")
+
+
+def run_guided(
+    rig: Rig,
+    plan: Plan,
+    target: Target,
+    folder: Path,
+    level: DistortionModel | Literal["auto"],
+    refine_board: bool | None,
+    force: bool,
+    *,
+    item: str,
+    poses: int,
+    until_mm: float | None,
+    depth_mm: DepthInterval | None,
+) -> GuidedRun:
+    """Characterise a rig by poses asked for one at a time, and tell of each on stderr.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What each pose records.
+    target : Target
+        The board.
+    folder : Path
+        Of the poses.
+    level : DistortionModel or str
+        Which distortion is fitted.
+    refine_board : bool or None
+        Whether the board's shape is fitted too; by default it is.
+    force : bool
+        Whether poses that were taken before are taken anew.
+    item : str
+        What the fixture calls the board.
+    poses : int
+        Most poses.
+    until_mm : float or None
+        Standard uncertainty of form at which to end.
+    depth_mm : DepthInterval or None
+        Working range of depths; None takes that of the plan, or else of the rig file.
+
+    Returns
+    -------
+    GuidedRun
+        The characterisation, and how it came about.
+
+    Raises
+    ------
+    FppError
+        As `fpplab.guidance.guided_characterisation`.
+    """
+    from fpplab.guidance import GuidedSettings, guided_characterisation
+
+    depth = depth_mm or plan.depth_mm or rig.file.depth_mm
+    settings = GuidedSettings(item, poses, until_mm, depth, level, refine_board is not False, force)
+    return guided_characterisation(rig, plan, target, folder, settings, console.say, console.progress)

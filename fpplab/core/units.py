@@ -1,0 +1,52 @@
+"""Lengths with a unit, as options of commands state them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from fpplab.core.errors import ConfigError
+
+MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0}
+"""Units of length in mm; the micro sign and the Greek letter are both written."""
+
+
+def length_mm(words: str, option: str) -> float:
+    """Read a positive length with its unit.
+
+    Parameters
+    ----------
+    words : str
+        Such as `20um` or `0.02 mm`.
+    option : str
+        Whose value it is, for messages.
+
+    Returns
+    -------
+    float
+        In mm.
+
+    Raises
+    ------
+    ConfigError
+        It is no positive number with a unit of length.
+    """
+    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([^\W\d]*)\s*", words)
+    units = "um, mm, cm or m"
+    if found is None:
+        raise ConfigError(f"{option} is '{words}': must be a length with its unit ({units}), such as 20um")
+    number, unit = found.groups()
+    if not unit:
+        raise ConfigError(
+            f"{option} is '{words}': its unit is missing ({units}); write {words.strip()}um, say"
+        )
+    if unit not in MM:
+        raise ConfigError(f"{option} is '{words}': '{unit}' is no unit of length that is known ({units})")
+    try:
+        value = float(number) * MM[unit]
+    except ValueError:
+        raise ConfigError(f"{option} is '{words}': '{number}' is no number") from None
+    if not (np.isfinite(value) and value > 0):
+        raise ConfigError(f"{option} is '{words}': must be greater than 0")
+    return value

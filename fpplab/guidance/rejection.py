@@ -1,0 +1,100 @@
+"""What is wrong with a pose while the board is still there: by its frames, and by its residuals."""
+
+from __future__ import annotations
+
+from fpplab.characterisation.guide import PoseFit
+from fpplab.diagnosis import FaultCause, Finding, diagnose_frames
+from fpplab.patterns.recording import Recording
+
+SPOILING = {
+    FaultCause.PROJECTOR_DARK,
+    FaultCause.NO_OVERLAP,
+    FaultCause.SATURATED,
+    FaultCause.UNDEREXPOSED,
+    FaultCause.CAMERA_FOCUS,
+    FaultCause.PROJECTOR_FOCUS,
+    FaultCause.VIBRATION,
+}
+"""Causes in the frames of a pose that are most often of this pose alone, and gone when it is taken again."""
+
+
+def frame_findings(recording: Recording) -> tuple[Finding, ...]:
+    """Look for what is wrong with the frames of a pose.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its frames.
+
+    Returns
+    -------
+    tuple of Finding
+        Those that spoil the pose, the worst first.
+    """
+    return tuple(one for one in diagnose_frames(recording) if one.cause in SPOILING)
+
+
+def unseen_board(reason: str, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Name a board that was not found, behind what its frames give as the cause.
+
+    Where there is no board there are no fringes to be seen either, so darkness comes after it.
+
+    Parameters
+    ----------
+    reason : str
+        What the detection said.
+    findings : tuple of Finding
+        Of the frames, the worst first.
+
+    Returns
+    -------
+    tuple of Finding
+        The likeliest cause first.
+    """
+    dark = {FaultCause.PROJECTOR_DARK, FaultCause.NO_OVERLAP}
+    unseen = Finding(FaultCause.BOARD_NOT_FOUND, reason, 1.0)
+    causes = tuple(one for one in findings if one.cause not in dark)
+    return (*causes, unseen, *(one for one in findings if one.cause in dark))
+
+
+def inconsistent_pose(reason: str) -> Finding:
+    """Name a pose that turned out inconsistent with the others.
+
+    Parameters
+    ----------
+    reason : str
+        What the fit said.
+
+    Returns
+    -------
+    Finding
+        With the catalogue's remedy.
+    """
+    return Finding(FaultCause.POSE_MISFIT, reason, 1.0)
+
+
+def residual_finding(fit: PoseFit | None) -> Finding | None:
+    """Judge the residuals of a pose.
+
+    Where the camera's are as predicted and the projector's are not, the board has moved between the image in
+    which it is found and the fringes.
+
+    Parameters
+    ----------
+    fit : PoseFit or None
+        Residuals beside those predicted.
+
+    Returns
+    -------
+    Finding or None
+        None where they are not far beyond those predicted.
+    """
+    if fit is None or not fit.far:
+        return None
+    told = [
+        f"{name}: {errors.rms_px:.3f} px RMS where the other poses predict {errors.predicted_px:.3f} px"
+        for name, errors in (("camera", fit.camera), ("projector", fit.projector))
+    ]
+    excess = max(e.rms_px / e.predicted_px for e in (fit.camera, fit.projector))
+    cause = FaultCause.BOARD_MOVED if fit.far == ("projector",) else FaultCause.POSE_MISFIT
+    return Finding(cause, "; ".join(told), excess)

@@ -1,0 +1,110 @@
+"""Section of the report on a guided characterisation: its poses in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+
+from fpplab.guidance import GuidedRun, PoseAttempt
+from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, as_png, new_figure
+from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
+
+COLUMNS = ("Pose", "Asked for", "Camera in px", "Projector in px", "Form in µm", "Outcome")
+CAPTION = (
+    "RMS residuals of each pose in the fit with the poses before it, and in brackets what those predict. "
+    "Form: standard uncertainty of form by the calibration after the pose, root mean square over the working "
+    "volume, without the board's scale."
+)
+FIGURE = (
+    "Left: standard uncertainty of form after each pose that counts, and that asked for. Right: RMS "
+    "residuals of each pose taken (bars) and those predicted by the poses before it (lines); rejected poses "
+    "are hatched."
+)
+
+
+def guided_section(run: GuidedRun) -> ReportSection:
+    """Show the poses of a guided characterisation in their order.
+
+    Parameters
+    ----------
+    run : GuidedRun
+        Its result.
+
+    Returns
+    -------
+    ReportSection
+        Table and figure.
+    """
+    rows = tuple(_row(k, one) for k, one in enumerate(run.attempts, 1))
+    picture = ReportFigure.of(sequence_figure(run), "Uncertainty and residuals by pose", FIGURE, wide=True)
+    text = run.sentence[0].upper() + run.sentence[1:] + "."
+    return ReportSection(
+        "Sequence of poses", text, (ReportTable(COLUMNS, rows, CAPTION, words=True),), (picture,)
+    )
+
+
+@as_png
+def sequence_figure(run: GuidedRun) -> Figure:
+    """Draw the uncertainty after each pose, and the residuals of each.
+
+    Parameters
+    ----------
+    run : GuidedRun
+        With at least one attempt.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+    figure = new_figure(FULL, 3.4)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
+    _draw_form(figure.add_subplot(grid[:, 0]), run)
+    _draw_residuals(figure.add_subplot(grid[0, 1]), run.attempts, "camera")
+    _draw_residuals(figure.add_subplot(grid[1, 1]), run.attempts, "projector")
+    return figure
+
+
+def _draw_form(axes: Axes, run: GuidedRun) -> None:
+    known = [(k, 1e3 * one.form_mm) for k, one in enumerate(run.attempts, 1) if one.form_mm is not None]
+    axes.plot(*np.array(known).reshape(-1, 2).T, "o-", color=ACCENT, markersize=4)
+    if run.until_mm is not None:
+        axes.axhline(1e3 * run.until_mm, color=SECOND, linewidth=1.2, linestyle="--")
+        axes.annotate("asked for", (1.0, 1e3 * run.until_mm), xytext=(-4, 3), textcoords="offset points",
+                      xycoords=("axes fraction", "data"), ha="right", fontsize=7.5, color=SECOND)  # fmt: skip
+    axes.set(
+        yscale="log", xlabel="pose", ylabel="uncertainty of form in µm", xlim=(0.4, len(run.attempts) + 0.6)
+    )
+    for axis in (axes.yaxis,):
+        axis.set_major_formatter(ScalarFormatter())
+        axis.set_minor_formatter(ScalarFormatter())
+    axes.tick_params(axis="y", which="minor", labelsize=6.5)
+
+
+def _draw_residuals(axes: Axes, attempts: Sequence[PoseAttempt], device: str) -> None:
+    for k, one in enumerate(attempts, 1):
+        look = {"color": ACCENT} if one.accepted else {"color": SECOND, "hatch": "///", "fill": False}
+        axes.bar(k, one.rms_px.get(device, 0.0), width=0.7, **look)
+        if one.fit is not None:
+            axes.hlines(getattr(one.fit, device).predicted_px, k - 0.42, k + 0.42, color=INK, linewidth=1.6)
+    axes.set(ylabel=f"{device} in px", xlim=(0.4, len(attempts) + 0.6))
+    axes.set_xticks(range(1, len(attempts) + 1))
+    if device == "projector":
+        axes.set_xlabel("pose")
+
+
+def _row(number: int, one: PoseAttempt) -> tuple[str, ...]:
+    cells = []
+    for device in ("camera", "projector"):
+        expected = f" ({getattr(one.fit, device).predicted_px:.3f})" if one.fit else ""
+        cells.append(f"{one.rms_px[device]:.3f}{expected}" if device in one.rms_px else NOT_KNOWN)
+    form = f"{1e3 * one.form_mm:.3g}" if one.form_mm is not None else NOT_KNOWN
+    said = "; ".join(finding.sentence for finding in one.findings)
+    outcome = "accepted" if one.accepted else f"rejected: {said}; {one.findings[0].remedy}"
+    if one.accepted and said:
+        outcome += f", as the pose before it: {said}"
+    return (f"{number}: {one.name}", one.words, *cells, form, outcome)
