@@ -112,7 +112,7 @@ def _about_parts(
     )  # fmt: skip
     for name, device, other, T_other_device, pixels, places in sides:
         reachable = _seen_by_both(device, other, T_other_device, float(np.median(places[:, 2])))
-        bare = reachable & ~_held(np.concatenate(pixels), device.size)
+        bare = reachable & ~parts_with_points(np.concatenate(pixels), device.size)
         if bare.any():
             where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
             yield (
@@ -121,8 +121,23 @@ def _about_parts(
             )
 
 
-def _held(pixels: Floats, size: tuple[int, int]) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-    """Tell which ninths (3, 3) of an image contain any of the pixels (K, 2)."""
+def parts_with_points(
+    pixels: Floats, size: tuple[int, int]
+) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Tell which ninths of an image contain points.
+
+    Parameters
+    ----------
+    pixels : Floats
+        (K, 2) points in px.
+    size : tuple[int, int]
+        (width, height) of the image in px.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (3, 3) by row and column, as `PARTS`.
+    """
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
     held[row, column] = True
