@@ -29,10 +29,10 @@ from fpplab.reconstruction.uncertainty import with_uncertainty
 RAYS = (24, 36)
 """(rows, columns) of the camera's rays that stand for its field."""
 
-FARTHEST_FACTOR = 3.0
-"""Distances up to so many times that of the nearest approach of both axes are looked at."""
+LOOKED_AT = (0.5, 2.0)
+"""Distances that are looked at for overlap, as multiples of that at which both middle rays meet."""
 
-USEFUL_SHARE = 0.5
+USEFUL_SHARE = 0.8
 """Share of the greatest overlap from which on a distance counts as one that both see."""
 
 LEAST_CONTRAST = 1e-3
@@ -123,7 +123,7 @@ class RigGeometry:
         """Least and greatest distance in mm: those stated, or else those at which the overlap is great."""
         if self.stated is not None:
             return self.stated.mm
-        distances = np.linspace(0.2, FARTHEST_FACTOR, 57) * self.meeting_mm
+        distances = np.linspace(*LOOKED_AT, 46) * self.meeting_mm
         shares = np.array([self.overlap(d) for d in distances])
         seen = distances[shares >= USEFUL_SHARE * shares.max()] if shares.max() > 0 else distances[:0]
         return (float(seen[0]), float(seen[-1])) if len(seen) else (self.meeting_mm, self.meeting_mm)

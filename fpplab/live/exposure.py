@@ -303,7 +303,7 @@ def _gain(factor: float, exposure_s: float, limits: ExposureLimits, words: list[
         short = wanted - most
         words.append(
             f"the lamp is weak: the longest exposure of the {limits.of}, {exposure_s:.3g} s, and the "
-            f"greatest gain, {most:.3g} dB, reach {100 * TARGET / _of_gain(short):.0f} % of full scale; open the "
-            "aperture, brighten the lamp, or go nearer"
+            f"greatest gain, {most:.3g} dB, reach {100 * TARGET / _of_gain(short):.0f} % of full scale; open "
+            "the aperture, brighten the lamp, or go nearer"
         )
     return min(max(wanted, least), most)

@@ -29,7 +29,27 @@ ALIKE_SHARE = 0.98
 """A measure is at its best from this share of it on: noise alone changes it by as much."""
 
 
-def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> Floats:
+@dataclass(frozen=True, eq=False)
+class FocusMeasure:
+    """How sharp an image is.
+
+    Attributes
+    ----------
+    regions : ndarray of float64, `REGIONS`
+        By region; NaN where not known.
+    whole : float or None
+        Of the whole image; None where it is known of no region.
+    """
+
+    regions: Floats
+    whole: float | None
+
+
+UNKNOWN = FocusMeasure(np.full(REGIONS, np.nan), None)
+"""Where nothing can be measured."""
+
+
+def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> FocusMeasure:
     """Measure the sharpness of the camera's image.
 
     Parameters
@@ -39,29 +59,37 @@ def camera_sharpness(one: NDArray[np.floating[Any]], other: NDArray[np.floating[
 
     Returns
     -------
-    ndarray of float64, `REGIONS`
-        RMS gradient over the mean level, 1/px; NaN where the region is dark or without texture.
+    FocusMeasure
+        RMS gradient over the mean level, 1/px; a region that is dark or without texture is not known.
     """
     found = np.full(REGIONS, np.nan)
+    powers, levels = 0.0, 0.0
     for region, part in region_slices(one.shape):
         a, b = (image[part].astype(np.float64) for image in (one, other))
-        level = a.mean() * b.mean()
+        level = float(a.mean() * b.mean())
         if level < DARK_LEVEL**2 or min(a.shape) < 3:
             continue
-        power, noises = 0.0, 0.0
-        for axis in (0, 1):
-            first, second = np.gradient(a, axis=axis), np.gradient(b, axis=axis)
-            # About their means: light that falls off across the region is no texture.
-            power += float(np.mean(first * second) - first.mean() * second.mean())
-            noises += float(np.mean(np.square(first - second)))
-        # Of two gradients with independent noise; neighbours share half of it.
-        sigma = noises / 2.0 * math.sqrt(2.0 / a.size)
+        power, sigma = _gradient_power(a, b)
+        powers, levels = powers + max(power, 0.0) * a.size, levels + level * a.size
         if power > TEXTURE_SIGMAS * sigma:
             found[region] = math.sqrt(power / level)
-    return found
+    known = np.isfinite(found).any()
+    return FocusMeasure(found, math.sqrt(powers / levels) if known else None)
 
 
-def projector_contrast(sample: FrameSample) -> Floats:
+def _gradient_power(one: Floats, other: Floats) -> tuple[float, float]:
+    """Mean square gradient that two images share, and its standard uncertainty by noise alone."""
+    power, noises = 0.0, 0.0
+    for axis in (0, 1):
+        first, second = np.gradient(one, axis=axis), np.gradient(other, axis=axis)
+        # About their means: light that falls off across the region is no texture.
+        power += float(np.mean(first * second) - first.mean() * second.mean())
+        noises += float(np.mean(np.square(first - second)))
+    # Of products of two gradients with independent noise; neighbours share half of it.
+    return power, noises / 2.0 * math.sqrt(2.0 / one.size)
+
+
+def projector_contrast(sample: FrameSample) -> FocusMeasure:
     """Measure how much of the fringes' contrast the projector's lens, and the camera's, leave.
 
     Parameters
@@ -71,78 +99,77 @@ def projector_contrast(sample: FrameSample) -> Floats:
 
     Returns
     -------
-    ndarray of float64, `REGIONS`
-        Modulation of the finest over that of the widest; NaN where the region is not lit, or saturated.
+    FocusMeasure
+        Modulation of the finest over that of the widest; a region that is not lit, or saturated, is not
+        known.
     """
+    known = sample.measured
+    if not known.any():
+        return UNKNOWN
     fine = sample.fits[sample.recording.plan.finest_set()]
     ratio = fine.modulation / np.maximum(sample.widest.modulation, 1e-9)
-    return region_medians(ratio, sample.measured)
-
-
-def overall(values: Floats) -> float | None:
-    """Give one figure for all regions.
-
-    Parameters
-    ----------
-    values : ndarray of float64
-        By region, NaN where not known.
-
-    Returns
-    -------
-    float or None
-        The mean of those known; None where none is.
-    """
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else None
+    return FocusMeasure(region_medians(ratio, known), float(np.median(ratio[known])))
 
 
 @dataclass
 class FocusTracker:
-    """A measure of focus as it changes, with the best of each region so far.
+    """A measure of focus as it changes, with the best so far.
 
     Attributes
     ----------
-    now : ndarray of float64, `REGIONS`
-        The latest; NaN where not known.
+    now : FocusMeasure
+        The latest.
     best : ndarray of float64, `REGIONS`
         The greatest of each region; NaN where it was never known.
+    best_whole : float or None
+        The greatest of the whole image.
     """
 
-    now: Floats = field(default_factory=lambda: np.full(REGIONS, np.nan))
-    best: Floats = field(default_factory=lambda: np.full(REGIONS, np.nan))
-    _best_overall: float | None = None
+    now: FocusMeasure = UNKNOWN
+    best: Floats = field(default_factory=UNKNOWN.regions.copy)
+    best_whole: float | None = None
 
-    def update(self, values: Floats) -> None:
+    def update(self, measure: FocusMeasure) -> None:
         """Take the latest measure.
 
         Parameters
         ----------
-        values : ndarray of float64, `REGIONS`
-            NaN where not known.
+        measure : FocusMeasure
+            The latest.
         """
-        self.now = values
-        self.best = np.fmax(self.best, values)
-        if (mean := overall(values)) is not None:
-            self._best_overall = max(mean, self._best_overall or 0.0)
+        self.now = measure
+        self.best = np.fmax(self.best, measure.regions)
+        if measure.whole is not None:
+            self.best_whole = max(measure.whole, self.best_whole or 0.0)
 
     def reset(self) -> None:
         """Forget what was best, after the part or its place has changed."""
-        self.best, self._best_overall = self.now.copy(), overall(self.now)
+        self.best, self.best_whole = self.now.regions.copy(), self.now.whole
 
     @property
     def shares(self) -> Floats:
         """The latest of each region over its best, `REGIONS`; NaN where not known."""
-        return np.asarray(self.now / self.best)
+        return np.asarray(self.now.regions / self.best)
 
-    def summary(self) -> dict[str, float | bool | None]:
+    @property
+    def share(self) -> float | None:
+        """The latest of the whole image over its best; None where not known."""
+        return self.now.whole / self.best_whole if self.now.whole is not None and self.best_whole else None
+
+    def summary(self) -> dict[str, object]:
         """Collect what is shown.
 
         Returns
         -------
         dict
-            `now` and `best` over all regions, `share` of the best, and `at_best`.
+            `now` and `best` of the whole image, `share` of the best, `at_best`, and the share of each region.
         """
-        now, best = overall(self.now), self._best_overall
-        share = now / best if now is not None and best else None
-        at_best = share is not None and share >= ALIKE_SHARE
-        return {"now": now, "best": best, "share": share, "at_best": at_best}
+        share = self.share
+        shares = [[None if np.isnan(x) else round(float(x), 3) for x in row] for row in self.shares]
+        return {
+            "now": self.now.whole,
+            "best": self.best_whole,
+            "share": share,
+            "at_best": share is not None and share >= ALIKE_SHARE,
+            "regions": shares,
+        }

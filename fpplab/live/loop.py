@@ -211,7 +211,8 @@ class SetUp:
                     self._pause(turn)
                     continue
                 try:
-                    self._paused_for = None
+                    if self._paused_for is not None:
+                        self._paused_for, self._message = None, "the rig is free again"
                     with self._rig:
                         self._open()
                         while not self._ended() and not turn.wanted():

@@ -132,11 +132,9 @@ class LiveMeasures:
         halves = ends[:2] + ends[-2:] if len(ends) > 2 else (0, ends[1] // 2, ends[1] // 2, ends[1])
         first, last = (_mean(recording.frames[a:b]) for a, b in (halves[:2], halves[2:]))
         self._sharpness(first, last, recording.full_scale)
-        lit = bool(sample.lit.any())
-        self.projector_focus.update(
-            projector_contrast(sample) if lit else np.full_like(self.projector_focus.now, np.nan)
-        )
-        self.noise_um = self.working.noise_um(sample) if self.working and lit else None
+        self.projector_focus.update(projector_contrast(sample))
+        if self.working is not None:
+            self.noise_um = self.working.noise_um(sample) if sample.measured.any() else None
 
     def _sharpness(self, one: NDArray[np.generic], other: NDArray[np.generic], most: int) -> None:
         shares = [image.astype(np.float32) / most for image in (one, other)]

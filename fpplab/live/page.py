@@ -51,6 +51,7 @@ class SetUpPage:
         self._token = secrets.token_urlsafe(18)
         self._state = b"{}"
         self._left_s: float | None = None
+        self._seen = False
         self._server = ThreadingHTTPServer((LOCAL, 0), _handler(self))
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
@@ -67,6 +68,11 @@ class SetUpPage:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+    @property
+    def seen(self) -> bool:
+        """Whether the page has been opened."""
+        return self._seen
 
     @property
     def closed(self) -> bool:
@@ -119,7 +125,7 @@ class SetUpPage:
         if (method, name) == ("GET", ""):
             return HTTPStatus.OK, "text/html; charset=utf-8", self._html()
         if (method, name) == ("GET", "state"):
-            self._left_s = None
+            self._left_s, self._seen = None, True
             return HTTPStatus.OK, "application/json", self._state
         if (method, name) == ("POST", "leave"):
             self._left_s = time.monotonic()

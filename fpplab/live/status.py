@@ -10,7 +10,7 @@ from fpplab.core.conventions import Floats
 from fpplab.devices import CameraSettings
 from fpplab.diagnosis import Finding
 from fpplab.live.exposure import ExposureAdvice, LightLevels
-from fpplab.live.focus import FocusTracker, overall
+from fpplab.live.focus import FocusTracker
 from fpplab.live.patterns import View
 
 
@@ -107,10 +107,7 @@ class LiveStatus:
             "gain_db": self.settings.gain_db if self.settings else None,
             "light": None if self.levels is None else self.levels.__dict__,
             "advice": None if self.advice is None else self.advice.summary(),
-            "focus": {
-                "camera": _of_focus(self.camera_focus),
-                "projector": _of_focus(self.projector_focus),
-            },
+            "focus": {"camera": self.camera_focus.summary(), "projector": self.projector_focus.summary()},
             "findings": [finding.summary() for finding in self.findings],
             "expected": expected,
             "coverage": self.coverage,
@@ -141,7 +138,7 @@ class LiveStatus:
         if self.advice is not None and not self.advice.is_right:
             parts.append(f"advised {1e3 * self.advice.exposure_s:.4g} ms, {self.advice.gain_db:.3g} dB")
         for name, tracker in (("camera", self.camera_focus), ("projector", self.projector_focus)):
-            share = tracker.summary()["share"]
+            share = tracker.share
             parts.append(f"{name} focus " + ("–" if share is None else f"{100 * share:.0f} % of best"))
         if self.noise_um is not None and (noise := overall_median(self.noise_um)) is not None:
             parts.append(f"noise {noise:.3g} µm")
@@ -163,8 +160,3 @@ def overall_median(values: Floats) -> float | None:
     """
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else None
-
-
-def _of_focus(tracker: FocusTracker) -> dict[str, object]:
-    regions = [[None if np.isnan(x) else round(float(x), 3) for x in row] for row in tracker.shares]
-    return {**tracker.summary(), "known": overall(tracker.now) is not None, "regions": regions}

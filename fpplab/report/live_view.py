@@ -5,6 +5,8 @@ Red is saturated, blue stays dark in the projector's light. The timeline `frame`
 
 from __future__ import annotations
 
+import math
+import time
 from typing import Any
 
 import matplotlib as mpl
@@ -14,7 +16,8 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Image, Mask, full_scale
 from fpplab.devices import Frame
 from fpplab.live.expectation import RigGeometry
-from fpplab.live.focus import FocusTracker
+from fpplab.live.exposure import LightLevels
+from fpplab.live.focus import FocusMeasure, FocusTracker
 from fpplab.live.regions import REGIONS
 from fpplab.live.status import LiveStatus
 from fpplab.patterns.fringes import Pattern
@@ -34,6 +37,9 @@ CELL_PX = 40
 
 BINS = 64
 """Bins of the histogram."""
+
+MOST_HZ = 15.0
+"""Most frames per s that are sent to a browser, which would fall behind with more."""
 
 SLICES = 7
 """Planes of the depth range in which the overlap of both fields is drawn."""
@@ -59,13 +65,19 @@ class LiveViewer:
         self, viewer: Viewer, geometry: RigGeometry | None = None, distance_mm: float | None = None
     ) -> None:
         self._viewer = viewer
+        self._most_hz = MOST_HZ if viewer.where.startswith("http") else math.inf
+        self._last_s = -math.inf
+        self._pattern: Pattern | None = None
+        self._levels: LightLevels | None = None
+        self._focus: dict[str, FocusMeasure] = {}
+        self._said = ""
         viewer.draw(lambda stream: stream.send_blueprint(_layout(geometry is not None)))
         if geometry is not None:
             viewer.calibration(geometry.calibration)
             viewer.draw(lambda stream: _draw_overlap(stream, geometry, distance_mm))
 
     def show(self, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None) -> None:
-        """Show a frame with the state after it.
+        """Show a frame with the state after it; a frame that comes too soon is left out.
 
         Parameters
         ----------
@@ -78,7 +90,30 @@ class LiveViewer:
         dark : ndarray of bool, (height, width), or None
             Pixels that stay dark in the view's light.
         """
-        self._viewer.draw(lambda stream: _draw_frame(stream, status, frame, pattern, dark))
+        now = time.monotonic()
+        if now - self._last_s < 1.0 / self._most_hz:
+            return
+        self._last_s = now
+        self._viewer.draw(lambda stream: self._draw(stream, status, frame, pattern, dark))
+
+    def _draw(
+        self, stream: Any, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None
+    ) -> None:
+        stream.set_time("frame", sequence=status.frames)
+        _draw_image(stream, frame, dark)
+        if pattern is not self._pattern:
+            self._pattern = pattern
+            _draw_pattern(stream, pattern)
+        for name, tracker in (("camera", status.camera_focus), ("projector", status.projector_focus)):
+            if tracker.now is not self._focus.get(name):
+                self._focus[name] = tracker.now
+                _draw_focus(stream, name, tracker)
+        if status.levels is not self._levels and status.levels is not None:
+            self._levels = status.levels
+            _draw_levels(stream, status.levels)
+        if (words := _words(status)) != self._said:
+            self._said = words
+            _draw_words(stream, words)
 
 
 def painted(image: Image, bits: int, dark: Mask | None) -> NDArray[np.uint8]:
@@ -102,31 +137,48 @@ def painted(image: Image, bits: int, dark: Mask | None) -> NDArray[np.uint8]:
     grey = (image[::step, ::step] >> (bits - 8)).astype(np.uint8)
     rgb = np.repeat(grey[..., None], 3, axis=2)
     if dark is not None:
-        rgb[dark[::step, ::step]] = DARK
+        hidden = dark[::step, ::step]
+        rgb[hidden] = rgb[hidden] // 2 + np.array(DARK, np.uint8) // 2
     v, u = np.nonzero(image >= full_scale(bits))
     rgb[v // step, u // step] = SATURATED
     return rgb
 
 
-def _draw_frame(stream: Any, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None) -> None:
+def _draw_image(stream: Any, frame: Frame, dark: Mask | None) -> None:
     import rerun as rr
 
     bits = frame.settings.bits
-    stream.set_time("frame", sequence=status.frames)
     stream.log("world/camera/image", rr.Image(painted(frame.image, bits, dark)).compress(jpeg_quality=85))
+    counts, _ = np.histogram(frame.image[::2, ::2], BINS, (0, full_scale(bits) + 1))
+    stream.log("light/histogram", rr.BarChart(np.log10(1.0 + counts)))
+
+
+def _draw_pattern(stream: Any, pattern: Pattern) -> None:
+    import rerun as rr
+
     shown = np.ascontiguousarray(pattern.image[::2, ::2])
     stream.log("world/projector/pattern", rr.Image(shown).compress(jpeg_quality=70))
-    counts, _ = np.histogram(frame.image[::2, ::2], BINS, (0, full_scale(bits) + 1))
-    stream.log("light/histogram", rr.BarChart(counts))
-    if status.levels is not None:
-        stream.log("light/peak", rr.Scalars(100.0 * status.levels.peak))
-        stream.log("light/saturated", rr.Scalars(100.0 * status.levels.saturated))
-    for name, tracker in (("camera", status.camera_focus), ("projector", status.projector_focus)):
-        share = tracker.summary()["share"]
-        if share is not None:
-            stream.log(f"focus/{name}", rr.Scalars(100.0 * share))
-        _draw_map(stream, f"maps/{name}_focus", tracker)
-    stream.log("words", rr.TextDocument(_words(status), media_type=rr.MediaType.MARKDOWN))
+
+
+def _draw_levels(stream: Any, levels: LightLevels) -> None:
+    import rerun as rr
+
+    stream.log("light/peak", rr.Scalars(100.0 * levels.peak))
+    stream.log("light/saturated", rr.Scalars(100.0 * levels.saturated))
+
+
+def _draw_words(stream: Any, words: str) -> None:
+    import rerun as rr
+
+    stream.log("words", rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
+
+
+def _draw_focus(stream: Any, name: str, tracker: FocusTracker) -> None:
+    import rerun as rr
+
+    if tracker.share is not None:
+        stream.log(f"focus/{name}", rr.Scalars(100.0 * tracker.share))
+    _draw_map(stream, f"maps/{name}_focus", tracker)
 
 
 def _draw_map(stream: Any, entity: str, tracker: FocusTracker) -> None:
@@ -190,7 +242,7 @@ def _layout(with_scene: bool) -> Any:
     focus = rrb.TimeSeriesView(
         origin="/focus", name="Focus, % of best", axis_y=rrb.ScalarAxis(range=(0.0, 105.0), zoom_lock=True)
     )
-    histogram = rrb.BarChartView(origin="/light/histogram", name="Histogram, black to full scale")
+    histogram = rrb.BarChartView(origin="/light/histogram", name="Histogram (log), black to full scale")
     words = rrb.TextDocumentView(origin="/words", name="State")
     scene = rrb.Spatial3DView(
         origin="/world",
@@ -202,7 +254,7 @@ def _layout(with_scene: bool) -> Any:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(camera, below, row_shares=[3, 2]),
-            rrb.Vertical(focus, *maps, words, row_shares=[2, 2, 2, 1]),
+            rrb.Vertical(focus, *maps, words, row_shares=[3, 4, 4, 3]),
             column_shares=[3, 2],
         ),
         rrb.BlueprintPanel(state="collapsed"),

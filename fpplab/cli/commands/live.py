@@ -200,7 +200,8 @@ class _Observer:
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
     ) -> bool:
         self._page.show(status)
-        if self._drawn is not None and frame is not None and pattern is not None:
+        looked_at = self._page.seen or _page_of(self._viewer) is None  # no backlog for who comes later
+        if self._drawn is not None and frame is not None and pattern is not None and looked_at:
             self._drawn.show(status, frame, pattern, dark)
         self._say(status)
         return not (self._page.closed or (self._viewer is not None and self._viewer.closed))
