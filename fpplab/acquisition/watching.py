@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 from fpplab.acquisition.acquire import READ_TIMEOUT_S, in_step
 from fpplab.acquisition.timing import check_stepped
 from fpplab.core.errors import SettingError
-from fpplab.devices import CameraSettings, Frame
+from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
@@ -68,6 +69,30 @@ class PatternWatch:
             self._rig.camera.configure(self.settings)
             raise
         return self.settings
+
+    def dark_frame(self) -> Frame:
+        """Take a frame without light: of the least exposure, with the projector dark.
+
+        Returns
+        -------
+        Frame
+            Which shows the camera's black level.
+
+        Raises
+        ------
+        DeviceError
+            A device failed.
+        """
+        camera, projector = self._rig.camera, self._rig.projector
+        projector.blank()
+        self._shown = None
+        least_s, _ = camera.caps.exposure_s
+        try:
+            camera.configure(replace(self.settings, exposure_s=least_s))
+            return camera.snap(timeout_s=READ_TIMEOUT_S)
+        finally:
+            if camera.state is State.IDLE:
+                camera.configure(self.settings)
 
     def shot(self, index: int) -> Frame:
         """Take a frame of one pattern.

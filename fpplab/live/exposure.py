@@ -1,7 +1,7 @@
 """The exposure that uses the camera's range: as long as it may be, and gain only for what is then missing.
 
-The brightest lit pixels are to reach `TARGET` of full scale. Light is proportional to exposure and gain, so
-one step leads there from anything that is not saturated. What the devices do not allow is said, never
+The brightest lit pixels are to reach `TARGET` of full scale. What they have above the camera's black level is
+proportional to exposure and gain, so one step leads there from anything that is not saturated. What the devices do not allow is said, never
 applied in silence: the camera's limits, and the period in which a projector shows its bit planes, of which
 an exposure must be a whole number.
 """
@@ -25,6 +25,9 @@ TARGET = 0.88
 
 BRIGHTEST = 99.5
 """Percentile of the lit pixels that counts as the brightest: highlights may saturate."""
+
+LEAST_PEAK = 1e-3
+"""Share of full scale that the brightest lit pixels are taken to have above black at least."""
 
 CLOSE = 0.03
 """A peak that lies no further from the target is right."""
@@ -50,13 +53,16 @@ class LightLevels:
     saturated : float
         Share of the lit pixels that are saturated.
     ambient : float or None
-        Level of light that does not change with the fringes, as a share of full scale; None where no
-        fringes are shown.
+        Light that does not change with the fringes, as a share of full scale; None where no fringes are
+        shown.
+    black : float
+        The camera's level without light, as a share of full scale; `peak` contains it, `ambient` does not.
     """
 
     peak: float
     saturated: float
     ambient: float | None = None
+    black: float = 0.0
 
     @property
     def is_saturated(self) -> bool:
@@ -196,13 +202,15 @@ class ExposureAdvice:
         }
 
 
-def levels_of_fringes(sample: FrameSample) -> LightLevels | None:
+def levels_of_fringes(sample: FrameSample, black: float = 0.0) -> LightLevels | None:
     """Measure the light of a cycle of fringes.
 
     Parameters
     ----------
     sample : FrameSample
         Of all images of the cycle.
+    black : float
+        The camera's level without light, as a share of full scale.
 
     Returns
     -------
@@ -214,10 +222,10 @@ def levels_of_fringes(sample: FrameSample) -> LightLevels | None:
     peaks, widest = sample.spread.max(axis=0)[sample.lit] / 255.0, sample.widest
     other = float(np.median((widest.offset - widest.modulation)[sample.lit])) / 255.0
     saturated = float(sample.saturated[sample.lit].mean())
-    return LightLevels(float(np.percentile(peaks, BRIGHTEST)), saturated, max(other, 0.0))
+    return LightLevels(float(np.percentile(peaks, BRIGHTEST)), saturated, max(other - black, 0.0), black)
 
 
-def levels_of_image(image: Image, bits: int) -> LightLevels:
+def levels_of_image(image: Image, bits: int, black: float = 0.0) -> LightLevels:
     """Measure the light of one image of a bright pattern.
 
     Parameters
@@ -226,6 +234,8 @@ def levels_of_image(image: Image, bits: int) -> LightLevels:
         Raw levels.
     bits : int
         Their depth.
+    black : float
+        The camera's level without light, as a share of full scale.
 
     Returns
     -------
@@ -234,7 +244,7 @@ def levels_of_image(image: Image, bits: int) -> LightLevels:
     """
     levels: NDArray[np.floating[Any]] = image[::2, ::2].astype(np.float32) / full_scale(bits)
     lit = levels[levels >= LIT_SHARE * np.percentile(levels, 99.9)]
-    return LightLevels(float(np.percentile(lit, BRIGHTEST)), float((lit >= 1.0).mean()))
+    return LightLevels(float(np.percentile(lit, BRIGHTEST)), float((lit >= 1.0).mean()), None, black)
 
 
 def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLimits) -> ExposureAdvice:
@@ -254,13 +264,14 @@ def advise_exposure(levels: LightLevels, now: CameraSettings, limits: ExposureLi
     ExposureAdvice
         Within the limits.
     """
-    factor = SATURATED_FACTOR if levels.is_saturated else TARGET / max(levels.peak, 1e-4)
+    above = max(levels.peak - levels.black, LEAST_PEAK)
+    factor = SATURATED_FACTOR if levels.is_saturated else (TARGET - levels.black) / above
     light = now.exposure_s * _of_gain(now.gain_db) * factor
     words: list[str] = []
     exposure_s = _exposure(light / _of_gain(limits.gain_db[0]), limits, words)
     gain_db = _gain(light / exposure_s, exposure_s, limits, words)
     change = exposure_s * _of_gain(gain_db) / (now.exposure_s * _of_gain(now.gain_db))
-    peak = None if levels.is_saturated else levels.peak * change
+    peak = None if levels.is_saturated else levels.black + above * change
     if (
         levels.ambient is not None
         and not levels.is_saturated

@@ -111,9 +111,9 @@ def projector_contrast(sample: FrameSample) -> FocusMeasure:
     return FocusMeasure(region_medians(ratio, known), float(np.median(ratio[known])))
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class FocusTracker:
-    """A measure of focus as it changes, with the best so far.
+    """A measure of focus, with the best so far.
 
     Attributes
     ----------
@@ -126,25 +126,34 @@ class FocusTracker:
     """
 
     now: FocusMeasure = UNKNOWN
-    best: Floats = field(default_factory=UNKNOWN.regions.copy)
+    best: Floats = field(default_factory=lambda: UNKNOWN.regions)
     best_whole: float | None = None
 
-    def update(self, measure: FocusMeasure) -> None:
-        """Take the latest measure.
+    def after(self, measure: FocusMeasure) -> FocusTracker:
+        """Take another measure.
 
         Parameters
         ----------
         measure : FocusMeasure
             The latest.
-        """
-        self.now = measure
-        self.best = np.fmax(self.best, measure.regions)
-        if measure.whole is not None:
-            self.best_whole = max(measure.whole, self.best_whole or 0.0)
 
-    def reset(self) -> None:
-        """Forget what was best, after the part or its place has changed."""
-        self.best, self.best_whole = self.now.regions.copy(), self.now.whole
+        Returns
+        -------
+        FocusTracker
+            With it, and with the best of both.
+        """
+        whole = [one for one in (measure.whole, self.best_whole) if one is not None]
+        return FocusTracker(measure, np.fmax(self.best, measure.regions), max(whole, default=None))
+
+    def forgotten(self) -> FocusTracker:
+        """Forget what was best, after the part or its place has changed.
+
+        Returns
+        -------
+        FocusTracker
+            Whose best is the present measure.
+        """
+        return FocusTracker(self.now, self.now.regions, self.now.whole)
 
     @property
     def shares(self) -> Floats:

@@ -12,8 +12,10 @@ from pathlib import Path
 from queue import Empty
 from typing import Protocol
 
+import numpy as np
+
 from fpplab.acquisition.watching import PatternWatch
-from fpplab.core.conventions import Mask
+from fpplab.core.conventions import Mask, full_scale
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -256,6 +258,9 @@ class SetUp:
         plan = self._options.plan
         self._watch = PatternWatch(self._rig, self._patterns.patterns, self._settings, plan.settle_s)
         self._settings = self._watch.settings
+        if self._frames == 0:
+            dark = self._watch.dark_frame()
+            self._measures.black = float(np.median(dark.image)) / full_scale(dark.settings.bits)
         self._begin()
 
     def _begin(self, view: View | None = None) -> None:
@@ -367,8 +372,7 @@ class SetUp:
         self._begin(view)
 
     def _reset(self) -> None:
-        self._measures.camera_focus.reset()
-        self._measures.projector_focus.reset()
+        self._measures.forget_focus()
         self._message = "the best focus counts from now on"
 
     def _quit(self) -> None:

@@ -31,6 +31,8 @@ class LiveMeasures:
 
     Attributes
     ----------
+    black : float
+        The camera's level without light, as a share of full scale; to be set once it is known.
     levels : LightLevels or None
         Light of the latest cycle or image; None where it says nothing, or nothing is lit.
     findings : tuple of Finding
@@ -42,7 +44,7 @@ class LiveMeasures:
     """
 
     def __init__(self, working: WorkingPoint | None = None) -> None:
-        self.working = working
+        self.working, self.black = working, 0.0
         self.levels: LightLevels | None = None
         self.findings: tuple[Finding, ...] = ()
         self.camera_focus, self.projector_focus = FocusTracker(), FocusTracker()
@@ -88,12 +90,17 @@ class LiveMeasures:
         previous, self._images = self._images[-1:], [frame.image]
         if self._view is View.BLACK:
             return False
-        self.levels = levels_of_image(frame.image, frame.settings.bits)
+        self.levels = levels_of_image(frame.image, frame.settings.bits, self.black)
         if self._view is View.WHITE:
             self._brightest = frame.image
             if previous:
                 self._sharpness(previous[0], frame.image, full_scale(frame.settings.bits))
         return True
+
+    def forget_focus(self) -> None:
+        """Let the best focus count from now on."""
+        self.camera_focus = self.camera_focus.forgotten()
+        self.projector_focus = self.projector_focus.forgotten()
 
     def dark(self, bits: int) -> Mask | None:
         """Tell which pixels stay dark in the view's light.
@@ -124,7 +131,7 @@ class LiveMeasures:
 
     def _measure(self, recording: Recording) -> None:
         sample = FrameSample(recording)
-        self.levels = levels_of_fringes(sample)
+        self.levels = levels_of_fringes(sample, self.black)
         self.findings = diagnose_frames(recording)
         self._brightest = np.maximum.reduce(recording.frames)
         # The mean of each set is the scene under even light, and their noise is independent.
@@ -132,13 +139,13 @@ class LiveMeasures:
         halves = ends[:2] + ends[-2:] if len(ends) > 2 else (0, ends[1] // 2, ends[1] // 2, ends[1])
         first, last = (_mean(recording.frames[a:b]) for a, b in (halves[:2], halves[2:]))
         self._sharpness(first, last, recording.full_scale)
-        self.projector_focus.update(projector_contrast(sample))
+        self.projector_focus = self.projector_focus.after(projector_contrast(sample))
         if self.working is not None:
             self.noise_um = self.working.noise_um(sample) if sample.measured.any() else None
 
     def _sharpness(self, one: NDArray[np.generic], other: NDArray[np.generic], most: int) -> None:
         shares = [image.astype(np.float32) / most for image in (one, other)]
-        self.camera_focus.update(camera_sharpness(*shares))
+        self.camera_focus = self.camera_focus.after(camera_sharpness(*shares))
 
 
 def _mean(images: Sequence[Image]) -> NDArray[np.float32]:
