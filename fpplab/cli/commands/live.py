@@ -104,8 +104,8 @@ def live_command(
 
     name = plan or ("plan_board.yaml" if target else "plan_paper.yaml")
     wanted, bench = Plan.load(name), Rig.load(rig)
-    if target and wanted.axes != ("x", "y"):
-        raise ConfigError(f"{name}: has fringes along {wanted.axes[0]} alone; poses of a board need x and y")
+    if target:
+        _need_board_plan(wanted, name)
     if item:
         _need_fixture(bench, item)
     if out:
@@ -150,6 +150,14 @@ def live_command(
 
 def _page_of(viewer: Viewer | None) -> str | None:
     return viewer.where if viewer is not None and viewer.where.startswith("http") else None
+
+
+def _need_board_plan(plan: Plan, name: str) -> None:
+    from fpplab.phase import check_unwrapping
+
+    check_unwrapping(plan, name)
+    if plan.axes != ("x", "y"):
+        raise ConfigError(f"{name}: has fringes along {plan.axes[0]} alone; poses of a board need x and y")
 
 
 def _need_fixture(bench: Rig, item: str) -> None:
