@@ -232,7 +232,9 @@ class WorkingPoint:
         wide, lit = sample.widest, sample.measured
         modulation = region_medians(wide.modulation, lit)
         contrast = region_medians(fine.modulation / np.maximum(wide.modulation, 1e-9), lit)
-        noise = region_medians(np.sqrt(sample.errors.noise.variance(wide.offset)), lit)
+        # Rounding that repeats in all pixels of the same light is no noise, as in the points of a scan.
+        own = sample.errors.noise.variance(wide.offset) - sample.errors.noise.repeated(wide.offset)
+        noise = region_medians(np.sqrt(np.maximum(own, 0.0)), lit)
         square_px = _blur_square(sample, contrast)
         information = np.zeros(REGIONS)
         for axis in self.plan.axes:

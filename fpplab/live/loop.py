@@ -332,7 +332,7 @@ class SetUp:
 
     def _obey(self, order: Order, turn: RigTurn) -> None:
         assert self._settings is not None
-        if order not in (Order.ADVICE, Order.TAKE):
+        if order is not Order.ADVICE:
             self._seeks = 0
         try:
             self._act(order, turn)

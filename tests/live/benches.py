@@ -19,7 +19,7 @@ from fpplab.patterns.plan import Plan
 
 CARD = {"card_mm": [400.0, 300.0], "pose": {"rotation_deg": [0, 0, 0], "translation_mm": [0, 0, 450]}}
 TARGET = {
-    "kind": "checkerboard", "size_mm": [220, 160], "counts": [8, 5], "spacing_mm": [24, 24],
+    "kind": "checkerboard", "size_mm": [140, 100], "counts": [8, 5], "spacing_mm": [14, 14],
 }  # fmt: skip
 
 
@@ -85,7 +85,7 @@ class Operator:
         self.seen.append(status)
         if frame is not None:
             self.frames.append(frame)
-        self._waited += 1
+        self._waited += not status.message.endswith("is taken")  # a pose is being looked at
         if self._waited >= self._after and self._left:
             self.orders.put(self._left.pop(0))
             self._waited = 0

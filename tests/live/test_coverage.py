@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from fpplab.core import config
 from fpplab.live.coverage import BoardCoverage, advise_by_coverage
 from fpplab.live.orders import Order
@@ -42,6 +44,7 @@ def test_tilts_and_distances_are_asked_for() -> None:
     assert "characterise now" in advise_by_coverage(observed(poses(12)), BOARD, *SIZES)[0]
 
 
+@pytest.mark.slow
 def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
     """A board that the twin holds; one pose too far away for its points to be found does not count."""
     places = [((10, 12, 3), (0, 0, 450)), ((-15, 8, 0), (5, 5, 440)), ((0, 0, 0), (0, 0, 2500))]
@@ -51,9 +54,23 @@ def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
     }
     path = rig_file(tmp_path, items={"board": board}, mounted="board")
     operator = Operator(
-        Order.ADVICE, Order.TAKE, Order.NEXT_POSE, Order.TAKE, Order.NEXT_POSE, Order.TAKE, Order.QUIT, after=40
+        Order.ADVICE,
+        Order.TAKE,
+        Order.NEXT_POSE,
+        Order.TAKE,
+        Order.NEXT_POSE,
+        Order.TAKE,
+        Order.QUIT,
+        after=10,
     )
-    setup = operate(path, operator, plan=BOTH_AXES, target=Target.load(tmp_path / "board.yaml"), poses=tmp_path / "poses", item="board")
+    setup = operate(
+        path,
+        operator,
+        plan=BOTH_AXES,
+        target=Target.load(tmp_path / "board.yaml"),
+        poses=tmp_path / "poses",
+        item="board",
+    )
     assert [p.name for p in setup.poses] == ["pose_00", "pose_01"]
     summary = setup.status.coverage
     assert summary is not None
@@ -62,8 +79,7 @@ def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
     assert len(summary["left_out"]) == 1  # type: ignore[arg-type]
     session = Session.open(setup.poses[1])
     assert not session.missing()
-    assert session.rig is not None
-    assert session.rig["resolved"]["mounted"] == {"item": "board", "pose": 1}
+    assert (session.rig() or {})["resolved"]["mounted"] == {"item": "board", "pose": 1}
     # The exposure that was chosen is the one that was used.
     chosen = operator.seen[-1].settings
     assert chosen is not None

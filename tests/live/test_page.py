@@ -78,7 +78,9 @@ def test_every_order_has_a_button_and_a_key(page: SetUpPage) -> None:
 
 def test_nothing_is_fetched_from_elsewhere(page: SetUpPage) -> None:
     _, text, headers = ask(page, "GET", path_of(page))
-    assert not re.findall(rb"""(?:src|href)\s*=|@import|url\(|https?://(?!127\.0\.0\.1)""", text.replace(b".src =", b""))
+    assert not re.findall(
+        rb"""(?:src|href)\s*=|@import|url\(|https?://(?!127\.0\.0\.1)""", text.replace(b".src =", b"")
+    )
     policy = headers["Content-Security-Policy"]
     assert policy.startswith("default-src 'none'")
     assert "connect-src 'self'" in policy
@@ -92,7 +94,9 @@ def test_without_the_token_nothing_is_told_or_done(
     token: str, page: SetUpPage, orders: SimpleQueue[Order]
 ) -> None:
     for method, name in (("GET", ""), ("GET", "state"), ("POST", "order")):
-        code, text, _ = ask(page, method, f"/{token}/{name}", b'{"order": "quit"}' if method == "POST" else None)
+        code, text, _ = ask(
+            page, method, f"/{token}/{name}", b'{"order": "quit"}' if method == "POST" else None
+        )
         assert code == 403
         assert b"frames" not in text
     with pytest.raises(Empty):
