@@ -13,6 +13,10 @@ from fpplab.devices import CameraSettings, Frame, State
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
 
+DARK_EXPOSURE_S = 1e-4
+"""Exposure of a dark frame in s: so short that light of the room does not count; the least of some cameras is
+a mode of its own."""
+
 
 class PatternWatch:
     """Patterns of an open rig that are shown as asked for, with a frame of each.
@@ -71,7 +75,7 @@ class PatternWatch:
         return self.settings
 
     def dark_frame(self) -> Frame:
-        """Take a frame without light: of the least exposure, with the projector dark.
+        """Take a frame with hardly any light: of a short exposure, with the projector dark.
 
         Returns
         -------
@@ -86,9 +90,10 @@ class PatternWatch:
         camera, projector = self._rig.camera, self._rig.projector
         projector.blank()
         self._shown = None
-        least_s, _ = camera.caps.exposure_s
+        least_s, most_s = camera.caps.exposure_s
+        short_s = min(max(least_s, DARK_EXPOSURE_S), most_s)
         try:
-            camera.configure(replace(self.settings, exposure_s=least_s))
+            camera.configure(replace(self.settings, exposure_s=short_s))
             return camera.snap(timeout_s=READ_TIMEOUT_S)
         finally:
             if camera.state is State.IDLE:

@@ -1,9 +1,9 @@
 """The exposure that uses the camera's range: as long as it may be, and gain only for what is then missing.
 
-The brightest lit pixels are to reach `TARGET` of full scale. What they have above the camera's black level is
-proportional to exposure and gain, so one step leads there from anything that is not saturated. What the devices do not allow is said, never
-applied in silence: the camera's limits, and the period in which a projector shows its bit planes, of which
-an exposure must be a whole number.
+The brightest lit pixels are to reach `TARGET` of full scale. What they have above the camera's black level
+is proportional to exposure and gain, so one step leads there from anything that is not saturated. What the
+devices do not allow is said, never applied in silence: the camera's limits, and the period in which a
+projector shows its bit planes, of which an exposure must be a whole number.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from tests.live.benches import rig_file
 from tests.support.commands import ROOT, Command
 
 
+@pytest.mark.slow
 def test_it_answers_with_what_was_chosen(fpplab: Command, tmp_path: Path) -> None:
     rig = rig_file(tmp_path)
     out = tmp_path / "live.rrd"
@@ -59,44 +61,38 @@ def test_wrong_input_is_refused_before_anything_is_opened(
         live_command(str(rig), viewer=False, frames=2, **options)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("typed", "code"), [("q", 0), ("\x03", 130)])
-def test_keys_of_a_terminal(typed: str, code: int, tmp_path: Path) -> None:
-    """`q` is a normal end; Ctrl-C is 130."""
-    rig = rig_file(tmp_path)
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """The command in a terminal, once it shows frames; and the terminal's other end."""
     ours, theirs = pty.openpty()
-    words = ["live", "--rig", str(rig), "--no-viewer", "--seconds", "120"]
+    words = ["live", "--rig", str(rig_file(tmp_path)), "--no-viewer", "--seconds", "120"]
+    command = [sys.executable, "-m", "fpplab", *words]
     with subprocess.Popen(
-        [sys.executable, "-m", "fpplab", *words],
-        stdin=theirs, stdout=subprocess.PIPE, stderr=theirs, text=True, cwd=ROOT, start_new_session=True,
-        preexec_fn=lambda: __import__("fcntl").ioctl(0, __import__("termios").TIOCSCTTY, 0),
-    ) as live:  # fmt: skip
+        command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE, text=True, cwd=ROOT
+    ) as program:
         os.close(theirs)
-        seen = b""
-        deadline = time.monotonic() + 60
+        seen, deadline = b"", time.monotonic() + 60
         while b"peak" not in seen and time.monotonic() < deadline:
             seen += os.read(ours, 4096)
         assert b"Keys:" in seen
-        os.write(ours, typed.encode())
-        out, _ = live.communicate(timeout=60)
+        yield program, ours
+        program.kill()
     os.close(ours)
-    assert live.returncode == code, seen
-    assert ("exposure_s: 0.02" in out) == (code == 0)
 
 
 @pytest.mark.slow
-def test_sigterm_leaves_nothing_behind(tmp_path: Path) -> None:
-    rig = rig_file(tmp_path)
-    words = ["live", "--rig", str(rig), "--no-viewer", "--seconds", "120"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "fpplab", *words],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    ) as live:
-        assert live.stderr is not None
-        assert "http://127.0.0.1" in live.stderr.readline()
-        live.send_signal(signal.SIGTERM)
-        live.communicate(timeout=60)
-    assert live.returncode == 130
+def test_a_key_ends_it(live: tuple[subprocess.Popen[str], int]) -> None:
+    program, terminal = live
+    os.write(terminal, b"q")
+    out, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    assert "exposure_s: 0.02" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_cancel_it(number: signal.Signals, live: tuple[subprocess.Popen[str], int]) -> None:
+    program, _ = live
+    program.send_signal(number)
+    program.communicate(timeout=60)
+    assert program.returncode == 130

@@ -53,24 +53,10 @@ def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
         "poses": [{"rotation_deg": list(r), "translation_mm": list(t)} for r, t in places],
     }
     path = rig_file(tmp_path, items={"board": board}, mounted="board")
-    operator = Operator(
-        Order.ADVICE,
-        Order.TAKE,
-        Order.NEXT_POSE,
-        Order.TAKE,
-        Order.NEXT_POSE,
-        Order.TAKE,
-        Order.QUIT,
-        after=10,
-    )
-    setup = operate(
-        path,
-        operator,
-        plan=BOTH_AXES,
-        target=Target.load(tmp_path / "board.yaml"),
-        poses=tmp_path / "poses",
-        item="board",
-    )
+    orders = [Order.ADVICE, *[Order.TAKE, Order.NEXT_POSE] * 2, Order.TAKE, Order.QUIT]
+    operator = Operator(*orders, after=10)
+    held = {"target": Target.load(tmp_path / "board.yaml"), "item": "board"}
+    setup = operate(path, operator, plan=BOTH_AXES, poses=tmp_path / "poses", **held)
     assert [p.name for p in setup.poses] == ["pose_00", "pose_01"]
     summary = setup.status.coverage
     assert summary is not None

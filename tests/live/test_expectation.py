@@ -95,7 +95,7 @@ def test_the_coordinates_change_along_the_ray() -> None:
 
 @pytest.mark.parametrize(("exposure_s", "axes"), [(0.02, "x"), (0.005, "xy")])
 def test_the_expected_noise_is_that_of_a_scan(exposure_s: float, axes: str, tmp_path: Path) -> None:
-    """The plan has more steps and a set between those that the set-up shows; the fringes' blur is 1 mirror."""
+    """The plan has more steps and a set between those that the set-up shows; fringes are blurred."""
     sets = [
         {"axis": axis, "stripes": s, "steps": n}
         for axis in axes

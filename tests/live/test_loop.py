@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -25,8 +24,8 @@ from tests.support.commands import Command
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Path]:
-    yield rig_file(tmp_path)
+def rig(tmp_path: Path) -> Path:
+    return rig_file(tmp_path)
 
 
 def test_it_ends_by_itself_and_leaves_the_rig_closed(rig: Path) -> None:
@@ -63,13 +62,13 @@ def test_a_command_gets_the_rig_and_the_set_up_goes_on(rig: Path) -> None:
     """The devices are closed while the command has the rig, and open again afterwards, with the exposure."""
     from tests.devices.test_rig_lock import waiting
 
-    class Watching(Operator):
-        states: list[tuple[bool, State]] = []
+    states: list[tuple[bool, State]] = []
 
+    class Watching(Operator):
         def __call__(
             self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
         ) -> bool:
-            self.states.append((status.paused_for is not None, made.camera.state))
+            states.append((status.paused_for is not None, made.camera.state))
             return super().__call__(status, frame, pattern, dark)
 
     operator, made = Watching(Order.LONGER), Rig.load(rig)
@@ -80,9 +79,9 @@ def test_a_command_gets_the_rig_and_the_set_up_goes_on(rig: Path) -> None:
         last = setup.run(turn)
         thread.join()
     assert last.pauses == 1
-    assert {state for paused, state in operator.states if paused} == {State.CLOSED}
-    pause = [paused for paused, _ in operator.states].index(True)
-    assert any(not paused for paused, _ in operator.states[pause:])
+    assert {state for paused, state in states if paused} == {State.CLOSED}
+    pause = [paused for paused, _ in states].index(True)
+    assert any(not paused for paused, _ in states[pause:])
     assert f"process {process.pid} " in str(next(s for s in operator.seen if s.paused_for).paused_for)
     assert last.settings is not None
     assert last.settings.exposure_s == pytest.approx(PLAN.exposure_s * 2**0.5)
