@@ -66,7 +66,13 @@ class RigGeometry:
 
     @cached_property
     def meeting_mm(self) -> float:
-        """Distance from the camera at which both devices' middle rays come nearest to each other."""
+        """Distance from the camera at which both devices' middle rays come nearest to each other.
+
+        Raises
+        ------
+        ConfigError
+            That is behind the camera.
+        """
         calibration, pose = self.calibration, self.calibration.T_projector_camera.inverse()
         middles = [(np.array(device.size) - 1) / 2 for device in (calibration.camera, calibration.projector)]
         slopes = [

@@ -162,6 +162,11 @@ class Viewer:
         ----------
         drawing : callable
             Given rerun's recording stream.
+
+        Raises
+        ------
+        DeviceError
+            Never: that the viewer was closed becomes its `fault`.
         """
         if self.closed:
             raise DeviceError("viewer", "show", "it was closed")
