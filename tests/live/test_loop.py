@@ -157,8 +157,14 @@ def test_a_device_that_fails_ends_it(rig: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rig_demo_quick.yaml", "rig_emulated_quick.yaml"])
-def test_a_scan_beside_live_just_works(name: str, fpplab: Command, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("rig_demo_quick.yaml", ("plan", "show", "plan_paper")),
+        ("rig_emulated_quick.yaml", ("check", "--item", "grey_card")),
+    ],
+)
+def test_a_command_beside_live_just_works(name: str, command: tuple[str, ...], fpplab: Command) -> None:
     """Whole commands, on the simulated bench and on the real drivers."""
     import json
     import re
@@ -179,7 +185,7 @@ def test_a_scan_beside_live_just_works(name: str, fpplab: Command, tmp_path: Pat
                 return dict(json.load(reply))
 
         until(lambda: int(str(state().get("frames", 0))) > 8)
-        done = fpplab("check", "--rig", name, "--item", "grey_card", "--json")
+        done = fpplab(*command, "--rig", name, "--json")
         assert done.code == 0, done.err
         frames = int(str(state()["frames"]))
         until(lambda: int(str(state()["frames"])) > frames + 8)
