@@ -415,7 +415,9 @@ class SimProjector(Projector):
 
     def _caps(self) -> ProjectorCaps:
         projector = self._bench.world.projector
-        return ProjectorCaps(projector.size, projector.lattice, LEAST_EXPOSURE_S, 0, 1000)
+        return ProjectorCaps(
+            projector.size, projector.lattice, LEAST_EXPOSURE_S, 0, 1000, period_s=projector.period_s
+        )
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         self._bench.show = None

@@ -125,6 +125,10 @@ class Storage(Protocol):
     def gap_us(self) -> int:
         """Least time in µs to the next played pattern, where it does not follow at once."""
 
+    @property
+    def still_us(self) -> int:
+        """Time in µs after which a pattern that is shown begins anew; known once open."""
+
     def open(self, board: Controller) -> None:
         """Prepare the source and enter pattern mode; the projector is dark before and after.
 
@@ -231,8 +235,9 @@ class Dlp4500(Projector):
 
     def _caps(self) -> ProjectorCaps:
         depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
-        longest_s, gap_s = self._storage.longest_us * 1e-6, self._storage.gap_us * 1e-6
-        return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES, longest_s, gap_s)
+        storage = self._storage
+        times_s = [us * 1e-6 for us in (storage.longest_us, storage.gap_us, storage.still_us)]
+        return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES, *times_s)
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]

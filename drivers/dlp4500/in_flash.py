@@ -60,6 +60,11 @@ class InFlash:
         """The controller's own limit."""
         return LEAST_GAP_US
 
+    @property
+    def still_us(self) -> int:
+        """Time of one still pattern of the greatest depth."""
+        return LEAST_EXPOSURE_US[max(self.depths)]
+
     def open(self, board: Controller) -> None:
         """Enter pattern mode and compare the index with the number of images in flash.
 

@@ -63,6 +63,11 @@ class OnVideo:
         """None: the next pattern is started when it is due."""
         return 0
 
+    @property
+    def still_us(self) -> int:
+        """Period of the video frames, in each of which a still pattern is shown once."""
+        return self._frame_us
+
     def open(self, board: Controller) -> None:
         """Open the display, and have the projector synchronise to its signal before pattern mode.
 

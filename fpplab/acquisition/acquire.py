@@ -220,7 +220,7 @@ def _stepped(
     for i, pattern in enumerate(patterns):
         projector.show(i)
         time.sleep(settle_s)  # the display's own latency, which the plan states
-        yield _in_step(camera, camera.snap(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
+        yield in_step(camera, camera.snap(timeout_s=settings.exposure_s + READ_TIMEOUT_S), pattern)
 
 
 def _triggered(
@@ -231,11 +231,31 @@ def _triggered(
     camera.arm(len(patterns), "hardware")
     rig.projector.play(timing.light_s, timing.dark_s, timing.period_s)
     for pattern in patterns:
-        yield _in_step(camera, camera.read(timeout_s=timing.period_s + READ_TIMEOUT_S), pattern)
+        yield in_step(camera, camera.read(timeout_s=timing.period_s + READ_TIMEOUT_S), pattern)
 
 
-def _in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
-    """Refuse a frame whose camera backend knows that another pattern was shown."""
+def in_step(camera: Camera, frame: Frame, pattern: Pattern) -> Frame:
+    """Refuse a frame whose camera backend knows that another pattern was shown.
+
+    Parameters
+    ----------
+    camera : Camera
+        That took it.
+    frame : Frame
+        The frame.
+    pattern : Pattern
+        What was to be shown.
+
+    Returns
+    -------
+    Frame
+        The same.
+
+    Raises
+    ------
+    SyncError
+        It names another pattern.
+    """
     if frame.pattern_id not in (None, pattern.id):
         raise SyncError(
             camera.name,

@@ -165,7 +165,24 @@ def filled_parts(observations: Sequence[Observation], device: str, size: tuple[i
     ndarray of bool
         (3, 3), by row and column.
     """
-    pixels = np.concatenate([getattr(o, f"{device}_px") for o in observations])
+    return parts_with_points(np.concatenate([getattr(o, f"{device}_px") for o in observations]), size)
+
+
+def parts_with_points(pixels: Floats, size: tuple[int, int]) -> Ninths:
+    """Tell which ninths of an image contain points.
+
+    Parameters
+    ----------
+    pixels : Floats
+        (K, 2) points in px.
+    size : tuple[int, int]
+        (width, height) of the image in px.
+
+    Returns
+    -------
+    ndarray of bool
+        (3, 3) by row and column, as `PARTS`.
+    """
     held = np.zeros((3, 3), np.bool_)
     column, row = np.clip((3 * (pixels + 0.5) / np.array(size)).astype(int), 0, 2).T
     held[row, column] = True

@@ -36,6 +36,9 @@ class ProjectorCaps:
         Longest s for which a played pattern can be shown.
     gap_s : float
         Where the next played pattern does not follow at once: least s until it does.
+    period_s : float
+        s in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
+        alike if it lasts a whole number of these. 0 where light is steady, or nothing is known.
     """
 
     size: tuple[int, int]
@@ -45,6 +48,7 @@ class ProjectorCaps:
     max_patterns: int
     longest_s: float = math.inf
     gap_s: float = 0.0
+    period_s: float = 0.0
 
 
 class Projector(Device):

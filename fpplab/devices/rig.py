@@ -29,6 +29,7 @@ from fpplab.core.config import Document
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+from fpplab.devices.rig_lock import using_rig
 from fpplab.devices.shared import SharedBackend
 from fpplab.patterns.response import Curve, with_named_response
 
@@ -149,6 +150,7 @@ class Rig:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
+            stack.enter_context(using_rig(self._source))
             shared = self.simulation = self._open_simulation(stack)
             self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]
             self.projector = self._device(stack, "projector", Projector, self.file.projector, shared)  # type: ignore[type-abstract]

@@ -149,6 +149,29 @@ class Viewer:
             if self._server is not None:
                 self._server.stop()
 
+    @property
+    def closed(self) -> bool:
+        """Whether the operator has closed the window, or the server has ended otherwise."""
+        return self._server is not None and not self._server.runs
+
+    @_never_raises
+    def draw(self, drawing: Callable[[Any], None]) -> None:
+        """Let a function log what it likes.
+
+        Parameters
+        ----------
+        drawing : callable
+            Given rerun's recording stream.
+
+        Raises
+        ------
+        DeviceError
+            Never: that the viewer was closed becomes its `fault`.
+        """
+        if self.closed:
+            raise DeviceError("viewer", "show", "it was closed")
+        drawing(self._stream)
+
     def wait(self, announce: Callable[[str], None]) -> None:
         """Wait until the window or page is closed or Ctrl-C is pressed; return at once for a file.
 
@@ -343,7 +366,7 @@ class Viewer:
         self._log(entity, rr.Image(_coloured(_subsampled(values), colours, limits)), static=static)
 
     def _log(self, entity: str, what: Any, static: bool = False) -> None:
-        if self._server is not None and not self._server.runs:
+        if self.closed:
             raise DeviceError("viewer", "show", "it was closed")
         self._stream.log(entity, what, static=static)
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
-import socket
-import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from fpplab.core.errors import DataError
 from fpplab.core.files import writing
+from fpplab.core.lock_owner import lock_owner, write_lock_owner
 
 _held: dict[Path, int] = {}
 """How many parts of this process hold each lock: a scan holds it while it acquires, and then reconstructs."""
@@ -74,8 +70,7 @@ def _locked(lock: Path, path: Path) -> int:
         try:
             _lock(handle, lock, path)
             if _is_there_still(handle, lock):
-                os.ftruncate(handle, 0)
-                os.write(handle, json.dumps(_oneself()).encode())
+                write_lock_owner(handle)
                 return handle
         except BaseException:
             os.close(handle)
@@ -96,28 +91,10 @@ def _lock(handle: int, lock: Path, path: Path) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise DataError(
-            f"{path}: {_holder(lock)} is writing into it; wait until that is done, or name another output"
+            f"{path}: {lock_owner(lock)} is writing into it; wait until that is done, or name another output"
         ) from None
     except OSError as error:
         raise DataError(
             f"{path}: this file system cannot lock files ({error.strerror}), so that two commands could "
             "write into one session; name an output on a disk of this computer"
         ) from error
-
-
-def _oneself() -> dict[str, Any]:
-    return {
-        "pid": os.getpid(),
-        "host": socket.gethostname(),
-        "since": time.strftime("%Y-%m-%d %H:%M:%S"),
-        "command": " ".join(["fpplab", *sys.argv[1:]])[:200],
-    }
-
-
-def _holder(lock: Path) -> str:
-    """Who holds a lock, in words; it may not have written its name yet."""
-    try:
-        found = json.loads(lock.read_bytes())
-        return "process {pid} on {host} ('{command}', since {since})".format(**found)
-    except (OSError, ValueError, KeyError, TypeError):
-        return "another process"

@@ -340,7 +340,7 @@ IN_STEP = [
     Fault(
         "another pattern is not noticed",
         ACQUISITION,
-        "_in_step",
+        "in_step",
         "if frame.pattern_id not in (None, pattern.id):",
         "if False:",
     ),

@@ -1,0 +1,126 @@
+"""Frames one by one of whatever pattern is asked for: what an operator looks at while setting up a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from fpplab.acquisition.acquire import READ_TIMEOUT_S, in_step
+from fpplab.acquisition.timing import check_stepped
+from fpplab.core.errors import SettingError
+from fpplab.devices import CameraSettings, Frame, State
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import Pattern
+
+DARK_EXPOSURE_S = 1e-4
+"""Exposure of a dark frame in s: so short that light of the room does not count; the least of some cameras is
+a mode of its own."""
+
+
+class PatternWatch:
+    """Patterns of an open rig that are shown as asked for, with a frame of each.
+
+    The projector keeps what it shows between frames; closing the rig makes it dark.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig.
+    patterns : sequence of Pattern
+        What can be shown.
+    settings : CameraSettings
+        Exposure, gain and depth.
+    settle_s : float
+        Wait between showing another pattern and its frame, in s.
+
+    Raises
+    ------
+    DeviceError
+        The projector does not hold such patterns, or the camera does not accept the settings.
+    """
+
+    def __init__(
+        self, rig: Rig, patterns: Sequence[Pattern], settings: CameraSettings, settle_s: float
+    ) -> None:
+        self._rig, self._patterns, self._settle_s = rig, patterns, settle_s
+        self._shown: int | None = None
+        self.settings = rig.camera.configure(settings)
+        rig.projector.load(patterns)
+        check_stepped(rig.camera)
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Change exposure, gain or depth; where the camera refuses them the former ones stay.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            What is wanted.
+
+        Returns
+        -------
+        CameraSettings
+            What the camera has, as read back.
+
+        Raises
+        ------
+        DeviceError
+            The camera does not accept them.
+        """
+        try:
+            self.settings = self._rig.camera.configure(settings)
+        except SettingError:
+            self._rig.camera.configure(self.settings)
+            raise
+        return self.settings
+
+    def dark_frame(self) -> Frame:
+        """Take a frame with hardly any light: of a short exposure, with the projector dark.
+
+        Returns
+        -------
+        Frame
+            Which shows the camera's black level.
+
+        Raises
+        ------
+        DeviceError
+            A device failed.
+        """
+        camera, projector = self._rig.camera, self._rig.projector
+        projector.blank()
+        self._shown = None
+        least_s, most_s = camera.caps.exposure_s
+        short_s = min(max(least_s, DARK_EXPOSURE_S), most_s)
+        try:
+            camera.configure(replace(self.settings, exposure_s=short_s))
+            return camera.snap(timeout_s=READ_TIMEOUT_S)
+        finally:
+            if camera.state is State.IDLE:
+                camera.configure(self.settings)
+
+    def shot(self, index: int) -> Frame:
+        """Take a frame of one pattern.
+
+        Parameters
+        ----------
+        index : int
+            Of the pattern among those given.
+
+        Returns
+        -------
+        Frame
+            The frame, which names the pattern.
+
+        Raises
+        ------
+        DeviceError
+            A device failed, or the frame names another pattern.
+        """
+        camera, pattern = self._rig.camera, self._patterns[index]
+        if index != self._shown:
+            self._shown = None
+            self._rig.projector.show(index)
+            time.sleep(self._settle_s)  # the display's own latency, which the plan states
+            self._shown = index
+        return in_step(camera, camera.snap(timeout_s=self.settings.exposure_s + READ_TIMEOUT_S), pattern)

@@ -1,0 +1,231 @@
+"""Whose turn it is on a rig: what only watches lets go of the devices when another command wants them.
+
+Commands that measure share a rig's lock, so that nothing changes between them: the drivers refuse a device
+that is open elsewhere. A watcher (`fpplab live`) has the rig alone, one frame at a time: before each it asks
+whether somebody waits, and if so closes the devices until that command is done.
+
+Three files per rig file, locked by `flock`, which the system unlocks when a process ends, however it does:
+`wanted` is shared by all that want to measure, `used` is shared by those that do or held alone by the
+watcher, and `watched` is the watcher's. They lie in a folder of the user's own, named by the rig file's
+place: two rig files that name the same camera are two rigs here.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from fpplab.core.errors import DeviceError
+from fpplab.core.lock_owner import lock_owner, write_lock_owner
+
+LOOK_S = 0.02
+"""How often a command that waits for a rig looks again, in s."""
+
+PATIENCE_S = 60.0
+"""How long a command waits for a rig, in s: a watcher lets go within a frame."""
+
+_log = logging.getLogger(__name__)
+
+_watched: set[str] = set()
+"""Rigs that this very process watches: what it opens of them needs no turn."""
+
+
+class RigTurn:
+    """The turn of a watcher on a rig; made by `watching_rig`.
+
+    Parameters
+    ----------
+    files : Path
+        Common beginning of the lock files' names.
+    """
+
+    def __init__(self, files: Path) -> None:
+        self._files = files
+        self._used: int | None = None
+
+    @property
+    def is_mine(self) -> bool:
+        """Whether the watcher may have the devices open."""
+        return self._used is not None
+
+    def wanted(self) -> bool:
+        """Tell whether another command wants the rig, or has it.
+
+        Returns
+        -------
+        bool
+            Whether to let go.
+        """
+        handle = _opened(self._files, "wanted")
+        try:
+            return not _locks(handle, fcntl.LOCK_EX)
+        finally:
+            os.close(handle)
+
+    def wanted_by(self) -> str:
+        """Say who wants the rig.
+
+        Returns
+        -------
+        str
+            The process in words.
+        """
+        return lock_owner(_named(self._files, "wanted"))
+
+    def take(self) -> bool:
+        """Take the rig, if nobody wants or has it.
+
+        Returns
+        -------
+        bool
+            Whether it is the watcher's now.
+        """
+        if self._used is None and not self.wanted():
+            self._used = _if_locked(self._files, "used", fcntl.LOCK_EX)
+        return self.is_mine
+
+    def yield_rig(self) -> None:
+        """Let the other commands have the rig; its devices are closed by now."""
+        handle, self._used = self._used, None
+        if handle is not None:
+            os.close(handle)
+
+
+@contextmanager
+def watching_rig(source: Path | str) -> Iterator[RigTurn]:
+    """Watch a rig, beside commands that measure with it.
+
+    Parameters
+    ----------
+    source : path or str
+        The rig file.
+
+    Yields
+    ------
+    RigTurn
+        Whose turn it is; at first not the watcher's.
+
+    Raises
+    ------
+    DeviceError
+        Another process watches it already.
+    """
+    files = _files_of(source)
+    handle = _if_locked(files, "watched", fcntl.LOCK_EX)
+    if handle is None:
+        who = lock_owner(_named(files, "watched"))
+        raise DeviceError(str(source), "watch", f"{who} watches it already", "end that first")
+    write_lock_owner(handle)
+    turn = RigTurn(files)
+    _watched.add(str(files))
+    try:
+        yield turn
+    finally:
+        _watched.discard(str(files))
+        turn.yield_rig()
+        os.close(handle)
+
+
+@contextmanager
+def using_rig(source: Path | str) -> Iterator[None]:
+    """Have a rig for a measurement: who watches it lets go first.
+
+    Parameters
+    ----------
+    source : path or str
+        The rig file.
+
+    Yields
+    ------
+    None
+        While the rig may be used.
+
+    Raises
+    ------
+    DeviceError
+        The watcher has not let go within `PATIENCE_S`.
+    """
+    files = _files_of(source)
+    if str(files) in _watched:
+        yield
+        return
+    with ExitStack() as stack:
+        for name in ("wanted", "used"):
+            handle = _opened(files, name)
+            stack.callback(os.close, handle)
+            _await(handle, files, source)
+            if name == "wanted":
+                write_lock_owner(handle)
+        yield
+
+
+def _await(handle: int, files: Path, source: Path | str) -> None:
+    """Wait until a lock can be shared; the short sleeps leave Ctrl-C its effect."""
+    end = time.monotonic() + PATIENCE_S
+    if _locks(handle, fcntl.LOCK_SH):
+        return
+    _log.info("%s: waiting until %s lets go of it", source, lock_owner(_named(files, "watched")))
+    while not _locks(handle, fcntl.LOCK_SH):
+        if time.monotonic() > end:
+            who = lock_owner(_named(files, "watched"))
+            found = f"{who} has not let go of it within {PATIENCE_S:g} s"
+            raise DeviceError(str(source), "open", found, "end that process")
+        time.sleep(LOOK_S)
+
+
+def _files_of(source: Path | str) -> Path:
+    """The common beginning of a rig's lock files."""
+    folder = Path(tempfile.gettempdir()) / f"fpplab-rigs-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        owner = folder.lstat().st_uid
+    except OSError as error:
+        raise _no_locks(folder, error) from error
+    if owner != os.getuid():
+        raise DeviceError(str(source), "open", f"{folder} belongs to another user", "delete it")
+    return folder / hashlib.sha256(str(Path(source).resolve()).encode()).hexdigest()[:16]
+
+
+def _no_locks(place: Path, error: OSError) -> DeviceError:
+    found = f"{place} cannot be used ({error.strerror})"
+    return DeviceError("rig", "lock", found, "let TMPDIR name a folder that can be written to")
+
+
+def _named(files: Path, name: str) -> Path:
+    return files.with_name(f"{files.name}.{name}")
+
+
+def _opened(files: Path, name: str) -> int:
+    """A lock file; it stays, for its lock is what counts, and to delete it would make two of it."""
+    place = _named(files, name)
+    try:
+        return os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise _no_locks(place, error) from error
+
+
+def _locks(handle: int, kind: int) -> bool:
+    """Whether a lock could be had at once."""
+    try:
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise _no_locks(Path(tempfile.gettempdir()), error) from error
+    return True
+
+
+def _if_locked(files: Path, name: str, kind: int) -> int | None:
+    """The descriptor of a file that could be locked at once, or None."""
+    handle = _opened(files, name)
+    if _locks(handle, kind):
+        return handle
+    os.close(handle)
+    return None

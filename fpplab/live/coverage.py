@@ -1,0 +1,180 @@
+"""Poses of a board taken during the set-up: what they cover, and which pose would help next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import Observation, finest_periods, observe
+from fpplab.characterisation.coverage import PARTS, parts_with_points, warnings
+from fpplab.characterisation.parameters import Solution
+from fpplab.characterisation.zhang import calibrate_separately, stereo, transform
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import CalibrationError, FppError
+from fpplab.core.geometry import Pinhole
+from fpplab.pipeline import decode_session
+from fpplab.sessions.session import Session
+from fpplab.targets import Target
+
+FEWEST = 3
+"""Poses below which nothing can be fitted, so that only parts of the image can be counted."""
+
+GOOD = 10
+"""Poses that make a good characterisation."""
+
+PoseAdvisor = Callable[[Sequence[Observation], Target, tuple[int, int], tuple[int, int]], tuple[str, ...]]
+"""Says what the next pose should be: given the observations, the board, and the sizes of the camera's and the
+projector's image in px, it gives sentences, the most helpful first.
+"""
+
+
+@dataclass
+class BoardCoverage:
+    """Poses taken so far.
+
+    Attributes
+    ----------
+    target : Target
+        The board.
+    camera_size, projector_size : tuple of int
+        (width, height) in px.
+    advise : PoseAdvisor
+        Says which pose would help next.
+    sessions : list of Path
+        Of the poses that were kept.
+    left_out : list of str
+        Why others were not.
+    """
+
+    target: Target
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+    advise: PoseAdvisor = field(default_factory=lambda: advise_by_coverage)
+    sessions: list[Path] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    _seen: list[Observation] = field(default_factory=list)
+    _next: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self._next = self.advise([], self.target, self.camera_size, self.projector_size)
+
+    def add(self, session: Session) -> str:
+        """Find the board in the frames of a pose, and count it.
+
+        Parameters
+        ----------
+        session : Session
+            Complete.
+
+        Returns
+        -------
+        str
+            What came of it, for the operator.
+        """
+        name = session.path.name
+        try:
+            decoded = decode_session(session)
+            periods = finest_periods(session.plan, self.projector_size)
+            image = session.recording(verify=False).mean_image()
+            self._seen.append(observe(name, image, decoded, self.target, periods))
+        except FppError as error:
+            self.left_out.append(str(error))
+            return f"{error}; the pose does not count"
+        self.sessions.append(session.path)
+        self._next = self.advise(self._seen, self.target, self.camera_size, self.projector_size)
+        return f"{name}: {len(self._seen[-1].ids)} points; {len(self.sessions)} poses so far"
+
+    def summary(self) -> dict[str, object]:
+        """Collect what is shown.
+
+        Returns
+        -------
+        dict
+            `poses`, `camera` and `projector` (which ninths of their images hold points, by row), `next`.
+        """
+        return {
+            "poses": len(self.sessions),
+            "camera": _ninths([o.camera_px for o in self._seen], self.camera_size),
+            "projector": _ninths([o.projector_px for o in self._seen], self.projector_size),
+            "next": list(self._next),
+            "left_out": list(self.left_out),
+        }
+
+
+def _ninths(pixels: list[Floats], size: tuple[int, int]) -> list[list[bool]]:
+    held = parts_with_points(np.concatenate([np.empty((0, 2)), *pixels]), size)
+    return [[bool(one) for one in row] for row in held]
+
+
+def advise_by_coverage(
+    observations: Sequence[Observation],
+    target: Target,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+) -> tuple[str, ...]:
+    """Say what is missing of the poses so far; a `PoseAdvisor`.
+
+    Parameters
+    ----------
+    observations : sequence of Observation
+        The poses so far.
+    target : Target
+        The board.
+    camera_size, projector_size : tuple of int
+        (width, height) in px.
+
+    Returns
+    -------
+    tuple of str
+        Sentences, the most helpful first.
+    """
+    if not observations:
+        return ("hold the board upright in the middle, and take the first pose",)
+    words: list[str] = []
+    if len(observations) >= FEWEST:
+        try:
+            words += _shortcomings(observations, target, camera_size, projector_size)
+        except CalibrationError as error:
+            words.append(f"the poses do not determine the devices yet ({error}); tilt the board by 20 to 35°")
+    else:
+        words.append("tilt the board by 20 to 35°, each time about another axis, and change its distance")
+        words += _bare_parts(observations, camera_size)
+    if not words and len(observations) < GOOD:
+        words.append(f"take {GOOD - len(observations)} more poses, each tilted and placed differently")
+    return tuple(words) or ("the poses cover tilts, distances and both images: characterise now",)
+
+
+def _bare_parts(observations: Sequence[Observation], camera_size: tuple[int, int]) -> list[str]:
+    bare = ~parts_with_points(np.concatenate([o.camera_px for o in observations]), camera_size)
+    where = ", ".join(PARTS[row][column] for row, column in np.argwhere(bare))
+    return [f"hold it also in these parts of the image: {where}"] if where else []
+
+
+def _shortcomings(
+    observations: Sequence[Observation],
+    target: Target,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+) -> tuple[str, ...]:
+    """What the poses leave undetermined, by a first estimate of both devices."""
+    board = target.points()
+    start, _, _ = calibrate_separately(observations, board, camera_size, projector_size)
+    pair, _ = stereo(observations, start, camera_size)
+    found = replace(start, T_projector_camera=pair)
+    poses = [transform(pose) for pose in found.poses]
+    return warnings(observations, poses, _rough_calibration(found, camera_size, projector_size), board)
+
+
+def _rough_calibration(
+    found: Solution, camera_size: tuple[int, int], projector_size: tuple[int, int]
+) -> Calibration:
+    camera, projector = (
+        Pinhole.from_focal(size, (one[0], one[1]), (one[2], one[3]), tuple(one[4:].tolist()))
+        for one, size in ((found.camera, camera_size), (found.projector, projector_size))
+    )
+    pair = transform(found.T_projector_camera)
+    return Calibration(camera, projector, pair, {})

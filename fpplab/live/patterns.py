@@ -1,0 +1,188 @@
+"""What the projector shows during the set-up: a short cycle of fringes for measuring, and still images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import CapabilityError
+from fpplab.devices import Projector, ProjectorCaps
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
+from fpplab.patterns.plan import Plan
+
+STEPS = 4
+"""Steps of each set of the cycle: the fewest that also tell the noise."""
+
+LEAST_RATIO = 4.0
+"""By how many times the finest stripes are at least finer than the widest that they are compared with."""
+
+WIDE_SHARE = 16.0
+"""By how many times a set of wide stripes is wider that is added to a plan without any."""
+
+SQUARES = 24
+"""Squares of the checkerboard across the projector."""
+
+
+class View(StrEnum):
+    """What the projector shows."""
+
+    MEASURE = "measure"
+    """The widest and the finest fringes of the plan, step by step: everything is measured."""
+    WHITE = "white"
+    """White."""
+    BLACK = "black"
+    """Black: light of the room, and the camera's black level."""
+    COARSE = "coarse"
+    """The first image of the widest fringes."""
+    FINE = "fine"
+    """The first image of the finest fringes."""
+    CHECKER = "checker"
+    """A checkerboard, to focus the projector by eye."""
+    CROSS = "cross"
+    """The border and the middle of the projector's field."""
+
+    @property
+    def even(self) -> bool:
+        """Whether the scene can be seen under even light."""
+        return self in (View.MEASURE, View.WHITE)
+
+
+@dataclass(frozen=True, eq=False)
+class LivePatterns:
+    """The patterns that a projector holds during the set-up.
+
+    Attributes
+    ----------
+    plan : Plan
+        Of the cycle: two sets along the first axis, the widest first.
+    patterns : tuple of Pattern
+        All of them; those of the cycle first.
+    views : dict of View to tuple of int
+        Which of them each view shows, in turn; a view that the projector cannot show is missing.
+    """
+
+    plan: Plan
+    patterns: tuple[Pattern, ...]
+    views: dict[View, tuple[int, ...]]
+
+
+def live_patterns(plan: Plan, caps: ProjectorCaps) -> Iterator[LivePatterns]:
+    """Make the patterns for a plan, and fewer for a projector that only shows what is in its memory.
+
+    Parameters
+    ----------
+    plan : Plan
+        That will be measured with.
+    caps : ProjectorCaps
+        Of the projector.
+
+    Yields
+    ------
+    LivePatterns
+        The best choice first: short sets and still images; the plan's own patterns alone.
+
+    Raises
+    ------
+    ConfigError
+        The projector cannot resolve the plan's stripes.
+    """
+    yield _with_stills(_short(plan), caps)
+    yield _of_cycle(_own(plan), caps)
+
+
+def loaded_patterns(plan: Plan, projector: Projector) -> LivePatterns:
+    """Find the patterns that a projector can show.
+
+    Parameters
+    ----------
+    plan : Plan
+        That will be measured with.
+    projector : Projector
+        Open; it holds them afterwards.
+
+    Returns
+    -------
+    LivePatterns
+        The best choice.
+
+    Raises
+    ------
+    CapabilityError
+        It does not even hold the plan's own patterns.
+    """
+    choices = list(live_patterns(plan, projector.caps))
+    for choice in choices[:-1]:
+        try:
+            projector.load(choice.patterns)
+        except CapabilityError:
+            continue
+        return choice
+    projector.load(choices[-1].patterns)
+    return choices[-1]
+
+
+def _own(plan: Plan) -> Plan:
+    """The widest and the finest set of the plan along its first axis."""
+    sets = plan.sets_along(plan.axes[0])
+    chosen = tuple(plan.fringes[k] for k in dict.fromkeys((sets[0], sets[-1])))
+    return plan.model_copy(update={"fringes": chosen})
+
+
+def _short(plan: Plan) -> Plan:
+    """The same with few steps, and with wide stripes where the plan has none."""
+    finest = plan.finest
+    widest = plan.fringes[plan.sets_along(plan.axes[0])[0]]
+    stripes = widest.stripes
+    if finest.stripes < LEAST_RATIO * stripes:
+        stripes = max(finest.stripes / WIDE_SHARE, 1.0)
+    pair = (
+        Sinusoid(axis=finest.axis, stripes=one, steps=STEPS, projector_size=finest.projector_size)
+        for one in (stripes, finest.stripes)
+    )
+    return plan.model_copy(update={"fringes": tuple(pair)})
+
+
+def _of_cycle(plan: Plan, caps: ProjectorCaps) -> LivePatterns:
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    views = {View.MEASURE: tuple(range(len(patterns))), View.COARSE: (0,), View.FINE: (plan.set_starts[-2],)}
+    return LivePatterns(plan, patterns, views)
+
+
+def _with_stills(plan: Plan, caps: ProjectorCaps) -> LivePatterns:
+    cycle, (black, white) = _of_cycle(plan, caps), uniform_patterns([0, 255], caps.size)
+    stills = {
+        View.WHITE: white,
+        View.BLACK: black,
+        View.CHECKER: Pattern("live-checker", _checker(caps.size, caps.lattice)),
+        View.CROSS: Pattern("live-cross", _cross(caps.size, caps.lattice)),
+    }
+    first = len(cycle.patterns)
+    views = cycle.views | {view: (first + k,) for k, view in enumerate(stills)}
+    return LivePatterns(plan, (*cycle.patterns, *stills.values()), views)
+
+
+def _sides(size: tuple[int, int], lattice: Lattice, across: int) -> tuple[int, int]:
+    """Width and height in mirrors of a square of which so many lie across the projector."""
+    side = max(1, size[0] // across)
+    return side, side * (2 if lattice is Lattice.DIAMOND else 1)
+
+
+def _checker(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
+    side, rise = _sides(size, lattice, SQUARES)
+    columns, rows = np.arange(size[0]) // side, np.arange(size[1]) // rise
+    return np.asarray(255 * ((rows[:, None] + columns) % 2), np.uint8)
+
+
+def _cross(size: tuple[int, int], lattice: Lattice) -> NDArray[np.uint8]:
+    (width, height), (side, rise) = size, _sides(size, lattice, 10 * SQUARES)
+    image = np.zeros((height, width), np.uint8)
+    image[:rise], image[-rise:], image[:, :side], image[:, -side:] = 255, 255, 255, 255
+    image[(height - rise) // 2 : (height + rise) // 2 + 1] = 255
+    image[:, (width - side) // 2 : (width + side) // 2 + 1] = 255
+    return image

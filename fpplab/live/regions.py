@@ -1,0 +1,64 @@
+"""Regions of the camera's image, over which the measures of the set-up are given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Mask
+
+REGIONS = (4, 6)
+"""(rows, columns) of regions into which the image is divided."""
+
+LEAST_SHARE = 0.1
+"""Least share of a region's pixels that have to tell something of it."""
+
+
+def region_slices(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], tuple[slice, slice]]]:
+    """Divide an image.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (height, width) of the image or of a sample of its pixels.
+
+    Yields
+    ------
+    tuple of (tuple of int, tuple of slice)
+        (row, column) of the region, and its part of the image.
+    """
+    rows, columns = (
+        np.linspace(0, size, n + 1).astype(int) for size, n in zip(shape[:2], REGIONS, strict=True)
+    )
+    for row in range(REGIONS[0]):
+        for column in range(REGIONS[1]):
+            yield (
+                (row, column),
+                (slice(rows[row], rows[row + 1]), slice(columns[column], columns[column + 1])),
+            )
+
+
+def region_medians(values: NDArray[np.floating[Any]], known: Mask) -> Floats:
+    """Compute the median in each region.
+
+    Parameters
+    ----------
+    values : ndarray of float, (height, width)
+        Values at the pixels, or at a sample of them.
+    known : ndarray of bool, (height, width)
+        Which of them count.
+
+    Returns
+    -------
+    ndarray of float64, `REGIONS`
+        NaN where fewer than `LEAST_SHARE` of the region's pixels count.
+    """
+    found = np.full(REGIONS, np.nan)
+    for region, part in region_slices(values.shape):
+        inside = values[part][known[part]]
+        if inside.size and inside.size >= LEAST_SHARE * values[part].size:
+            found[region] = np.median(inside)
+    return found
