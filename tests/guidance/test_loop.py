@@ -108,6 +108,7 @@ def test_other_bad_poses_are_named(tmp_path: Path, fault: str, cause: FaultCause
         assert cause in {one.cause for one in found.attempts[k].findings}
 
 
+@pytest.mark.slow
 def test_a_board_that_is_never_found_ends_the_loop(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r"3 poses in succession were rejected.*not found"):
         guided(tmp_path, GuidedSettings(poses=5), dict.fromkeys(range(9), "hidden"))
