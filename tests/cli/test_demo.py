@@ -157,6 +157,7 @@ def test_every_scan_runs_from_a_replayed_session(fpplab: Command, demo: Demo, tm
     assert done.json["points"] == demo.answer["scans"][1]["points"]
 
 
+@pytest.mark.slow
 def test_loose_images_of_a_diamond_projector_become_a_cloud(
     fpplab: Command, demo: Demo, tmp_path: Path
 ) -> None:
