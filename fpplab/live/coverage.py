@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,9 +11,11 @@ import numpy as np
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Observation, finest_periods, observe
 from fpplab.characterisation.coverage import PARTS, parts_with_points, warnings
+from fpplab.characterisation.guide import Guide
 from fpplab.characterisation.parameters import Solution
 from fpplab.characterisation.zhang import calibrate_separately, stereo, transform
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Floats, Lattice
+from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError, FppError
 from fpplab.core.geometry import Pinhole
 from fpplab.pipeline import decode_session
@@ -26,11 +28,6 @@ FEWEST = 3
 GOOD = 10
 """Poses that make a good characterisation."""
 
-PoseAdvisor = Callable[[Sequence[Observation], Target, tuple[int, int], tuple[int, int]], tuple[str, ...]]
-"""Says what the next pose should be: given the observations, the board, and the sizes of the camera's and the
-projector's image in px, it gives sentences, the most helpful first.
-"""
-
 
 @dataclass
 class BoardCoverage:
@@ -42,8 +39,10 @@ class BoardCoverage:
         The board.
     camera_size, projector_size : tuple of int
         (width, height) in px.
-    advise : PoseAdvisor
-        Says which pose would help next.
+    lattice : Lattice
+        Arrangement of the projector's mirrors.
+    depth_mm : DepthInterval or None
+        Working range of depths in mm, where it is known.
     sessions : list of Path
         Of the poses that were kept.
     left_out : list of str
@@ -53,14 +52,17 @@ class BoardCoverage:
     target: Target
     camera_size: tuple[int, int]
     projector_size: tuple[int, int]
-    advise: PoseAdvisor = field(default_factory=lambda: advise_by_coverage)
+    lattice: Lattice = Lattice.SQUARE
+    depth_mm: DepthInterval | None = None
     sessions: list[Path] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     _seen: list[Observation] = field(default_factory=list)
     _next: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self._next = self.advise([], self.target, self.camera_size, self.projector_size)
+        sizes = (self.camera_size, self.projector_size)
+        self._guide = Guide(self.target, sizes, self.lattice, self.depth_mm)
+        self._next = self._lacking()
 
     def add(self, session: Session) -> str:
         """Find the board in the frames of a pose, and count it.
@@ -85,8 +87,19 @@ class BoardCoverage:
             self.left_out.append(str(error))
             return f"{error}; the pose does not count"
         self.sessions.append(session.path)
-        self._next = self.advise(self._seen, self.target, self.camera_size, self.projector_size)
+        self._next = self._advised(self._seen[-1])
         return f"{name}: {len(self._seen[-1].ids)} points; {len(self.sessions)} poses so far"
+
+    def _advised(self, newest: Observation) -> tuple[str, ...]:
+        """The pose that a guided characterisation would ask for, and what the poses lack."""
+        try:
+            self._guide.add(newest)
+            return (self._guide.wanted().words, *self._lacking())
+        except CalibrationError:  # the poses do not determine the devices yet; what they lack says why
+            return self._lacking()
+
+    def _lacking(self) -> tuple[str, ...]:
+        return advise_by_coverage(self._seen, self.target, self.camera_size, self.projector_size)
 
     def summary(self) -> dict[str, object]:
         """Collect what is shown.
@@ -116,7 +129,7 @@ def advise_by_coverage(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> tuple[str, ...]:
-    """Say what is missing of the poses so far; a `PoseAdvisor`.
+    """Say what is missing of the poses so far.
 
     Parameters
     ----------

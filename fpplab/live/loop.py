@@ -249,7 +249,10 @@ class SetUp:
         self._patterns: LivePatterns = loaded_patterns(options.plan, rig.projector)
         self._settings = self._settings or rig.camera_settings(options.plan.exposure_s, options.plan.bits)
         if options.target is not None and self._coverage is None:
-            self._coverage = BoardCoverage(options.target, rig.camera.caps.size, rig.projector.caps.size)
+            projector, depth_mm = rig.projector.caps, options.plan.depth_mm or rig.file.depth_mm
+            self._coverage = BoardCoverage(
+                options.target, rig.camera.caps.size, projector.size, projector.lattice, depth_mm
+            )
         self._watch_patterns()
         self._read_stage()
 

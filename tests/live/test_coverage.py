@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from fpplab.characterisation.guide import Guide
 from fpplab.core import config
+from fpplab.live import coverage
 from fpplab.live.coverage import BoardCoverage, advise_by_coverage
 from fpplab.live.orders import Order
 from fpplab.patterns.plan import Plan
@@ -72,6 +75,20 @@ def test_poses_are_taken_counted_and_kept(tmp_path: Path) -> None:
     assert session.plan.exposure_s == chosen.exposure_s != BOTH_AXES.exposure_s
 
 
-def test_another_advisor_can_be_given() -> None:
-    coverage = BoardCoverage(BOARD, *SIZES, advise=lambda seen, *_: (f"{len(seen)} so far",))
-    assert coverage.summary()["next"] == ["0 so far"]
+def test_the_pose_that_lessens_the_uncertainty_most_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a guided characterisation of the same poses asks for it."""
+    seen = observed(poses(2))
+    handed = iter(seen)
+    monkeypatch.setattr(coverage, "decode_session", lambda session: None)
+    monkeypatch.setattr(coverage, "finest_periods", lambda plan, size: None)
+    monkeypatch.setattr(coverage, "observe", lambda *_: next(handed))
+    session = SimpleNamespace(
+        path=Path("pose"), plan=None, recording=lambda verify: SimpleNamespace(mean_image=lambda: None)
+    )
+    board = BoardCoverage(BOARD, *SIZES)
+    asked = Guide(BOARD, SIZES)
+    for one in seen:
+        board.add(session)  # type: ignore[arg-type]
+        asked.add(one)
+        assert board.summary()["next"][0] == asked.wanted().words  # type: ignore[index]
+    assert board.summary()["poses"] == len(seen)
