@@ -48,7 +48,12 @@ class SessionOrigin(Origin):
         DeviceError
             A device does not answer.
         """
-        opened = {"camera": rig.camera, "projector": rig.projector, "stage": rig.stage, "fixture": rig.fixture}
+        opened = {
+            "camera": rig.camera,
+            "projector": rig.projector,
+            "stage": rig.stage,
+            "fixture": rig.fixture,
+        }
         told = {name: device.info() for name, device in opened.items() if device is not None}
         devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in told.items()}
         return cls.now(rig_file=rig.source, devices=devices)
