@@ -170,6 +170,6 @@ def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Pat
         placed = recognise(truth)
         comparison = compare(cloud, truth, calibration, align=True, artefact=placed)
         unfiltered = compare(triangulate(decoded, calibration, normals=False), truth, calibration, align=True)
-    source = session_provenance(session, calibration)
+    source = session_provenance(session, calibration, Path(CALIBRATION))
     section = scan_section(name, session, decoded, cloud, comparison, diagnosis=judged[0], provenance=source)
     return Scan(name, section, comparison, unfiltered, len(cloud), removal(decoded))

@@ -30,6 +30,8 @@ TILT_DEG, TURN_DEG = 50.0, 25.0
 """The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
 FIELD_DEG = 30.0
 """Vertical field of view."""
+CLOSER = 0.8
+"""Distance of the eye at first, as a share of that from which a sphere around all points is in view."""
 STILL = (960, 600)
 """Width and height of the still picture in px."""
 STEPS = 65535
@@ -235,6 +237,11 @@ def _centre_and_radius(points: NDArray[np.float32]) -> tuple[Floats, float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
+def _distance(radius: float) -> float:
+    """Of the eye at first: most of the sphere around the points is in view."""
+    return CLOSER * radius / float(np.sin(np.radians(FIELD_DEG) / 2))
+
+
 def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, radius: float) -> str:
     low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
     return json.dumps(
@@ -244,6 +251,7 @@ def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, ra
             "size": (high - low).tolist(),
             "centre": centre.tolist(),
             "radius": radius,
+            "distance": _distance(radius),
             "spacing": _spacing(cloud.points),
             "tilt": np.radians(TILT_DEG),
             "turn": np.radians(TURN_DEG),
@@ -305,7 +313,7 @@ def _painted(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: floa
     turned = _towards_eye(cloud.points - centre)
     width, height = STILL
     focal = 0.5 * height / np.tan(np.radians(FIELD_DEG) / 2)
-    depth = radius / np.sin(np.radians(FIELD_DEG) / 2) - turned[:, 2]
+    depth = _distance(radius) - turned[:, 2]
     side = int(np.clip(np.ceil(1.6 * focal * _spacing(cloud.points) / np.median(depth)), 1, 12))
     offsets = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 1, 2) - side // 2
     place = np.rint(np.stack([turned[:, 0], -turned[:, 1]], axis=1) * (focal / depth)[:, None]).astype(int)

@@ -147,7 +147,7 @@
       const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
       const half = Math.tan(about.field / 2), aspect = width / height;
-      const distance = about.radius / Math.sin(about.field / 2) / this.zoom / Math.min(1, aspect);
+      const distance = about.distance / this.zoom / Math.min(1, aspect);
       const [ct, st, cz, sz] = [Math.cos(this.tilt), Math.sin(this.tilt), Math.cos(this.turn), Math.sin(this.turn)];
       gl.viewport(0, 0, width, height);
       const ground = getComputedStyle(document.documentElement).getPropertyValue("--ground").trim();
@@ -166,7 +166,7 @@
     }
 
     move(dx, dy) {
-      const mm = 2 * Math.tan(this.about.field / 2) * this.about.radius / Math.sin(this.about.field / 2) / this.zoom / this.canvas.clientHeight;
+      const mm = 2 * Math.tan(this.about.field / 2) * this.about.distance / this.zoom / this.canvas.clientHeight;
       this.pan = [this.pan[0] + mm * dx, this.pan[1] - mm * dy];
     }
 
