@@ -157,8 +157,8 @@ def chromium(folder: Path, *more: str) -> Iterator[Browser]:
     (theirs_in, to), (out, theirs_out) = os.pipe(), os.pipe()
 
     command = [program, *SWITCHES, *more, "--remote-debugging-pipe", f"--user-data-dir={folder / 'profile'}"]
-    # The protocol's pipe is descriptors 3 and 4 of the child: a shell puts ours there.
-    shell = ["/bin/sh", "-c", f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}', "sh", *command]
+    # The protocol's pipe is descriptors 3 and 4 of the child: bash puts ours there.
+    shell = ["bash", "-c", f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}', "bash", *command]
     process = subprocess.Popen(
         shell,
         stdin=subprocess.DEVNULL,
