@@ -65,9 +65,10 @@ def write_comparison_report(
     )
     text = f"{percent_words(found.visible_share)} {visible}. Grey: not measured."
     figures = (error_figure(name, cloud, found), relief_figure(name, cloud), *sigma_figures(name, cloud))
-    section = ReportSection("Errors", text, lengths_tables(found), figures, (cloud_view(name, cloud, found),))
+    tables = (_figures(found), *lengths_tables(found))
+    section = ReportSection("Errors", text, tables, figures, (cloud_view(name, cloud, found),))
     basis = PageBasis(tuple(verdicts), {name: provenance}, answer)
-    write_page(path, f"Comparison of {name}", [_figures(found)], [section], basis=basis)
+    write_page(path, f"Comparison of {name}", [], [section], basis=basis)
 
 
 def comparison_verdict(found: Comparison, headline: str, misplaced: str | None) -> PageVerdict:

@@ -414,9 +414,9 @@ def _compared(
     if devices is None:
         return words
     others = [name for name, one in known.items() if devices.devices.get(name, one) != one]
-    return (
-        f"{words} (ANOTHER {' AND '.join(others).upper()} THAN MEASURED)" if others else f"{words}: the same"
-    )
+    if others:
+        return f"{words}; the {' and the '.join(others)} that measured is ANOTHER"
+    return f"{words}; the same that measured"
 
 
 def _device_values(rig: Mapping[str, object], origin: SessionOrigin | None) -> dict[str, str | None]:

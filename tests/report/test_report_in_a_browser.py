@@ -1,4 +1,4 @@
-"""Pages opened in a browser: nothing is fetched, the cloud is drawn and turned, phone, dark mode and print."""
+"""Pages opened in a browser: nothing is fetched, the cloud is drawn and turned, phones, dark mode, print."""
 
 from __future__ import annotations
 

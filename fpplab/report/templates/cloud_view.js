@@ -147,7 +147,7 @@
       const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * ratio)));
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
       const half = Math.tan(about.field / 2), aspect = width / height;
-      const distance = about.distance / this.zoom / Math.min(1, aspect);
+      const distance = about.distance / this.zoom / Math.min(1, 0.8 * aspect);
       const [ct, st, cz, sz] = [Math.cos(this.tilt), Math.sin(this.tilt), Math.cos(this.turn), Math.sin(this.turn)];
       gl.viewport(0, 0, width, height);
       const ground = getComputedStyle(document.documentElement).getPropertyValue("--ground").trim();
