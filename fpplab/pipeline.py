@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -37,6 +38,7 @@ from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import DepthSection, Mounted, Rig
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict, diagnose_scan
+from fpplab.diagnosis.record import save_diagnosis
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import FilterRules, GreyLevels, Plan
 from fpplab.patterns.recording import Recording
@@ -49,6 +51,7 @@ from fpplab.reconstruction.depth_range import DepthRange, depth_bounds, first_st
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.lock import only_writer
+from fpplab.sessions.origin import calibration_origin, record_origin
 from fpplab.sessions.session import PLAN, RIG, Session, need_space_for_frames
 from fpplab.targets import Target
 
@@ -113,6 +116,7 @@ def take(
     with only_writer(out):
         check_space(rig, plan, [out], force)
         session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+        record_origin(out, rig)
         if plan.stage_mm is not None and session.missing():
             rig.place_stage(plan.stage_mm)
         if mount is not None and session.missing():
@@ -485,11 +489,16 @@ def finish_scan(
         def save(maps: Decoded) -> None:
             saved.append(writer.submit(maps.save, session.path / DECODED))
 
-        decoded, cloud = _reconstruct(
-            recording, calibration, depth, lambda share: progress(0.3 + 0.7 * share), maps_ready=save
-        )
+        try:
+            decoded, cloud = _reconstruct(
+                recording, calibration, depth, lambda share: progress(0.3 + 0.7 * share), maps_ready=save
+            )
+        except UselessScanError as error:
+            save_diagnosis(error.diagnosis, session.path)
+            raise
         saved[0].result()  # a cloud is not written where its maps could not be
         diagnosis = diagnose_scan(recording, decoded, cloud, calibration)
+        save_diagnosis(diagnosis, session.path)
         if judged is not None:
             judged(decoded, cloud, diagnosis)
         if diagnosis.verdict is Verdict.USELESS:
@@ -649,7 +658,7 @@ def characterise_sessions(
         refine_board=refine_board,
     )
     progress(1.0)
-    return result
+    return replace(result, calibration=replace(result.calibration, origin=calibration_origin(sessions)))
 
 
 def require_plan_fits(session: Session) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from fpplab.acquisition.sync_check import (
 )
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
 from fpplab.calibration.model import Calibration
+from fpplab.core import config
 from fpplab.core.conventions import AXES, Image
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
 from fpplab.core.progress import Progress
@@ -33,6 +34,7 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
+from fpplab.sessions.origin import SessionOrigin
 
 WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
 """What fringes alone do not show."""
@@ -57,6 +59,10 @@ class RigCheck:
         served.
     image : ndarray of uint8, (height, width), or None
         Mean of the frames with fringes; None where none were taken.
+    rig : dict of str to object
+        As `Rig.described` gave it; the rig file alone where a device could not be opened.
+    origin : SessionOrigin or None
+        When and with which devices; None where one could not be opened.
     """
 
     shown: NDArray[np.int64]
@@ -65,6 +71,8 @@ class RigCheck:
     unknown: tuple[str, ...] = ()
     settle_s: float | None = None
     image: Image | None = None
+    rig: dict[str, Any] = field(default_factory=dict)
+    origin: SessionOrigin | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the result as plain values.
@@ -122,8 +130,10 @@ def check_rig(
     """
     marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []
+    described, origin = config.plain(rig.file), None
     try:
         with rig:
+            described, origin = rig.described(), SessionOrigin.of(rig)
             _require_fitting(rig, plan, calibration)
             if rig.fixture:
                 rig.fixture.mount(item)
@@ -140,6 +150,8 @@ def check_rig(
         unknown=(*fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         image=fringes.image,
+        rig=described,
+        origin=origin,
     )
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
 from fpplab.calibration.board import FittedBoard, FittedBoardFile
 from fpplab.core import config
@@ -16,6 +16,7 @@ from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import CalibrationError
 from fpplab.core.files import write_text
 from fpplab.core.geometry import DISTORTION, POLYNOMIAL, Pinhole, RigidTransform
+from fpplab.core.origin import DeviceIdentity, Origin
 
 INTRINSICS = ("fx", "fy", "cx", "cy", *DISTORTION)
 """The intrinsic parameters of a device, in the order of every vector that holds them."""
@@ -82,6 +83,19 @@ def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
     return None
 
 
+class CalibrationOrigin(Origin):
+    """When, where, and from which devices' images a calibration was made."""
+
+    poses_taken: AwareDatetime | None = None
+    """When the last image of the board was taken, where it is recorded."""
+    camera: DeviceIdentity | None = None
+    """The camera, where it is recorded."""
+    projector: DeviceIdentity | None = None
+    """The projector, where it is recorded."""
+    file: str | None = None
+    """Name of the file that it was first written to, which copies of it state too."""
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Camera, projector, and the pose between them. The world frame is the camera's.
@@ -100,6 +114,8 @@ class Calibration:
         Of the parameters; None where it is unknown.
     board : FittedBoard, optional
         The board that it was found with, and the errors; None where they are unknown.
+    origin : CalibrationOrigin, optional
+        When and from which devices' images it was made; None where that is unknown.
     """
 
     camera: Pinhole
@@ -108,6 +124,7 @@ class Calibration:
     rms_px: dict[str, float]
     uncertainty: Uncertainty | None = None
     board: FittedBoard | None = None
+    origin: CalibrationOrigin | None = None
 
     def __repr__(self) -> str:
         devices = {"camera": self.camera, "projector": self.projector}
@@ -185,7 +202,10 @@ class Calibration:
             The file cannot be written.
         """
         path = Path(path)
-        write_text(path, config.dump(CalibrationFile.of(self)))
+        origin = self.origin
+        if origin is not None and origin.file is None:
+            origin = origin.model_copy(update={"file": path.name})
+        write_text(path, config.dump(CalibrationFile.of(replace(self, origin=origin))))
 
     @classmethod
     def load(cls, path: Path | str) -> Calibration:
@@ -388,6 +408,8 @@ class CalibrationFile(Document):
     """Covariance of the parameters, where it is known."""
     board: FittedBoardFile | None = None
     """The board that the calibration was found with, and the errors, by which other poses are judged."""
+    origin: CalibrationOrigin | None = None
+    """When and from which devices' images the calibration was made, where that is known."""
 
     @model_validator(mode="after")
     def _has_a_baseline(self) -> CalibrationFile:
@@ -419,6 +441,7 @@ class CalibrationFile(Document):
             rms_px=calibration.rms_px,
             uncertainty=UncertaintyFile.of(known) if known else None,
             board=FittedBoardFile.of(calibration.board) if calibration.board else None,
+            origin=calibration.origin,
         )
 
     def calibration(self) -> Calibration:
@@ -431,4 +454,5 @@ class CalibrationFile(Document):
         """
         known = self.uncertainty.uncertainty() if self.uncertainty else None
         pose, board = self.T_projector_camera.transform(), self.board.board() if self.board else None
-        return Calibration(self.camera.model(), self.projector.model(), pose, dict(self.rms_px), known, board)
+        devices = self.camera.model(), self.projector.model()
+        return Calibration(*devices, pose, dict(self.rms_px), known, board, self.origin)

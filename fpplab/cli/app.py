@@ -223,3 +223,6 @@ DepthOption = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", help="Where the result goes.")]
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", help="Write a report: one HTML file to read, print and forward.")
+]

@@ -91,6 +91,8 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
         words()
     else:
         for key, value in result.items():
+            if key == "provenance":  # the report shows it as a table
+                continue
             stdout.print(f"{key}: {_readable(value)}", markup=False)
 
 

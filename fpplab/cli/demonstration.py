@@ -17,6 +17,7 @@ from fpplab.comparison import Comparison, compare
 from fpplab.core.errors import ConfigError
 from fpplab.core.files import refuse_existing, write_text
 from fpplab.devices.rig import Rig
+from fpplab.diagnosis import Diagnosis
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import (
     CALIBRATION,
@@ -29,7 +30,8 @@ from fpplab.pipeline import (
 )
 from fpplab.reconstruction.filtering import removal
 from fpplab.reconstruction.triangulation import triangulate
-from fpplab.report import ScanSection, scan_section, write_report
+from fpplab.report import PageBasis, ScanSection, scan_section, write_report
+from fpplab.report.provenance import session_provenance
 from fpplab.targets import Target
 
 POSES = 12
@@ -52,12 +54,18 @@ class Scan:
         Of the cloud.
     unfiltered : Comparison
         The same without the plan's filter.
+    points : int
+        Of the cloud.
+    removed : dict or None
+        How many points the filter took out, by rule.
     """
 
     name: str
     section: ScanSection
     comparison: Comparison
     unfiltered: Comparison
+    points: int
+    removed: dict[str, Any] | None
 
     def summary(self) -> dict[str, Any]:
         """Give the keys of one scan in `fpplab demo --json`.
@@ -71,8 +79,8 @@ class Scan:
             "artefact": self.name,
             "images": self.section.images,
             **self.comparison.summary(),
-            "points": len(self.section.cloud.points),
-            "removed": removal(self.section.decoded),
+            "points": self.points,
+            "removed": self.removed,
             "unfiltered": {name: getattr(self.unfiltered, name) for name in UNFILTERED},
         }
 
@@ -121,14 +129,6 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
             for name in artefacts.NAMES
             if held is None or name in held
         ]
-        write_report(
-            out / REPORT,
-            "Demonstration on the virtual bench",
-            facts=found.facts(),
-            response=(response, levels),
-            characterisation=found,
-            scans=[s.section for s in scans],
-        )
         result = {
             "gamma": response.summary(),
             "characterisation": {**found.summary(), "left_out": list(found.left_out)},
@@ -137,6 +137,15 @@ def run_demo(out: Path, quick: bool, force: bool) -> dict[str, Any]:
             "seconds": seconds(),
             "report": str(out / REPORT),
         }
+        write_report(
+            out / REPORT,
+            "Demonstration on the virtual bench",
+            facts=found.facts(),
+            response=(response, levels),
+            characterisation=found,
+            scans=[s.section for s in scans],
+            basis=PageBasis(answer=result),
+        )
     write_text(out / RESULT, json.dumps(result, indent=2) + "\n")
     return result
 
@@ -149,7 +158,8 @@ def _mean(figures: list[float | None]) -> float:
 def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Path, force: bool) -> Scan:
     with console.progress(f"Scanning the {name}") as report:
         session = take(rig, plan, out, (name, 0), force=force, progress=report)
-        decoded, cloud = finish_scan(session, calibration)
+        judged: list[Diagnosis] = []
+        decoded, cloud = finish_scan(session, calibration, judged=lambda *results: judged.append(results[2]))
     standing = rig.need_fixture("the demonstration").pose(name)
     if standing is None:
         raise ConfigError("the demonstration needs a fixture that knows where it holds an item")
@@ -160,4 +170,6 @@ def _measure(rig: Rig, name: str, plan: Plan, calibration: Calibration, out: Pat
         placed = recognise(truth)
         comparison = compare(cloud, truth, calibration, align=True, artefact=placed)
         unfiltered = compare(triangulate(decoded, calibration, normals=False), truth, calibration, align=True)
-    return Scan(name, scan_section(name, session, decoded, cloud, comparison), comparison, unfiltered)
+    source = session_provenance(session, calibration, Path(CALIBRATION))
+    section = scan_section(name, session, decoded, cloud, comparison, diagnosis=judged[0], provenance=source)
+    return Scan(name, section, comparison, unfiltered, len(cloud), removal(decoded))

@@ -33,6 +33,7 @@ from fpplab.guidance.sketch import PICTURE, write_sketch
 from fpplab.guidance.words import accepted_words, rejected_words
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import check_space, observe_session, require_plan_fits, take
+from fpplab.sessions.origin import calibration_origin
 from fpplab.sessions.session import JOURNAL, Session
 from fpplab.targets import Target
 
@@ -305,11 +306,11 @@ class _Loop:
                 guide.observations, self._target, *self._sizes, self._lattice,
                 level=settings.level, refine_board=settings.refine_board,
             )  # fmt: skip
-        depth = guide.depth_mm
+        depth, sessions = guide.depth_mm, tuple(self._sessions.values())
         assert depth is not None
-        return _run_of(
-            result, self._target, tuple(self._sessions.values()), tuple(self._attempts), settings, depth
-        )
+        dated = replace(result.calibration, origin=calibration_origin(sessions))
+        result = replace(result, calibration=dated)
+        return _run_of(result, self._target, sessions, tuple(self._attempts), settings, depth)
 
     def _last_seen(self) -> NDArray[Any] | None:
         if not self._sessions:

@@ -1,6 +1,7 @@
 """Reports: figures as PNG, HTML pages that hold them, and the viewer."""
 
-from fpplab.report.page import ScanSection, write_report
+from fpplab.report.page import PageBasis, write_report
+from fpplab.report.scan_section import ScanSection
 from fpplab.report.scans import scan_section, write_scan_report
 
-__all__ = ["ScanSection", "scan_section", "write_report", "write_scan_report"]
+__all__ = ["PageBasis", "ScanSection", "scan_section", "write_report", "write_scan_report"]

@@ -8,7 +8,8 @@ from fpplab.characterisation import Characterisation, Judgement
 from fpplab.characterisation.validation import TOO_SMALL, Repeat
 from fpplab.report import characterisation_figures as drawn
 from fpplab.report import figures
-from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
+from fpplab.report.wording import NOT_KNOWN
 
 CHARACTERISED = (
     "Characterisation",
@@ -155,6 +156,25 @@ def _repeat_row(one: Repeat) -> tuple[str, ...]:
         f"{one.ratio:.2f}",
         "greater than chance" if one.chance < TOO_SMALL else "",
     )
+
+
+def judgement_verdict(found: Judgement) -> PageVerdict:
+    """Say whether later poses contradict a calibration.
+
+    Parameters
+    ----------
+    found : Judgement
+        Of one pose or more.
+
+    Returns
+    -------
+    PageVerdict
+        Useless where they contradict it.
+    """
+    sentence = found.verdict[0].upper() + found.verdict[1:] + "."
+    if found.contradicted:
+        return PageVerdict("", "useless", "Contradicted", sentence)
+    return PageVerdict("", "good", "Confirmed", sentence)
 
 
 def judgement_section(found: Judgement) -> ReportSection:

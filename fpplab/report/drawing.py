@@ -22,7 +22,7 @@ from fpplab.report.raster import Extent
 
 HALF, FULL = 4.8, 9.6
 """Widths in inches of figures in two columns, and of the full page."""
-DPI = 160
+DPI = 144
 MAX_COLUMNS = 1200
 """Columns beyond which a map is subsampled before it is drawn."""
 UNMEASURED = "#b9bcc0"

@@ -42,6 +42,7 @@ from fpplab.report.raster import CloudLike, block_mean, raster_of, rasterise
 RELIEF_COLUMNS = 760
 """Columns of a relief: points are averaged to about this number, which reduces the noise of the normals."""
 CONTOUR_COLUMNS = 400
+THUMBNAIL = 232
 
 
 @as_png
@@ -191,8 +192,7 @@ def shaded_relief(cloud: CloudLike) -> Figure:
     return figure
 
 
-@as_png
-def depth_map(cloud: CloudLike) -> Figure:
+def depth_map(cloud: CloudLike) -> bytes:
     """Draw the distance of the points from the camera along its axis.
 
     Parameters
@@ -210,13 +210,73 @@ def depth_map(cloud: CloudLike) -> Figure:
     DataError
         The cloud has no points.
     """
+    return point_map(cloud, cloud.points[:, 2], "viridis_r", "distance z from the camera in mm")
+
+
+@as_png
+def point_map(
+    cloud: CloudLike,
+    values: NDArray[np.floating[Any]],
+    colours: str,
+    label: str,
+    limits: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw a value of every point.
+
+    Parameters
+    ----------
+    cloud : CloudLike
+        N points, at least one.
+    values : NDArray of float
+        (N,), NaN where it is not known.
+    colours : str
+        Colour map.
+    label : str
+        Quantity and unit, for the colour bar.
+    limits : tuple of float, optional
+        Values of the first and the last colour; by default from the 0.5th to the 99.5th percentile.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+
+    Raises
+    ------
+    DataError
+        The cloud has no points, or none has a value.
+    """
     grid = raster_of(cloud)
-    mapped, extent = rasterise(grid, cloud.points[:, 2:])
+    mapped, extent = rasterise(grid, np.asarray(values, np.float32)[:, None])
     figure, axes = map_axes(mapped.shape)
-    mappable = draw_map(axes, mapped[..., 0], "viridis_r", value_range(mapped, 0.5, 99.5), extent)
+    mappable = draw_map(axes, mapped[..., 0], colours, limits or value_range(mapped, 0.5, 99.5), extent)
     axes.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    colour_bar(figure, axes, mappable, "distance z from the camera in mm")
+    colour_bar(figure, axes, mappable, label)
     return figure
+
+
+def thumbnail(cloud: CloudLike) -> bytes:
+    """Draw the measured surface small, without axes.
+
+    Parameters
+    ----------
+    cloud : CloudLike
+        With at least one point.
+
+    Returns
+    -------
+    bytes
+        PNG file, `THUMBNAIL` px wide.
+
+    Raises
+    ------
+    DataError
+        The cloud has no points.
+    """
+    bright = np.nan_to_num(shading(rasterise(raster_of(cloud), cloud.points)[0]), nan=0.85)
+    height = max(1, min(2 * THUMBNAIL, round(THUMBNAIL * bright.shape[0] / bright.shape[1])))
+    small = cv2.resize(bright, (THUMBNAIL, height), interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".png", (255 * small).astype(np.uint8))[1])
 
 
 def shading(points: Map) -> Map:
@@ -250,7 +310,10 @@ def shading(points: Map) -> Map:
 
 @as_png
 def error_map(
-    cloud: CloudLike, distances_mm: NDArray[np.floating[Any]], counted: Mask | None = None
+    cloud: CloudLike,
+    distances_mm: NDArray[np.floating[Any]],
+    counted: Mask | None = None,
+    quantity: str = "signed error",
 ) -> Figure:
     """Draw a cloud coloured by its signed distance from the true shape, and the distribution of these.
 
@@ -264,6 +327,8 @@ def error_map(
         (N,) signed, NaN where a point has no counterpart.
     counted : Mask, optional
         (N,), the points that are compared; the others are left out.
+    quantity : str
+        What the distances are.
 
     Returns
     -------
@@ -286,19 +351,19 @@ def error_map(
     figure, (left, right) = side_by_side(map_height(mapped.shape, 0.64 * FULL), (2.15, 1.0))
     mappable = draw_map(left, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
     left.set(xlabel=grid.names[0], ylabel=grid.names[1])
-    colour_bar(figure, left, mappable, f"signed error in µm (range ±{limit:.3g}, 98 % of points)")
-    _distribution(right, known, limit)
+    colour_bar(figure, left, mappable, f"{quantity} in µm (range ±{limit:.3g}, 98 % of points)")
+    _distribution(right, known, limit, quantity)
     return figure
 
 
-def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float) -> None:
+def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float, quantity: str) -> None:
     edges = np.linspace(-limit, limit, 61)
     share = 100 * np.histogram(errors, edges)[0] / len(errors)
     colours = mpl.colormaps["RdBu_r"](np.linspace(0, 1, 60))
     width = np.diff(edges)
     axes.bar(edges[:-1], share, width, align="edge", color=colours, edgecolor="#5a6068", linewidth=0.25)
     axes.axvline(0, color=INK, linewidth=0.8)
-    axes.set(xlabel="signed error in µm", ylabel="share of the points in %", xlim=(-limit, limit))
+    axes.set(xlabel=f"{quantity} in µm", ylabel="share of the points in %", xlim=(-limit, limit))
     rms, median = np.sqrt(np.mean(errors**2, dtype=np.float64)), np.median(errors)
     axes.set_title(f"RMS {rms:.3g} µm, median {median:+.2g} µm\n{len(errors):,} points", fontsize=8.5)
 

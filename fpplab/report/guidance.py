@@ -11,7 +11,8 @@ from matplotlib.ticker import ScalarFormatter
 
 from fpplab.guidance import GuidedRun, PoseAttempt
 from fpplab.report.drawing import ACCENT, FULL, INK, SECOND, as_png, new_figure
-from fpplab.report.parts import NOT_KNOWN, ReportFigure, ReportSection, ReportTable
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.wording import NOT_KNOWN
 
 COLUMNS = ("Pose", "Asked for", "Camera in px", "Projector in px", "Form in µm", "Outcome")
 CAPTION = (

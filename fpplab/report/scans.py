@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
@@ -10,17 +12,22 @@ from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded, wrapped_phase
 from fpplab.phase.precision import uncertain_orders
 from fpplab.reconstruction.depth_range import DepthRange
-from fpplab.report.page import ScanSection, write_report
+from fpplab.report.page import PageBasis, write_report
+from fpplab.report.provenance import Provenance
+from fpplab.report.scan_section import ScanSection
 from fpplab.sessions.session import Session
 
 
 def write_scan_report(
     path: Path,
     session: Session,
-    decoded: Decoded,
-    cloud: Cloud,
+    decoded: Decoded | None,
+    cloud: Cloud | None,
     depth: DepthRange | None = None,
     diagnosis: Diagnosis | None = None,
+    *,
+    provenance: Provenance | None = None,
+    answer: Mapping[str, Any] | None = None,
 ) -> None:
     """Write the figures of one scan as an HTML page.
 
@@ -30,14 +37,18 @@ def write_scan_report(
         Of the file; an earlier one is replaced.
     session : Session
         The recorded scan.
-    decoded : Decoded
-        Its projector coordinates.
-    cloud : Cloud
-        Its points.
+    decoded : Decoded or None
+        Its projector coordinates; None where there are none.
+    cloud : Cloud or None
+        Its points; None where there are none.
     depth : DepthRange, optional
         The range of depths that it was reconstructed with.
     diagnosis : Diagnosis, optional
         Whether to believe it.
+    provenance : Provenance, optional
+        Where it comes from.
+    answer : mapping of str to object, optional
+        What the command prints with `--json`.
 
     Raises
     ------
@@ -45,18 +56,21 @@ def write_scan_report(
         The file cannot be written, or there is nothing to draw.
     """
     name = session.path.name
-    section = scan_section(name, session, decoded, cloud, depth=depth, diagnosis=diagnosis)
-    write_report(path, f"Scan {name}", scans=[section])
+    section = scan_section(
+        name, session, decoded, cloud, depth=depth, diagnosis=diagnosis, provenance=provenance
+    )
+    write_report(path, f"Scan {name}", scans=[section], basis=PageBasis(answer=answer or {}))
 
 
 def scan_section(
     name: str,
     session: Session,
-    decoded: Decoded,
-    cloud: Cloud,
+    decoded: Decoded | None,
+    cloud: Cloud | None,
     comparison: Comparison | None = None,
     depth: DepthRange | None = None,
     diagnosis: Diagnosis | None = None,
+    provenance: Provenance | None = None,
 ) -> ScanSection:
     """Make the section of one scan: the finest fringes along the first axis, and the results.
 
@@ -66,16 +80,18 @@ def scan_section(
         Of the object.
     session : Session
         The recorded scan.
-    decoded : Decoded
-        Its projector coordinates.
-    cloud : Cloud
-        Its points.
+    decoded : Decoded or None
+        Its projector coordinates; None where there are none.
+    cloud : Cloud or None
+        Its points; None where there are none.
     comparison : Comparison, optional
         With the true shape, where it is known.
     depth : DepthRange, optional
         The range of depths that it was reconstructed with.
     diagnosis : Diagnosis, optional
         Whether to believe it.
+    provenance : Provenance, optional
+        Where it comes from.
 
     Returns
     -------
@@ -94,7 +110,8 @@ def scan_section(
         cloud,
         comparison,
         bits=recording.bits,
-        uncertain_orders=uncertain_orders(decoded, session.plan),
+        uncertain_orders=None if decoded is None else uncertain_orders(decoded, session.plan),
         depth=depth,
         diagnosis=diagnosis,
+        provenance=provenance,
     )

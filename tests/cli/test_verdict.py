@@ -28,7 +28,7 @@ def test_a_good_session_is_good(fpplab: Command, tmp_path: Path) -> None:
     assert done.json["verdict"] == "good"
     assert done.json["findings"] == []
     assert (tmp_path / "cloud.ply").is_file()
-    assert "Verdict: good" in (tmp_path / "cloud.html").read_text()
+    assert 'class="verdict good"' in (tmp_path / "cloud.html").read_text()
 
 
 def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> None:
@@ -41,7 +41,10 @@ def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> Non
     assert first["evidence"] in done.err
     assert first["remedy"] in done.err
     assert not (tmp_path / "cloud.ply").exists()
-    assert not (tmp_path / "cloud.html").exists(), "there is not a single point to draw"
+    page = (tmp_path / "cloud.html").read_text()  # without a single point, but with the cause and a frame
+    assert 'class="verdict useless"' in page
+    assert "projector focus" in page
+    assert page.count("<img") == 1
 
 
 def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> None:
@@ -50,4 +53,4 @@ def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> Non
     assert done.json["verdict"] == "doubtful"
     assert done.json["findings"][0]["cause"] == "ambient"
     assert "verdict: doubtful: ambient: " in done.err
-    assert "Verdict: doubtful" in (tmp_path / "cloud.html").read_text()
+    assert 'class="verdict doubtful"' in (tmp_path / "cloud.html").read_text()

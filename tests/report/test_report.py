@@ -175,8 +175,9 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_page_refers_to_nothing_outside_the_file(full: Path) -> None:
     page = Page(full)
-    assert not {"script", "link", "iframe", "object", "form"} & set(page.tags)
-    assert all(link.startswith(("data:image/png;base64,", "#")) for link in page.links)
+    assert not {"link", "iframe", "object", "form"} & set(page.tags)
+    inside = ("data:image/png;base64,", "data:text/csv;", "data:application/json;", "#")
+    assert all(link.startswith(inside) for link in page.links)
     text = full.read_text(encoding="utf-8")
     assert "url(" not in text
     assert "@import" not in text
@@ -185,8 +186,9 @@ def test_the_page_refers_to_nothing_outside_the_file(full: Path) -> None:
 
 def test_every_image_is_a_png_with_alternative_text(full: Path) -> None:
     page = Page(full)
-    # response; poses, two residuals, two coverages, epipolar; seven and eight maps with an error map each
-    assert len(page.images) == 1 + 6 + 8 + 9
+    # response; poses, two residuals, two coverages, epipolar; seven and eight maps with an error map and a
+    # still picture of the points each
+    assert len(page.images) == 1 + 6 + 9 + 10
     for image in page.images:
         assert image["alt"]
         data = base64.b64decode((image["src"] or "").split(",")[1], validate=True)
@@ -225,7 +227,7 @@ def test_text_is_escaped_and_dated(full: Path) -> None:
 
 
 def test_sections_in_their_order(full: Path) -> None:
-    assert Page(full).headings[1:] == ["Response", "Characterisation", "Pyramid", "Steps"]
+    assert Page(full).headings[1:] == ["Pyramid", "Steps", "Characterisation", "Response"]
     assert "pose_03: the board was not found in the image" in Page(full).cells
 
 
@@ -234,7 +236,7 @@ def test_a_scan_without_truth_has_its_roughness(tmp_path: Path) -> None:
     write_report(path, "Scan", scans=[scan(truth=False)])
     page = Page(path)
     assert page.headings[1:] == ["Pyramid"]
-    assert len(page.images) == 7
+    assert len(page.images) == 8
     assert "Roughness in µm" in page.cells
     assert "12.5" in page.cells
     assert "SMCD in µm" not in page.cells
@@ -256,7 +258,7 @@ def test_a_cloud_from_elsewhere_has_no_map_of_its_uncertainty(tmp_path: Path) ->
         sigma_maps(bare)
     path = tmp_path / "scan.html"
     write_report(path, "Scan", scans=[replace(scan(truth=False), cloud=bare)])
-    assert len(Page(path).images) == 6
+    assert len(Page(path).images) == 7
 
 
 def test_only_counted_points_are_in_the_error_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,8 +288,8 @@ def test_a_report_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
         write_report(tmp_path / "file" / "report.html", "Scan")
     old = tmp_path / "report.html"
     old.write_text("old")
-    broken = scan(truth=False)
-    broken.decoded.modulation[:] = np.nan
+    unknown = np.full(len(cloud()), np.nan, np.float32)
+    broken = replace(scan(truth=False), cloud=replace(cloud(), sigma_noise_mm=unknown))
     with pytest.raises(DataError, match="no measured pixel"):
         write_report(old, "Scan", scans=[broken])
     assert old.read_text() == "old"

@@ -126,7 +126,9 @@ def characterise_command(
     from fpplab.patterns.plan import Plan
     from fpplab.phase import check_unwrapping
     from fpplab.pipeline import characterise_sessions, take_poses
-    from fpplab.report import write_report
+    from fpplab.report import PageBasis, write_report
+    from fpplab.report.parts import PageVerdict
+    from fpplab.report.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
 
@@ -179,10 +181,13 @@ def characterise_command(
         console.say(f"warning: {warning}")
     console.say(diagnosis.sentence)
     result.calibration.save(out)
-    title, facts = f"Characterisation {out.stem}", result.facts()
-    write_report(page, title, facts=facts, characterisation=result, guided=guided)
+    source = poses_provenance(recorded, result.calibration, out)
     answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}
-    console.answer(answer | ({"guided": guided.summary()} if guided else {}) | {"report": str(page)}, json)
+    answer |= {"guided": guided.summary()} if guided else {}
+    basis = PageBasis((PageVerdict.of(diagnosis),), {"poses": source}, answer)
+    title = f"Characterisation {out.stem}"
+    write_report(page, title, facts=result.facts(), characterisation=result, guided=guided, basis=basis)
+    console.answer({**answer, "provenance": source.summary(), "report": str(page)}, json)
 
 
 def _diagnosis(
@@ -220,7 +225,9 @@ def _judge(
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import refuse_existing
     from fpplab.pipeline import judge_sessions
-    from fpplab.report import write_report
+    from fpplab.report import PageBasis, write_report
+    from fpplab.report.devices import judgement_verdict
+    from fpplab.report.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
 
     for option, value in unused.items():
@@ -235,12 +242,16 @@ def _judge(
         refuse_existing(page, force)
     calibration = Calibration.load(path)
     with console.progress("Judging") as report:
-        found = judge_sessions(recorded_sessions(paths), calibration, path, report)
+        sessions = recorded_sessions(paths)
+        found = judge_sessions(sessions, calibration, path, report)
     for reason in found.left_out.values():
         console.say(f"left out: {reason}")
+    source = poses_provenance(sessions, calibration, path)
+    answer = {**found.summary(), "left_out": found.left_out}
     if page:
-        write_report(page, f"Judgement of {path.stem}", judgement=found)
-    answer = {**found.summary(), "left_out": found.left_out, "report": str(page) if page else None}
+        basis = PageBasis((judgement_verdict(found),), {"poses": source}, answer)
+        write_report(page, f"Judgement of {path.stem}", judgement=found, basis=basis)
+    answer = {**answer, "provenance": source.summary(), "report": str(page) if page else None}
     console.answer(answer, json, lambda: _show_judgement(found))
     if found.contradicted:
         raise console.Answered(CalibrationError.exit_code)

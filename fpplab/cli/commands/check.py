@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import PREPARE, Force, Json, PlanName, RigName, app
+from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName, app
 from fpplab.core.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def check_command(
         typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Picture of the levels seen, as PNG.")] = None,
+    page: ReportOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -45,11 +46,13 @@ def check_command(
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
+    from fpplab.report.provenance import rig_provenance
     from fpplab.report.response_figures import marker_levels
 
-    if out:
-        need_suffix(out, ".png")
-        refuse_existing(out, force)
+    for path, suffix in ((out, ".png"), (page, ".html")):
+        if path:
+            need_suffix(path, suffix)
+            refuse_existing(path, force)
     wanted, bench = Plan.load(plan), Rig.load(rig)
     known = Calibration.load(calibration) if calibration else None
     with console.progress("Checking") as report:
@@ -57,7 +60,15 @@ def check_command(
     if out and found.runs:
         drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))
-    console.answer(found.summary(), json, lambda: _show_check(found))
+    source = rig_provenance(
+        *(found.rig, found.origin, wanted), calibration=known, file=calibration
+    ).with_values(item=item)
+    if page:
+        from fpplab.report.check_page import write_check_report
+
+        write_check_report(page, found, source, found.summary())
+    answer = {**found.summary(), "provenance": source.summary(), "report": str(page) if page else None}
+    console.answer(answer, json, lambda: _show_check(found))
     if found.findings:
         raise console.Answered(DeviceError.exit_code)
 

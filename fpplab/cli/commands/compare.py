@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fpplab.cli import console
-from fpplab.cli.app import JUDGE, Force, Json, app
+from fpplab.cli.app import JUDGE, Force, Json, ReportOption, app
 from fpplab.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def compare_command(
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write a picture of the errors, as PNG.")] = None,
+    page: ReportOption = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -55,12 +56,17 @@ def compare_command(
     from fpplab.clouds import load_cloud, load_mesh
     from fpplab.comparison import find_misplacement
     from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.diagnosis.record import load_diagnosis
     from fpplab.pipeline import CALIBRATION
     from fpplab.report import figures
+    from fpplab.report.comparison_page import write_comparison_report
+    from fpplab.report.provenance import cloud_provenance
+    from fpplab.sessions.session import JOURNAL
 
-    if out:
-        need_suffix(out, ".png")
-        refuse_existing(out, force)
+    for path, suffix in ((out, ".png"), (page, ".html")):
+        if path:
+            need_suffix(path, suffix)
+            refuse_existing(path, force)
     beside = cloud.parent / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
     known = Calibration.load(source) if source else None
@@ -79,7 +85,26 @@ def compare_command(
     summary = result.summary()
     if misplaced:
         summary["warnings"] = [misplaced.describe(), *result.warnings()]
-    console.answer(summary, json, lambda: _show(result, misplaced.describe() if misplaced else None))
+    said = misplaced.describe() if misplaced else None
+    whence = cloud_provenance(cloud, known).with_values(true_shape=str(mesh))
+    if page:
+        judged = load_diagnosis(cloud.parent) if (cloud.parent / JOURNAL).is_file() else None
+        write_comparison_report(
+            *(page, _name(cloud), measured, result, _headline(result)),
+            misplaced=said,
+            diagnosis=judged.diagnosis() if judged else None,
+            provenance=whence,
+            answer=summary,
+        )
+    files = {"provenance": whence.summary(), "report": str(page) if page else None}
+    console.answer({**summary, **files}, json, lambda: _show(result, said))
+
+
+def _name(cloud: Path) -> str:
+    """What a page calls a cloud: its session, or its file."""
+    from fpplab.pipeline import CLOUD
+
+    return cloud.absolute().parent.name if cloud.name == CLOUD else cloud.stem
 
 
 def _aligned(cloud: Cloud, mesh: trimesh.Trimesh, calibration: Calibration | None) -> Comparison:

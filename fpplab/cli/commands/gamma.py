@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
 from fpplab.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command("gamma", rich_help_panel=PREPARE)
@@ -35,8 +32,8 @@ def gamma_command(
 ) -> None:
     """Fit the response `I_out = a I_in^g + b` of projector and camera together.
 
-    Shows uniform grey-level images, says whether the response is good enough for the plan, and writes OUT and
-    a picture beside it. The line `response: OUT` in a plan has its patterns corrected with it.
+    Shows uniform grey-level images, says whether the response is good enough for the plan, and writes OUT, a
+    picture and a report beside it. The line `response: OUT` in a plan has its patterns corrected with it.
 
     Example: `fpplab gamma --rig rig_demo --plan plan_paper --levels 24 --repeats 4 --out response.yaml`
     """
@@ -45,23 +42,25 @@ def gamma_command(
     from fpplab.patterns.phase_error import judge_response
     from fpplab.patterns.plan import GreyLevels, Plan
     from fpplab.pipeline import measure_response
+    from fpplab.report.provenance import described_rig, rig_provenance
 
-    picture = out.with_suffix(".png")
-    if picture == out:
-        raise ConfigError(
-            f"{out}: is the name of the picture; name the response something else, such as .yaml"
-        )
-    refuse_existing(out, force)
-    refuse_existing(picture, force)
+    picture, page = out.with_suffix(".png"), out.with_suffix(".html")
+    if out in (picture, page):
+        what = "picture" if out == picture else "report"
+        raise ConfigError(f"{out}: is the name of the {what}; name it otherwise, such as .yaml")
+    for path in (out, picture, page):
+        refuse_existing(path, force)
     wanted = Plan.load(plan)
     greys = GreyLevels(levels=levels or wanted.greys.levels, repeats=repeats or wanted.greys.repeats)
     with Rig.load(rig) as bench, console.progress("Response") as report:
         if bench.fixture:
             bench.fixture.mount(item)
         exposure = wanted.exposure_s if exposure_s is None else exposure_s
-        response, _ = measure_response(bench, exposure, greys, report)
+        response, seen = measure_response(bench, exposure, greys, report)
         judgement = judge_response(response, wanted, bench.projector.caps.size)
+        described = described_rig(bench)
 
+    from fpplab.report.gamma_page import write_gamma_report
     from fpplab.report.response_figures import response_fit
 
     for reason in response.left_out:
@@ -69,11 +68,15 @@ def gamma_command(
     response.save(out)
     drawn = response_fit(response)
     write_atomic(picture, lambda stream: stream.write(drawn))
+    source = rig_provenance(*described, wanted, exposure_s=exposure).with_values(item=item, response=out.name)
+    answer = {**response.summary(), "judgement": judgement.model_dump(mode="json")}
+    write_gamma_report(page, response, seen, judgement, source, answer)
     result = {
-        **response.summary(),
-        "judgement": judgement.model_dump(mode="json"),
+        **answer,
+        "provenance": source.summary(),
         "response": str(out),
         "picture": str(picture),
+        "report": str(page),
     }
     console.answer(result, json, lambda: _show_response(result))
 
@@ -86,3 +89,4 @@ def _show_response(result: dict[str, Any]) -> None:
     console.stdout.print(f"RMS misfit {result['residual']:.2g} of full scale, {fitted} levels{agree}")
     console.stdout.print(result["judgement"]["sentence"], markup=False, soft_wrap=True)
     console.stdout.print(f"picture: {result['picture']}", markup=False)
+    console.stdout.print(f"report: {result['report']}", markup=False)

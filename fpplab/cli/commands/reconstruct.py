@@ -36,9 +36,11 @@ def reconstruct_command(
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import CLOUD_SUFFIXES, save_cloud
     from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.diagnosis import UselessScanError
     from fpplab.phase.precision import uncertain_orders
     from fpplab.reconstruction.filtering import removal
     from fpplab.report import write_scan_report
+    from fpplab.report.provenance import session_provenance
     from fpplab.sessions.session import Session
 
     page = out.with_suffix(".html")
@@ -49,21 +51,32 @@ def reconstruct_command(
     recorded = Session.open(session)
     used = pipeline.depth_range_of(recorded, depth)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
-        decoded, cloud = pipeline.reconstruct(
-            *(recorded, known, report), filtering=filtering, depth_mm=depth, as_recorded=as_recorded
-        )
+        source = session_provenance(recorded, known, calibration)
+        try:
+            decoded, cloud = pipeline.reconstruct(
+                *(recorded, known, report), filtering=filtering, depth_mm=depth, as_recorded=as_recorded
+            )
+        except UselessScanError as error:
+            found = error.diagnosis
+            write_scan_report(
+                *(page, recorded, None, None, used, found), provenance=source, answer=found.summary()
+            )
+            raise
         diagnosis = pipeline.diagnose(recorded, decoded, cloud, known)
-        write_scan_report(page, recorded, decoded, cloud, used, diagnosis)
+        result = {
+            **diagnosis.summary(),
+            "points": len(cloud.points),
+            "removed": removal(decoded),
+            "depth_range": asdict(used) if used else None,
+            "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
+            "uncertain_orders": uncertain_orders(decoded, recorded.plan),
+            "seconds": seconds(),
+        }
+        write_scan_report(
+            *(page, recorded, decoded, cloud, used, diagnosis), provenance=source, answer=result
+        )
         diagnosis.require_usable(str(session))
         save_cloud(cloud, out)
-    result = {
-        **diagnosis.summary(),
-        "points": len(cloud.points),
-        "removed": removal(decoded),
-        "depth_range": asdict(used) if used else None,
-        "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
-        "uncertain_orders": uncertain_orders(decoded, recorded.plan),
-        "seconds": seconds(),
-    }
     console.say(diagnosis.sentence)
-    console.answer({**result, "cloud": str(out), "report": str(page)}, json)
+    files = {"cloud": str(out), "report": str(page)}
+    console.answer({**result, "provenance": source.summary(), **files}, json)

@@ -67,6 +67,7 @@ def scan_command(
         from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
+        from fpplab.report.provenance import session_provenance
         from fpplab.report.viewer import Viewer
         from fpplab.sessions.lock import only_writer
 
@@ -92,29 +93,39 @@ def scan_command(
                     observe_frame=observe,
                 )
             with console.progress("Reconstructing") as report:
-                used = depth_range_of(session, depth)
+                used, source = depth_range_of(session, depth), session_provenance(session, known, calibration)
                 judged: list[tuple[Decoded, Cloud, Diagnosis]] = []
                 try:
                     finish_scan(session, known, report, lambda *results: judged.append(results))
-                except UselessScanError:
-                    for results in judged:
-                        write_scan_report(out / REPORT, session, *results[:2], used, results[2])
+                except UselessScanError as error:
+                    results = judged[0][:2] if judged else (None, None)
+                    write_scan_report(
+                        *(out / REPORT, session, *results, used, error.diagnosis),
+                        provenance=source,
+                        answer=error.diagnosis.summary(),
+                    )
                     raise
-                ((decoded, cloud, diagnosis),) = judged
-                write_scan_report(out / REPORT, session, decoded, cloud, used, diagnosis)
-        result = {
-            **diagnosis.summary(),
-            "points": len(cloud.points),
-            "images": wanted.images,
-            "removed": removal(decoded),
-            "depth_range": asdict(used) if used else None,
-            "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
-            "uncertain_orders": uncertain_orders(decoded, wanted),
-            "seconds": seconds(),
-        }
+            ((decoded, cloud, diagnosis),) = judged
+            result = {
+                **diagnosis.summary(),
+                "points": len(cloud.points),
+                "images": wanted.images,
+                "removed": removal(decoded),
+                "depth_range": asdict(used) if used else None,
+                "warnings": list(decoded.outside.warnings()) if decoded.outside else [],
+                "uncertain_orders": uncertain_orders(decoded, wanted),
+                "seconds": seconds(),
+            }
+            with console.progress("Drawing the report"):
+                write_scan_report(
+                    *(out / REPORT, session, decoded, cloud, used, diagnosis),
+                    provenance=source,
+                    answer=result,
+                )
         if viewer and viewer.fault is None:
             viewer.decoded(decoded)
             viewer.cloud(cloud)
             viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
     console.say(diagnosis.sentence)
-    console.answer({**result, "cloud": str(out / CLOUD), "report": str(out / REPORT)}, json)
+    files = {"cloud": str(out / CLOUD), "report": str(out / REPORT)}
+    console.answer({**result, "provenance": source.summary(), **files}, json)

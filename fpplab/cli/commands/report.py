@@ -1,0 +1,62 @@
+"""`fpplab report`: several scans on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import JUDGE, Force, Json, app
+from fpplab.core.errors import ConfigError
+
+
+@app.command("report", rich_help_panel=JUDGE)
+def report_command(
+    scans: Annotated[list[Path], typer.Argument(help="Sessions or clouds, two or more.")],
+    out: Annotated[Path, typer.Option("--out", help="The page, as HTML.")],
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Compare several scans on one page: verdicts, figures side by side, and what differs in their making.
+
+    Where scans were reconstructed with the same calibration, the page also shows how far each is from the
+    first, pixel by pixel along the camera's rays.
+
+    Example: `fpplab report monday tuesday wednesday/cloud.ply --out week.html`
+    """
+    from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.report.several_scans import (
+        MOST_SCANS,
+        difference,
+        read_scan,
+        scans_answer,
+        short_names,
+        write_scans_report,
+    )
+
+    need_suffix(out, ".html")
+    refuse_existing(out, force)
+    if not 2 <= len(scans) <= MOST_SCANS:
+        raise ConfigError(f"{len(scans)} scans are given; a page compares 2 to {MOST_SCANS}")
+    records = []
+    with console.progress("Reading the scans") as report:
+        for k, (path, name) in enumerate(zip(scans, short_names(scans), strict=True)):
+            records.append(read_scan(path, name))
+            report((k + 1) / len(scans))
+    with console.progress("Drawing"):
+        differences = [difference(one, records[0]) for one in records[1:]]
+        write_scans_report(out, records, differences)
+    provenance = {one.name: one.provenance.summary() for one in records}
+    answer = {**scans_answer(records, differences), "provenance": provenance, "report": str(out)}
+    console.answer(answer, json, lambda: _show(answer))
+
+
+def _show(answer: dict[str, Any]) -> None:
+    rows = [[one[key] or "–" for key in ("name", "verdict", "points", "noise_um")] for one in answer["scans"]]
+    console.table("Scans", ["scan", "verdict", "points", "noise µm"], rows)
+    for one in answer["differences"]:
+        said = one.get("not_compared") or f"{one['rms_um']:.1f} µm RMS, median {one['median_um']:+.1f} µm"
+        console.stdout.print(f"{one['scan']} minus {one['reference']}: {said}", markup=False)
+    console.stdout.print(f"report: {answer['report']}", markup=False)

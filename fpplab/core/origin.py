@@ -1,0 +1,54 @@
+"""When, where and by which program something was made: what records state and reports show."""
+
+from __future__ import annotations
+
+import platform
+from datetime import UTC, datetime
+from typing import Self
+
+from pydantic import AwareDatetime
+
+from fpplab.core.config import Document
+from fpplab.core.version import __version__
+
+
+class DeviceIdentity(Document):
+    """Which device it was."""
+
+    model: str
+    """As the device tells it."""
+    serial: str
+    """As the device tells it; empty where it has none."""
+
+    @property
+    def words(self) -> str:
+        """Model and serial number."""
+        return f"{self.model}, serial {self.serial}" if self.serial else f"{self.model}, no serial number"
+
+
+class Origin(Document):
+    """When, where and by which program a file was made."""
+
+    made: AwareDatetime
+    """Date and time, with the time zone."""
+    host: str
+    """Name of the computer."""
+    version: str
+    """Of fpplab."""
+
+    @classmethod
+    def now(cls, **more: object) -> Self:
+        """Make the origin of something that is made now, by this program, on this computer.
+
+        Parameters
+        ----------
+        **more : object
+            Fields of a subclass.
+
+        Returns
+        -------
+        Origin
+            Of the class that it is called on.
+        """
+        made = datetime.now(UTC).replace(microsecond=0)
+        return cls.model_validate({"made": made, "host": platform.node(), "version": __version__, **more})

@@ -1,0 +1,110 @@
+"""The verdict on a scan as a file inside its session, so that later reports need not judge again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.files import write_text
+from fpplab.core.origin import Origin
+from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.verdict import Diagnosis, Verdict
+
+VERDICT = "verdict.yaml"
+"""Name of the record inside a session; sessions that version 0.1.0 finished have none."""
+GREATEST_EXCESS = 1e9
+
+
+class FindingFile(Document):
+    """A finding in a file."""
+
+    cause: FaultCause
+    """What is wrong."""
+    evidence: str
+    """How it shows."""
+    remedy: str
+    """What to do."""
+    excess: float
+    """Measured value over its limit."""
+
+
+class DiagnosisFile(Origin):
+    """A verdict in a file, with when and by which program it was given."""
+
+    verdict: Verdict
+    """Whether to believe the points."""
+    reason: str
+    """One sentence."""
+    findings: tuple[FindingFile, ...]
+    """What is wrong, the worst first."""
+    not_checked: tuple[str, ...]
+    """What could not be checked, and why."""
+
+    def diagnosis(self) -> Diagnosis:
+        """Convert to a diagnosis.
+
+        Returns
+        -------
+        Diagnosis
+            The same verdict and findings.
+        """
+        findings = tuple(Finding(one.cause, one.evidence, one.excess, one.remedy) for one in self.findings)
+        return Diagnosis(self.verdict, self.reason, findings, self.not_checked)
+
+
+def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
+    """Write the verdict into a session.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Given now.
+    folder : Path
+        Of the session.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    findings = tuple(
+        FindingFile(
+            cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=min(float(one.excess), 1e9)
+        )
+        for one in diagnosis.findings
+    )
+    given = DiagnosisFile.now(
+        verdict=diagnosis.verdict,
+        reason=diagnosis.reason,
+        findings=findings,
+        not_checked=tuple(diagnosis.unknown),
+    )
+    write_text(folder / VERDICT, config.dump(given))
+
+
+def load_diagnosis(folder: Path) -> DiagnosisFile | None:
+    """Read the verdict of a session.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+
+    Returns
+    -------
+    DiagnosisFile or None
+        None where it is not recorded.
+
+    Raises
+    ------
+    ConfigError
+        The file is damaged.
+    """
+    path = folder / VERDICT
+    return config.load_document(path, DiagnosisFile) if path.is_file() else None
+
+
+def _finite(excess: float) -> float:
+    """A file holds no infinite number."""
+    return min(float(excess), GREATEST_EXCESS)

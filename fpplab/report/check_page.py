@@ -1,0 +1,105 @@
+"""The page of `fpplab check`: what is wrong with a rig, and what its camera sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpplab.acquisition.rig_check import RigCheck
+from fpplab.report import figures
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
+from fpplab.report.provenance import Provenance
+from fpplab.report.response_figures import marker_levels
+from fpplab.report.wording import NOT_KNOWN, percent_words
+
+
+def write_check_report(
+    path: Path, found: RigCheck, provenance: Provenance, answer: Mapping[str, Any]
+) -> None:
+    """Write what a check found as one HTML file.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; an earlier one is replaced.
+    found : RigCheck
+        Result of the check.
+    provenance : Provenance
+        Of the rig.
+    answer : mapping of str to object
+        What the command prints with `--json`.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    basis = PageBasis((check_verdict(found),), {"rig": provenance}, answer)
+    write_page(path, "Check of a rig", [], list(_sections(found)), basis=basis)
+
+
+def check_verdict(found: RigCheck) -> PageVerdict:
+    """Say whether a rig is fit to measure with.
+
+    Parameters
+    ----------
+    found : RigCheck
+        Result of the check.
+
+    Returns
+    -------
+    PageVerdict
+        Good without findings, doubtful otherwise.
+    """
+    if not found.findings:
+        said = "Nothing is wrong with what was checked."
+        return PageVerdict("", "good", "In order", said, unknown=found.unknown)
+    label = "1 finding" if len(found.findings) == 1 else f"{len(found.findings)} findings"
+    reason = "Measure only after what follows is mended, the first finding first."
+    return PageVerdict("", "doubtful", label, reason, listed(found.findings), found.unknown)
+
+
+def _sections(found: RigCheck) -> list[ReportSection]:
+    sections = []
+    if found.image is not None:
+        drawn = figures.camera_image(found.image)
+        alt, caption = "Camera image, the mean of all frames with fringes", "Mean of the frames with fringes."
+        sections.append(
+            ReportSection("What the camera sees", figures=(ReportFigure.of(drawn, alt, caption),))
+        )
+    runs = {run.how: run.levels for run in found.runs}
+    if runs:
+        known = any(np.isfinite(levels).any() for levels in runs.values())
+        pictures = (_marker_figure(found),) if known else ()
+        sections.append(ReportSection("Synchronisation", _settling(found), (_levels(found),), pictures))
+    return sections
+
+
+def _settling(found: RigCheck) -> str:
+    text = "Uniform grey-level images, each of which must appear in its own frame."
+    if found.settle_s is not None:
+        text += f" A stepped plan needs a settling time of {found.settle_s:g} s."
+    return text
+
+
+def _marker_figure(found: RigCheck) -> ReportFigure:
+    drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
+    caption = "Levels seen in each frame, and those expected of frames in step."
+    return ReportFigure.of(drawn, "Levels seen frame by frame", caption, wide=True)
+
+
+def _levels(found: RigCheck) -> ReportTable:
+    rows = tuple(
+        (str(k), str(shown), *(_level(run.levels[k]) for run in found.runs))
+        for k, shown in enumerate(found.shown.tolist())
+    )
+    columns = ("Frame", "Level shown, of 255", *(f"Seen, {run.how}" for run in found.runs))
+    return ReportTable(columns, rows, "Levels seen as shares of full scale.")
+
+
+def _level(level: float) -> str:
+    return percent_words(level) if np.isfinite(level) else NOT_KNOWN

@@ -1,0 +1,345 @@
+"""A point cloud that a page shows in three dimensions: decimated, quantised, with a still picture beside it.
+
+The page's own script (`templates/cloud_view.js`) draws it by WebGL; where there is none, and in print, the
+page shows the still picture.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fpplab.clouds import Cloud
+from fpplab.comparison import Comparison
+from fpplab.core.conventions import Floats
+from fpplab.report.drawing import as_png, colour_bar, single_axes
+from fpplab.report.wording import count_words
+
+MOST_POINTS = 60_000
+"""Points of a view; a page with several shares twice as many among them."""
+TILT_DEG, TURN_DEG = 50.0, 25.0
+"""The view at first: tilted away from the camera's own by this, and turned about the camera's axis."""
+FIELD_DEG = 30.0
+"""Vertical field of view."""
+CLOSER = 0.8
+"""Distance of the eye at first, as a share of that from which a sphere around all points is in view."""
+STILL = (960, 600)
+"""Width and height of the still picture in px."""
+STEPS = 65535
+"""Steps of a quantised value; 0 is a value that is not known."""
+BEYOND = 0.5
+"""How far beyond the middle 99 % of the points, as a share of their range, a point is still shown."""
+GREY = 0.6
+"""Colour of points without a value."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloudQuantity:
+    """What colours the points of a view.
+
+    Attributes
+    ----------
+    name : str
+        Of the quantity, in the list of colours.
+    unit : str
+        Of its values.
+    values : ndarray of float32, (N,)
+        NaN where it is not known.
+    low, high : float
+        Values of the first and the last colour.
+    colours : str
+        Name of the colour map.
+    """
+
+    name: str
+    unit: str
+    values: NDArray[np.float32]
+    low: float
+    high: float
+    colours: str
+
+    @classmethod
+    def of(
+        cls, name: str, unit: str, values: NDArray[Any], colours: str, symmetric: bool = False
+    ) -> CloudQuantity:
+        """Choose the range of colours from the values.
+
+        Parameters
+        ----------
+        name, unit : str
+            What it is.
+        values : ndarray, (N,)
+            NaN where it is not known; at least one is.
+        colours : str
+            Name of a colour map.
+        symmetric : bool
+            Whether the range is as far on both sides of zero.
+
+        Returns
+        -------
+        CloudQuantity
+            From the 1st to the 99th percentile, or ± the 98th of the absolute values.
+        """
+        known = values[np.isfinite(values)]
+        if symmetric:
+            high = max(float(np.percentile(np.abs(known), 98)), 1e-6)
+            return cls(name, unit, values.astype(np.float32), -high, high, colours)
+        low, high = (float(x) for x in np.percentile(known, (1, 99)))
+        return cls(name, unit, values.astype(np.float32), low, max(high, low + 1e-6), colours)
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return f"{self.name} in {self.unit}"
+
+    def quantised(self) -> NDArray[np.uint16]:
+        """Give the values in steps of the range of colours.
+
+        Returns
+        -------
+        ndarray of uint16, (N,)
+            1 … `STEPS`, clipped to the range; 0 where it is not known.
+        """
+        share = np.clip((self.values - self.low) / (self.high - self.low), 0.0, 1.0)
+        return np.where(np.isfinite(share), 1 + np.nan_to_num(share) * (STEPS - 1), 0).astype("<u2")
+
+
+@dataclass(frozen=True)
+class CloudView:
+    """A cloud as a page holds it.
+
+    Attributes
+    ----------
+    name : str
+        Of the object.
+    described : str
+        JSON for the page's script: numbers of points, box, place of the eye, quantities with colours.
+    packed : str
+        Base64 of positions (N, 3) of uint16, quantities (N,) of uint16 each, normals (N, 3) of int8.
+    still : str
+        PNG file of the first view as base64.
+    alt : str
+        What it shows.
+    caption : str
+        Below it.
+    """
+
+    name: str
+    described: str
+    packed: str
+    still: str
+    alt: str
+    caption: str
+
+
+def cloud_view(
+    name: str, cloud: Cloud, comparison: Comparison | None = None, most: int = MOST_POINTS
+) -> CloudView:
+    """Prepare a cloud for a page.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    cloud : Cloud
+        With at least one point.
+    comparison : Comparison, optional
+        Of this cloud with the true shape; its signed errors colour the points at first.
+    most : int
+        Number of points that remain, at most.
+
+    Returns
+    -------
+    CloudView
+        With height, and uncertainty, error and intensity where they are known.
+    """
+    errors = None if comparison is None else np.where(comparison.counted, comparison.distances_mm, np.nan)
+    kept = decimate(cloud, most)
+    shown = cloud.only(kept)
+    quantities = _quantities(shown, None if errors is None else errors[kept])
+    centre, radius = _centre_and_radius(shown.points)
+    left_out = len(cloud) - int(np.count_nonzero(_near(cloud.points)))
+    caption = f"{count_words(len(shown))} of {count_words(len(cloud))} points."
+    if left_out:
+        caption += f" {count_words(left_out)} points far from all others are not shown."
+    still = _still(shown, quantities[0], centre, radius)
+    return CloudView(
+        name,
+        _described(shown, quantities, centre, radius),
+        base64.b64encode(_packed(shown, quantities)).decode("ascii"),
+        base64.b64encode(still).decode("ascii"),
+        f"The points of the {name} seen obliquely, coloured by {quantities[0].label}",
+        caption,
+    )
+
+
+def decimate(cloud: Cloud, most: int) -> NDArray[np.bool_]:
+    """Choose points that represent a cloud: every k-th column and row of the camera, or every k-th point.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        N points.
+    most : int
+        How many may remain.
+
+    Returns
+    -------
+    ndarray of bool, (N,)
+        At least one, without points far from all others.
+    """
+    near = _near(cloud.points)
+    if cloud.pixels is not None:
+        u, v = cloud.pixels.T
+        for step in range(max(1, int(np.sqrt(near.sum() / most))), 1 << 16):
+            kept = near & (u % step == 0) & (v % step == 0)
+            if 0 < kept.sum() <= most:
+                return np.asarray(kept)
+            if not kept.any():
+                break
+    rows = np.flatnonzero(near)
+    kept = np.zeros(len(cloud), np.bool_)
+    kept[rows[:: -(-len(rows) // most)]] = True
+    return kept
+
+
+def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Points that do not lie far from all others."""
+    low, high = np.percentile(points, (0.5, 99.5), axis=0)
+    reach = BEYOND * (high - low) + 1e-3
+    return np.asarray(((points >= low - reach) & (points <= high + reach)).all(axis=1))
+
+
+def _quantities(cloud: Cloud, errors_mm: NDArray[Any] | None) -> list[CloudQuantity]:
+    found = []
+    if errors_mm is not None and np.isfinite(errors_mm).any():
+        found.append(CloudQuantity.of("Signed error", "µm", 1e3 * errors_mm, "RdBu_r", symmetric=True))
+    found.append(CloudQuantity.of("Height: distance from the camera", "mm", cloud.points[:, 2], "viridis_r"))
+    sigma = cloud.sigma_along_ray_mm if cloud.sigma_mm is None else cloud.sigma_mm
+    if sigma is not None and np.isfinite(sigma).any():
+        found.append(CloudQuantity.of("Standard uncertainty", "µm", 1e3 * sigma, "cividis"))
+    if cloud.colour is not None:
+        found.append(CloudQuantity.of("Intensity", "grey levels", cloud.colour, "gray"))
+    return found
+
+
+def _centre_and_radius(points: NDArray[np.float32]) -> tuple[Floats, float]:
+    low, high = np.percentile(points.astype(np.float64), (0.5, 99.5), axis=0)
+    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def _distance(radius: float) -> float:
+    """Of the eye at first: most of the sphere around the points is in view."""
+    return CLOSER * radius / float(np.sin(np.radians(FIELD_DEG) / 2))
+
+
+def _described(cloud: Cloud, quantities: list[CloudQuantity], centre: Floats, radius: float) -> str:
+    low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
+    return json.dumps(
+        {
+            "points": len(cloud),
+            "low": low.tolist(),
+            "size": (high - low).tolist(),
+            "centre": centre.tolist(),
+            "radius": radius,
+            "distance": _distance(radius),
+            "spacing": _spacing(cloud.points),
+            "tilt": np.radians(TILT_DEG),
+            "turn": np.radians(TURN_DEG),
+            "field": np.radians(FIELD_DEG),
+            "grey": GREY,
+            "normals": cloud.normals is not None,
+            "quantities": [
+                {
+                    "label": one.label,
+                    "name": one.name,
+                    "unit": one.unit,
+                    "low": one.low,
+                    "high": one.high,
+                    "colours": _colours(one.colours),
+                }
+                for one in quantities
+            ],
+        }
+    ).replace("<", "\\u003c")
+
+
+def _colours(name: str) -> str:
+    """256 colours as base64 of RGB bytes."""
+    return base64.b64encode(
+        (255 * mpl.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
+    ).decode()
+
+
+def _spacing(points: NDArray[np.float32]) -> float:
+    """Typical distance in mm between neighbouring points."""
+    if len(points) < 2:
+        return 1.0
+    some = points[:: max(1, len(points) // 2000)]
+    return max(float(np.median(cKDTree(points).query(some, k=2)[0][:, 1])), 1e-6)
+
+
+def _packed(cloud: Cloud, quantities: list[CloudQuantity]) -> bytes:
+    low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
+    share = (cloud.points - low) / np.maximum(high - low, 1e-9)
+    parts = [np.rint(share * STEPS).astype("<u2").tobytes()]
+    parts += [one.quantised().tobytes() for one in quantities]
+    if cloud.normals is not None:
+        parts.append(np.rint(127 * cloud.normals).astype(np.int8).tobytes())
+    return b"".join(parts)
+
+
+@as_png
+def _still(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Figure:
+    """The first view, painted from the farthest point to the nearest."""
+    figure, axes = single_axes(9.6, 5.4)
+    axes.imshow(_painted(cloud, quantity, centre, radius), interpolation="nearest")
+    axes.set_axis_off()
+    scale = mpl.colors.Normalize(quantity.low, quantity.high)
+    colour_bar(figure, axes, ScalarMappable(scale, quantity.colours), quantity.label)
+    return figure
+
+
+def _painted(cloud: Cloud, quantity: CloudQuantity, centre: Floats, radius: float) -> Floats:
+    turned = _towards_eye(cloud.points - centre)
+    width, height = STILL
+    focal = 0.5 * height / np.tan(np.radians(FIELD_DEG) / 2)
+    depth = _distance(radius) - turned[:, 2]
+    side = int(np.clip(np.ceil(1.6 * focal * _spacing(cloud.points) / np.median(depth)), 1, 12))
+    offsets = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 1, 2) - side // 2
+    place = np.rint(np.stack([turned[:, 0], -turned[:, 1]], axis=1) * (focal / depth)[:, None]).astype(int)
+    place = (place + [width // 2, height // 2] + offsets).reshape(-1, 2)
+    order = np.argsort(np.tile(-depth, len(offsets)), kind="stable")
+    inside = ((place >= 0) & (place < STILL)).all(axis=1)[order]
+    order = order[inside]
+    picture = np.ones((height, width, 3))
+    # Of points at one place the last is kept, which is the nearest.
+    picture[place[order, 1], place[order, 0]] = _shaded(cloud, quantity)[order % len(cloud)]
+    return picture
+
+
+def _shaded(cloud: Cloud, quantity: CloudQuantity) -> Floats:
+    share = np.clip((quantity.values - quantity.low) / (quantity.high - quantity.low), 0, 1)
+    colours = mpl.colormaps[quantity.colours](np.nan_to_num(share))[:, :3]
+    colours[~np.isfinite(share)] = GREY
+    if cloud.normals is None:
+        return np.asarray(colours)
+    light = np.array([-0.35, 0.5, 0.79])
+    return np.asarray(colours * (0.45 + 0.55 * np.abs(_towards_eye(cloud.normals) @ light))[:, None])
+
+
+def _towards_eye(vectors: NDArray[Any]) -> Floats:
+    """Turn vectors of the camera's frame as the first view does: x right, y up, z towards the eye."""
+    tilt, turn = np.radians(TILT_DEG), np.radians(TURN_DEG)
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+    return np.asarray((np.asarray(vectors, np.float64) * [1, -1, -1]) @ (about_x @ about_z).T)

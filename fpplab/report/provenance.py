@@ -1,0 +1,449 @@
+"""Provenance: where the figures of a report come from, by what sessions, calibrations and devices record.
+
+Nothing is inferred: what no record states is `NOT_RECORDED`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.files import readable_bytes
+from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.devices.rig import Rig
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.origin import SessionOrigin, session_origin, taken_at
+from fpplab.sessions.session import JOURNAL, Session
+
+NOT_RECORDED = "not recorded"
+"""Shown where no record states it."""
+
+LABELS = {
+    "rig": "Rig",
+    "rig_file": "Rig file",
+    "item": "Item on the rig",
+    "camera": "Camera",
+    "projector": "Projector",
+    "stage": "Stage",
+    "plan": "Plan",
+    "images": "Images",
+    "exposure": "Exposure",
+    "gain": "Gain",
+    "bits": "Bits",
+    "depth_range": "Range of depths",
+    "taken": "Taken",
+    "session": "Session",
+    "cloud": "Cloud",
+    "true_shape": "True shape",
+    "response": "Response",
+    "calibration": "Calibration",
+    "calibration_made": "Calibration made",
+    "calibration_poses": "Its poses taken",
+    "calibration_age": "Its age at the measurement",
+    "calibration_rms": "Its RMS errors",
+    "calibration_devices": "Its devices",
+    "host": "Computer that measured",
+    "version": "Its program",
+    "judged": "Verdict given",
+    "written": "Report written",
+}
+"""What each key of a provenance is called on a page, in its order."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where figures come from.
+
+    Attributes
+    ----------
+    values : mapping of str to str or None
+        By key of `LABELS`; None where it is not recorded. Keys that are absent do not apply.
+    """
+
+    values: Mapping[str, str | None]
+
+    def rows(self) -> tuple[tuple[str, str], ...]:
+        """List what is known and what is not.
+
+        Returns
+        -------
+        tuple of tuple of str
+            Label and value, in the order of `LABELS`.
+        """
+        return tuple(
+            (label, self.values[key] or NOT_RECORDED) for key, label in LABELS.items() if key in self.values
+        )
+
+    def summary(self) -> dict[str, str | None]:
+        """Collect what is printed.
+
+        Returns
+        -------
+        dict of str to str or None
+            By key, in the order of `LABELS`.
+        """
+        return {key: self.values[key] for key in LABELS if key in self.values}
+
+    def with_values(self, **more: str | None) -> Provenance:
+        """Add values.
+
+        Parameters
+        ----------
+        **more : str or None
+            By key of `LABELS`.
+
+        Returns
+        -------
+        Provenance
+            With these in place of earlier ones.
+        """
+        return Provenance({**self.values, **more})
+
+
+def session_provenance(
+    session: Session, calibration: Calibration | None = None, file: Path | None = None
+) -> Provenance:
+    """Tell where a recorded scan comes from.
+
+    Parameters
+    ----------
+    session : Session
+        With at least one frame.
+    calibration : Calibration, optional
+        That it is reconstructed with.
+    file : Path, optional
+        That the calibration was read from, where it does not say itself what it is called.
+
+    Returns
+    -------
+    Provenance
+        As its files record.
+
+    Raises
+    ------
+    ConfigError
+        A record is damaged.
+    """
+    rig, times = session.rig() or {}, taken_at(session)
+    origin = session_origin(session.path)
+    mounted = rig.get("resolved", {}).get("mounted")
+    values: dict[str, str | None] = {
+        "rig": rig.get("name"),
+        "rig_file": Path(origin.rig_file).name if origin else None,
+        **_device_values(rig, origin),
+        "plan": plan_words(session.plan),
+        "images": str(session.plan.images),
+        **_settings(session),
+        "taken": f"{local_time(times[0])}, in {duration_words(times[1] - times[0])}" if times else None,
+        "session": str(session.path),
+        **calibration_values(calibration, file, times[0] if times else None, origin),
+        "host": origin.host if origin else None,
+        "version": f"fpplab {origin.version}" if origin else None,
+        **written_now(),
+    }
+    if mounted:
+        values["item"] = f"{mounted['item']}, pose {mounted['pose']}"
+    return Provenance(values)
+
+
+def poses_provenance(poses: Sequence[Session], calibration: Calibration, file: Path) -> Provenance:
+    """Tell which poses of a board a calibration was made from, or is judged by.
+
+    Parameters
+    ----------
+    poses : sequence of Session
+        At least one.
+    calibration : Calibration
+        Made of them, or judged by them.
+    file : Path
+        Of the calibration.
+
+    Returns
+    -------
+    Provenance
+        That of the first pose, with the time from the first pose to the last.
+
+    Raises
+    ------
+    ConfigError
+        A record is damaged.
+    """
+    first = session_provenance(poses[0], calibration, file)
+    times = [taken_at(pose) for pose in poses]
+    began, ended = ([one[k] for one in times if one] for k in (0, 1))
+    whole = len(began) == len(poses)
+    taken = f"{local_time(min(began))}, in {duration_words(max(ended) - min(began))}" if whole else None
+    folder = f"{poses[0].path.parent}, {len(poses)} poses"
+    return first.with_values(taken=taken, session=folder, images=f"{first.values['images']} of each pose")
+
+
+def rig_provenance(
+    rig: Mapping[str, object],
+    origin: SessionOrigin | None,
+    plan: Plan,
+    *,
+    exposure_s: float | None = None,
+    calibration: Calibration | None = None,
+    file: Path | None = None,
+) -> Provenance:
+    """Tell what a check or a response was measured with, without a session.
+
+    Parameters
+    ----------
+    rig : mapping
+        As `Rig.described` gave it.
+    origin : SessionOrigin or None
+        Of the open rig; None where it could not be opened.
+    plan : Plan
+        That was used.
+    exposure_s : float, optional
+        Exposure in s, where it is not the plan's.
+    calibration : Calibration, optional
+        That was checked.
+    file : Path, optional
+        That the calibration was read from.
+
+    Returns
+    -------
+    Provenance
+        Of a measurement just made.
+    """
+    camera = rig.get("camera")
+    section = camera if isinstance(camera, Mapping) else {}
+    exposure = plan.exposure_s if exposure_s is None else exposure_s
+    values: dict[str, str | None] = {
+        "rig": str(rig["name"]),
+        "rig_file": Path(origin.rig_file).name if origin else None,
+        **_device_values(rig, origin),
+        "plan": plan_words(plan),
+        "exposure": f"{1e3 * exposure:.4g} ms",
+        "gain": f"{section.get('gain_db', 0.0):g} dB",
+        "bits": str(plan.bits or section.get("bits", 8)),
+        **written_now(),
+    }
+    if origin is not None:
+        values |= {
+            "taken": local_time(origin.made),
+            "host": origin.host,
+            "version": f"fpplab {origin.version}",
+        }
+    if calibration is not None:
+        values |= calibration_values(calibration, file, origin.made if origin else None, origin)
+    return Provenance(values)
+
+
+def described_rig(rig: Rig) -> tuple[dict[str, object], SessionOrigin]:
+    """Describe an open rig for `rig_provenance`.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+
+    Returns
+    -------
+    tuple of dict and SessionOrigin
+        Its file as resolved, and its devices.
+
+    Raises
+    ------
+    DeviceError
+        A device does not answer.
+    """
+    return rig.described(), SessionOrigin.of(rig)
+
+
+def cloud_provenance(cloud: Path, calibration: Calibration | None = None) -> Provenance:
+    """Tell where a cloud comes from: of its session if it lies in one, else of the file alone.
+
+    Parameters
+    ----------
+    cloud : Path
+        Its file.
+    calibration : Calibration, optional
+        That is used with it.
+
+    Returns
+    -------
+    Provenance
+        As recorded.
+
+    Raises
+    ------
+    ConfigError
+        A record of the session is damaged.
+    """
+    size, changed = cloud.stat().st_size, datetime.fromtimestamp(cloud.stat().st_mtime).astimezone()
+    own: dict[str, str | None] = {"cloud": f"{cloud}, {readable_bytes(size)}, written {local_time(changed)}"}
+    if (cloud.parent / JOURNAL).is_file():
+        return session_provenance(Session.open(cloud.parent), calibration).with_values(**own)
+    unknown = dict.fromkeys(("rig", "camera", "projector", "plan", "exposure", "taken", "host"))
+    return Provenance({**unknown, **own, **calibration_values(calibration, None, None), **written_now()})
+
+
+def calibration_values(
+    calibration: Calibration | None,
+    file: Path | None,
+    used: datetime | None,
+    devices: SessionOrigin | None = None,
+) -> dict[str, str | None]:
+    """Tell which calibration it was, and how old.
+
+    Parameters
+    ----------
+    calibration : Calibration or None
+        None where there is none.
+    file : Path or None
+        That it was read from.
+    used : datetime or None
+        When the measurement began that it is used for.
+    devices : SessionOrigin, optional
+        Of the measurement, to tell whether the devices are those of the calibration.
+
+    Returns
+    -------
+    dict of str to str or None
+        By key of `LABELS`.
+    """
+    if calibration is None:
+        return {"calibration": None}
+    origin = calibration.origin
+    name = origin.file if origin and origin.file else file.name if file else None
+    began = (origin.poses_taken or origin.made) if origin else None
+    rms = ", ".join(f"{device} {value:.3f} px" for device, value in calibration.rms_px.items())
+    return {
+        "calibration": name,
+        "calibration_made": f"{local_time(origin.made)}, fpplab {origin.version}" if origin else None,
+        "calibration_poses": local_time(origin.poses_taken) if origin and origin.poses_taken else None,
+        "calibration_age": _age(used - began) if used and began else None,
+        "calibration_rms": rms or None,
+        "calibration_devices": _compared(origin.camera, origin.projector, devices) if origin else None,
+    }
+
+
+def plan_words(plan: Plan) -> str:
+    """Describe a plan by what it projects.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    str
+        Such as "x: 1, 8, 64 stripes in 12, 12, 12 steps; hierarchical".
+    """
+    axes = []
+    for axis in plan.axes:
+        sets = [plan.fringes[i] for i in plan.sets_along(axis)]
+        stripes = ", ".join(f"{one.stripes:g}" for one in sets)
+        axes.append(f"{axis}: {stripes} stripes in {', '.join(str(one.images) for one in sets)} steps")
+    corrected = ", corrected for the response" if plan.response else ""
+    return f"{'; '.join(axes)}; {plan.unwrapping}; {plan.trigger}{corrected}"
+
+
+def local_time(when: datetime) -> str:
+    """Write a time as people read it, in the time zone of this computer.
+
+    Parameters
+    ----------
+    when : datetime
+        With a time zone.
+
+    Returns
+    -------
+    str
+        Date, time and time zone.
+    """
+    return when.astimezone().strftime("%Y-%m-%d %H:%M:%S %Z").strip()
+
+
+def duration_words(length: timedelta) -> str:
+    """Write a duration in its two greatest units.
+
+    Parameters
+    ----------
+    length : timedelta
+        Not negative.
+
+    Returns
+    -------
+    str
+        Such as "3 h 12 min".
+    """
+    left = length.total_seconds()
+    if left < 60:
+        return f"{left:.1f} s"
+    parts = []
+    for unit, seconds in (("d", 86400), ("h", 3600), ("min", 60), ("s", 1)):
+        count, left = divmod(left, seconds)
+        parts.append(f"{count:.0f} {unit}")
+    first = next(k for k, part in enumerate(parts) if not part.startswith("0 "))
+    return " ".join(parts[first : first + 2])
+
+
+def written_now() -> dict[str, str | None]:
+    """Tell when and where the report is written.
+
+    Returns
+    -------
+    dict of str to str
+        By key of `LABELS`.
+    """
+    now = Origin.now()
+    return {"written": f"{local_time(now.made)}, fpplab {now.version}, on {now.host}"}
+
+
+def _age(length: timedelta) -> str:
+    words = duration_words(abs(length))
+    return words if length >= timedelta() else f"{words} younger than the measurement"
+
+
+def _compared(
+    camera: DeviceIdentity | None, projector: DeviceIdentity | None, devices: SessionOrigin | None
+) -> str | None:
+    """The calibration's devices, and whether they are those of the measurement."""
+    known = {name: one for name, one in (("camera", camera), ("projector", projector)) if one}
+    if not known:
+        return None
+    words = "; ".join(one.words for one in known.values())
+    if devices is None:
+        return words
+    others = [name for name, one in known.items() if devices.devices.get(name, one) != one]
+    if others:
+        return f"{words}; the {' and the '.join(others)} that measured is ANOTHER"
+    return f"{words}; the same that measured"
+
+
+def _device_values(rig: Mapping[str, object], origin: SessionOrigin | None) -> dict[str, str | None]:
+    """Model and serial number of each device; sessions of version 0.1.0 have the model alone."""
+    resolved = rig.get("resolved")
+    recorded = resolved if isinstance(resolved, Mapping) else {}
+    values: dict[str, str | None] = {}
+    for name in ("camera", "projector", "stage"):
+        if origin and name in origin.devices:
+            values[name] = origin.devices[name].words
+        elif name != "stage":
+            model = recorded.get(name, {}).get("model")
+            values[name] = f"{model}, serial number {NOT_RECORDED}" if model else None
+    return values
+
+
+def _settings(session: Session) -> dict[str, str | None]:
+    """Exposure, gain and bits as they were read back; of images from elsewhere only the bits are known."""
+    if session.is_imported:
+        return {"exposure": None, "gain": None, "bits": str(session.bits)}
+    records = session.records
+    return {
+        "exposure": _all_of([f"{1e3 * one.exposure_s:.4g} ms" for one in records]),
+        "gain": _all_of([f"{one.gain_db:g} dB" for one in records]),
+        "bits": _all_of([str(one.bits) for one in records]),
+    }
+
+
+def _all_of(words: Sequence[str]) -> str:
+    return ", ".join(dict.fromkeys(words))

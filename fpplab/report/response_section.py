@@ -1,0 +1,47 @@
+"""The response of projector and camera: its section of a report."""
+
+from __future__ import annotations
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.response import Response
+from fpplab.report import response_figures
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+
+
+def response_section(response: Response, levels: Floats) -> ReportSection:
+    """Show a fitted response.
+
+    Parameters
+    ----------
+    response : Response
+        The fit.
+    levels : Floats
+        (K, 2), levels shown and seen, in [0, 1].
+
+    Returns
+    -------
+    ReportSection
+        Figure and table.
+    """
+    values = zip((response.a, response.b, response.g), response.sigma, strict=True)
+    row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
+    columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
+    text = "Level seen = a · (level shown)ᵍ + b, levels as shares of full scale."
+    return ReportSection(
+        "Response",
+        text,
+        (ReportTable(columns, (row,), "; ".join(response.left_out)),),
+        (_response_figure(response, levels),),
+    )
+
+
+def _response_figure(response: Response, levels: Floats) -> ReportFigure:
+    alt = f"Response of projector and camera, with a fitted exponent of {response.g:.3f}"
+    if response.regions:
+        caption = (
+            "Left: the levels seen and the fitted response; below, seen minus fitted. "
+            "Right: the exponent of each region, and that of the common fit (band)."
+        )
+        return ReportFigure.of(response_figures.response_fit(response), alt, caption, wide=True)
+    caption = "Left: the levels measured and the fitted response. Right: measured minus fitted."
+    return ReportFigure.of(response_figures.response_curve(response, levels), alt, caption, wide=True)

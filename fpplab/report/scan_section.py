@@ -1,0 +1,402 @@
+"""One scan on a page: its figures, its view in three dimensions, and its lines in the tables at the top."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.clouds import Cloud, local_quadric_distance
+from fpplab.comparison import Comparison
+from fpplab.core.conventions import Axis, Image, Map
+from fpplab.diagnosis import Diagnosis
+from fpplab.phase import Decoded, Wrapped
+from fpplab.reconstruction.depth_range import DepthRange
+from fpplab.reconstruction.filtering import removal
+from fpplab.report import figures, uncertainty
+from fpplab.report.cloud_view import MOST_POINTS, cloud_view
+from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.provenance import Provenance
+from fpplab.report.wording import NOT_KNOWN, count_words, number_words, percent_words
+
+COMPARED = (
+    "Artefact",
+    "Images",
+    "Points",
+    "Surface RMS in µm",
+    "Surface P95 in µm",
+    "Surface SMCD in µm",
+    "SMCD in µm",
+    "SMCD floor in µm",
+    "Completeness",
+    "Outliers",
+    "Scale in ppm",
+)
+FLOOR = (
+    "SMCD floor: the SMCD of a perfect measurement with the same sampling; the surface figures need none. "
+    "Scale: of the best-fit similarity minus one, with its standard uncertainty; distances after a rigid "
+    "alignment hardly show it."
+)
+SCANNED = ("Scan", "Images", "Points", "Roughness in µm", "Noise in µm")
+ROUGHNESS = (
+    "Roughness: median distance of a point from the quadric fitted to its neighbours. "
+    "Noise: median standard deviation along the ray, as predicted from the fringes."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSection:
+    """What the report shows of one scan.
+
+    Attributes
+    ----------
+    name : str
+        Of the object.
+    images : int
+        Number of images of the plan.
+    frame : Image
+        One raw frame [v, u] of the finest fringe set.
+    wrapped : Wrapped
+        Wrapped phase of that set.
+    decoded : Decoded or None
+        Projector coordinates; None where there are none.
+    cloud : Cloud or None
+        Points; None where there are none.
+    comparison : Comparison or None
+        With the true shape, where it is known.
+    bits : int
+        Bit depth of the frame.
+    uncertain_orders : dict of str to int or None
+        Pixels left out for an uncertain fringe order, by the fringe set that is the cause.
+    depth : DepthRange or None
+        The range of depths that the scan was reconstructed with.
+    diagnosis : Diagnosis or None
+        Whether to believe it.
+    provenance : Provenance or None
+        Where it comes from.
+    """
+
+    name: str
+    images: int
+    frame: Image
+    wrapped: Wrapped
+    decoded: Decoded | None
+    cloud: Cloud | None
+    comparison: Comparison | None = None
+    bits: int = 8
+    uncertain_orders: dict[str, int] | None = None
+    depth: DepthRange | None = None
+    diagnosis: Diagnosis | None = None
+    provenance: Provenance | None = None
+
+
+def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
+    """Tabulate the figures of scans, those with a true shape apart from those without.
+
+    Parameters
+    ----------
+    scans : sequence of ScanSection
+        Those without points are left out.
+
+    Returns
+    -------
+    list of ReportTable
+        For the top of the page.
+    """
+    tables = []
+    compared = tuple(_compared_row(s, s.cloud, s.comparison) for s in scans if s.cloud and s.comparison)
+    if compared:
+        tables.append(ReportTable(COMPARED, compared, FLOOR))
+    scanned = tuple(
+        (
+            s.name,
+            str(s.images),
+            count_words(len(s.cloud)),
+            number_words(roughness_um(s.cloud)),
+            number_words(noise_um(s.cloud)),
+        )
+        for s in scans
+        if s.cloud and s.comparison is None
+    )
+    if scanned:
+        tables.append(ReportTable(SCANNED, scanned, ROUGHNESS))
+    return tables
+
+
+def _compared_row(scan: ScanSection, cloud: Cloud, found: Comparison) -> tuple[str, ...]:
+    lengths = (
+        found.surface_rms_um,
+        found.surface_p95_um,
+        found.surface_smcd_um,
+        found.smcd_um,
+        found.smcd_floor_um,
+    )
+    outliers = f"{count_words(found.outliers)} ({percent_words(found.outliers / found.points)})"
+    head = (scan.name, str(scan.images), count_words(len(cloud)))
+    scale = NOT_KNOWN if found.scale is None else f"{found.scale.ppm:+.0f} ± {found.scale.sigma_ppm:.0f}"
+    return (*head, *map(number_words, lengths), percent_words(found.completeness), outliers, scale)
+
+
+def roughness_um(cloud: Cloud) -> float | None:
+    """Measure how rough a cloud is.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Its points.
+
+    Returns
+    -------
+    float or None
+        Median distance in µm of a point from the quadric fitted to its neighbours; None without pixels, or
+        where no point has enough neighbours.
+    """
+    if cloud.pixels is None:
+        return None
+    distances = np.abs(local_quadric_distance(cloud))
+    known = distances[np.isfinite(distances)]
+    return 1e3 * float(np.median(known)) if len(known) else None
+
+
+def noise_um(cloud: Cloud) -> float | None:
+    """Give the median standard uncertainty of the points by noise.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        Its points.
+
+    Returns
+    -------
+    float or None
+        In µm along the ray; None where it is not known.
+    """
+    return None if cloud.sigma_noise_mm is None else 1e3 * float(np.median(cloud.sigma_noise_mm))
+
+
+def section_of(scan: ScanSection, points: int = MOST_POINTS) -> ReportSection:
+    """Show a scan.
+
+    Parameters
+    ----------
+    scan : ScanSection
+        With points or without.
+    points : int
+        Greatest number of points of its view in three dimensions.
+
+    Returns
+    -------
+    ReportSection
+        Text, view, figures and tables.
+    """
+    name, found = scan.name, scan.comparison
+    views = () if scan.cloud is None else (cloud_view(name, scan.cloud, found, points),)
+    tables = () if found is None else lengths_tables(found)
+    title = name[:1].upper() + name[1:]
+    return ReportSection(title, _text(scan), tables, tuple(_pictures(scan)), views)
+
+
+def _text(scan: ScanSection) -> str:
+    """What the figures do not show."""
+    text, decoded = f"{scan.images} images", scan.decoded
+    if decoded is None:
+        return f"{text}; no pixel has a projector coordinate."
+    text += f"; {percent_words(float(decoded.valid.mean()))} of the camera's pixels are measured."
+    if scan.uncertain_orders is not None:
+        text += _uncertain_text(scan.uncertain_orders, decoded.u.size)
+    if scan.depth is not None:
+        near, far = scan.depth.mm
+        text += f" Only distances from {near:g} to {far:g} mm count, by {scan.depth.source}."
+        text += "".join(
+            f" Warning: {one}." for one in (decoded.outside.warnings() if decoded.outside else ())
+        )
+    if (removed := removal(decoded)) is not None:
+        share = removed.pop("share")
+        rules = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in removed.items())
+        text += f" Of these the filter removed {percent_words(share)} as outliers: {rules}."
+    if scan.comparison is not None:
+        text += (
+            f" {percent_words(scan.comparison.visible_share)} of the true surface is visible to both devices."
+        )
+    return f"{text} Grey: not measured."
+
+
+def _pictures(scan: ScanSection) -> Iterator[ReportFigure]:
+    """Results first, then what they come from."""
+    name, cloud, decoded = scan.name, scan.cloud, scan.decoded
+    if cloud is not None and scan.comparison is not None:
+        yield error_figure(name, cloud, scan.comparison)
+    if cloud is not None:
+        yield relief_figure(name, cloud)
+        yield depth_figure(name, cloud)
+        yield from sigma_figures(name, cloud)
+    yield frame_figure(scan)
+    if decoded is not None and np.isfinite(decoded.modulation).any():
+        yield ReportFigure.of(
+            figures.modulation_map(decoded.modulation),
+            f"Map of the fringes' modulation on the {name}",
+            "Modulation: the amplitude of the fringes.",
+        )
+    if decoded is not None and decoded.valid.any():
+        phase = np.where(decoded.valid, scan.wrapped.phase, np.float32(np.nan))
+        yield ReportFigure.of(
+            figures.wrapped_phase_figure(phase),
+            f"Map of the wrapped phase of the {name}",
+            "Wrapped phase of the finest set.",
+        )
+        yield from _coordinates(name, decoded)
+
+
+def frame_figure(scan: ScanSection) -> ReportFigure:
+    """Draw a frame of a scan.
+
+    Parameters
+    ----------
+    scan : ScanSection
+        The scan.
+
+    Returns
+    -------
+    ReportFigure
+        Of the finest fringe set.
+    """
+    drawn = figures.camera_image(scan.frame, scan.bits)
+    alt = f"Camera image of the {scan.name} under the finest fringes"
+    return ReportFigure.of(drawn, alt, "One frame of the finest fringe set.")
+
+
+def relief_figure(name: str, cloud: Cloud) -> ReportFigure:
+    """Draw the measured surface, illuminated.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    cloud : Cloud
+        Its points.
+
+    Returns
+    -------
+    ReportFigure
+        As the camera sees it.
+    """
+    return ReportFigure.of(
+        figures.shaded_relief(cloud),
+        f"Shaded relief of the measured {name}",
+        f"The measured surface, illuminated from the upper left: {count_words(len(cloud))} points.",
+    )
+
+
+def depth_figure(name: str, cloud: Cloud) -> ReportFigure:
+    """Draw the distance of a surface from the camera.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    cloud : Cloud
+        Its points.
+
+    Returns
+    -------
+    ReportFigure
+        As the camera sees it.
+    """
+    return ReportFigure.of(
+        figures.depth_map(cloud),
+        f"Map of the distance of the {name} from the camera",
+        "Distance from the camera along its axis.",
+    )
+
+
+def sigma_figures(name: str, cloud: Cloud) -> list[ReportFigure]:
+    """Draw the standard uncertainty of the points.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    cloud : Cloud
+        Its points.
+
+    Returns
+    -------
+    list of ReportFigure
+        Empty where it is not known.
+    """
+    if cloud.sigma_noise_mm is None:
+        return []
+    alt = f"Maps of the standard uncertainty of the points of the {name}"
+    drawn, wide = uncertainty.sigma_maps(cloud), cloud.sigma_mm is not None
+    return [ReportFigure.of(drawn, alt, uncertainty.sigma_caption(cloud), wide)]
+
+
+def error_figure(name: str, cloud: Cloud, found: Comparison) -> ReportFigure:
+    """Draw the signed errors of a cloud.
+
+    Parameters
+    ----------
+    name : str
+        Of the object.
+    cloud : Cloud
+        Its points.
+    found : Comparison
+        With the true shape.
+
+    Returns
+    -------
+    ReportFigure
+        A map, and the distribution.
+    """
+    alt = f"Signed error of the {name}, with its distribution; RMS {number_words(found.surface_rms_um)} µm"
+    caption = (
+        f"Signed distance of every compared point from the true surface; red is outside the "
+        f"true shape. {count_words(found.off_part)} points beside the object are left out."
+    )
+    drawn = figures.error_map(cloud, found.distances_mm, found.counted)
+    return ReportFigure.of(drawn, alt, caption, wide=True)
+
+
+def lengths_tables(found: Comparison) -> tuple[ReportTable, ...]:
+    """Tabulate measured and true lengths, with what contradicts the distances below.
+
+    Parameters
+    ----------
+    found : Comparison
+        After an alignment.
+
+    Returns
+    -------
+    tuple of ReportTable
+        Empty if there are neither lengths nor contradictions.
+    """
+    rows = tuple((m.name, *m.texts()) for m in found.lengths)
+    said = found.warnings()
+    columns = ("Length", "True in mm", "Measured in mm", "Error in µm", "Standard uncertainty in µm")
+    caption = " ".join(f"{warning[:1].upper()}{warning[1:]}." for warning in said)
+    return (ReportTable(columns, rows, caption),) if rows or said else ()
+
+
+def _uncertain_text(causes: dict[str, int], pixels: int) -> str:
+    """How many pixels noise has cost, and in which fringe set."""
+    if not causes:
+        return " No pixel was left out for an uncertain fringe order."
+    listed = ", ".join(f"{name} {count_words(count)}" for name, count in causes.items())
+    share = percent_words(sum(causes.values()) / pixels)
+    return (
+        f" {share} were left out because noise leaves their fringe order uncertain, by fringe set: {listed}."
+    )
+
+
+def _coordinates(name: str, decoded: Decoded) -> list[ReportFigure]:
+    maps: tuple[tuple[Axis, Map, str], ...] = (("x", decoded.u, "columns"), ("y", decoded.v, "rows"))
+    return [
+        ReportFigure.of(
+            figures.coordinate_map(values, axis),
+            f"Map of the projector's {what} as seen on the {name}",
+            f"Unwrapped: the projector's {what}, with contour lines.",
+        )
+        for axis, values, what in maps
+        if np.isfinite(values).any()
+    ]

@@ -1,0 +1,149 @@
+"""The record of when, where and with which devices a session was begun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fpplab.calibration.model import CalibrationOrigin
+from fpplab.core import config
+from fpplab.core.files import write_text
+from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.devices.rig import Rig
+from fpplab.sessions.session import Session
+
+ORIGIN = "origin.yaml"
+"""Name of the record inside a session; sessions of version 0.1.0 and imported images have none."""
+
+
+class SessionOrigin(Origin):
+    """When, where and with which devices a session was begun.
+
+    It stands apart from the rig's record, by which an interrupted session is recognised: another computer or
+    version may complete it.
+    """
+
+    rig_file: str
+    """The rig file."""
+    devices: dict[str, DeviceIdentity]
+    """By section of the rig file."""
+
+    @classmethod
+    def of(cls, rig: Rig) -> SessionOrigin:
+        """Describe an open rig, now.
+
+        Parameters
+        ----------
+        rig : Rig
+            Open.
+
+        Returns
+        -------
+        SessionOrigin
+            With the devices as they tell of themselves.
+
+        Raises
+        ------
+        DeviceError
+            A device does not answer.
+        """
+        opened = {
+            "camera": rig.camera,
+            "projector": rig.projector,
+            "stage": rig.stage,
+            "fixture": rig.fixture,
+        }
+        told = {name: device.info() for name, device in opened.items() if device is not None}
+        devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in told.items()}
+        return cls.now(rig_file=rig.source, devices=devices)
+
+
+def record_origin(folder: Path, rig: Rig) -> None:
+    """Record the origin of a session that has none yet.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+    rig : Rig
+        Open.
+
+    Raises
+    ------
+    DataError
+        The record cannot be written.
+    DeviceError
+        A device does not answer.
+    """
+    if not (folder / ORIGIN).is_file():
+        write_text(folder / ORIGIN, config.dump(SessionOrigin.of(rig)))
+
+
+def session_origin(folder: Path) -> SessionOrigin | None:
+    """Read the origin of a session.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+
+    Returns
+    -------
+    SessionOrigin or None
+        None where it is not recorded.
+
+    Raises
+    ------
+    ConfigError
+        The record is damaged.
+    """
+    path = folder / ORIGIN
+    return config.load_document(path, SessionOrigin) if path.is_file() else None
+
+
+def taken_at(session: Session) -> tuple[datetime, datetime] | None:
+    """Tell when the frames of a session were taken.
+
+    Parameters
+    ----------
+    session : Session
+        With frames or without.
+
+    Returns
+    -------
+    tuple of datetime, or None
+        Arrival of the first and the last frame, UTC; None for images from elsewhere, and without frames.
+    """
+    if session.is_imported or not session.records:
+        return None
+    times = [record.host_time_s for record in session.records]
+    return datetime.fromtimestamp(min(times), UTC), datetime.fromtimestamp(max(times), UTC)
+
+
+def calibration_origin(poses: Sequence[Session]) -> CalibrationOrigin:
+    """Describe what a calibration is made from, now.
+
+    Parameters
+    ----------
+    poses : sequence of Session
+        Of the board.
+
+    Returns
+    -------
+    CalibrationOrigin
+        With the time of the last frame and the devices, where the sessions agree on them.
+
+    Raises
+    ------
+    ConfigError
+        The record of a session is damaged.
+    """
+    ends = [times[1] for times in map(taken_at, poses) if times]
+    known = [origin.devices if (origin := session_origin(pose.path)) else {} for pose in poses]
+    agreed = {
+        name: known[0].get(name) if all(one.get(name) == known[0].get(name) for one in known) else None
+        for name in ("camera", "projector")
+    }
+    taken = max(ends).replace(microsecond=0) if len(ends) == len(poses) else None
+    return CalibrationOrigin.now(poses_taken=taken, **agreed)

@@ -1,0 +1,113 @@
+"""Several scans on one page: differences only where calibrations match, verdicts as recorded, names apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpplab.clouds import Cloud
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.geometry import RigidTransform
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding, Verdict
+from fpplab.diagnosis.record import load_diagnosis, save_diagnosis
+from fpplab.report.cloud_view import CloudQuantity, cloud_view, decimate
+from fpplab.report.parts import ReportTable
+from fpplab.report.provenance import Provenance, duration_words
+from fpplab.report.several_scans import ScanRecord, difference, short_names, write_scans_report
+from tests.comparison.test_comparison import CALIBRATION
+from tests.report.test_report import Page, cloud
+
+
+def record(name: str, points: Cloud | None, rig: str = "one") -> ScanRecord:
+    found = Diagnosis(Verdict.DOUBTFUL, "noisy", (Finding(FaultCause.FLICKER, "5 %", 2.0),))
+    return ScanRecord(name, Provenance({"rig": rig, "camera": None}), points, CALIBRATION, found, None)
+
+
+def farther(points: Cloud, mm: float) -> Cloud:
+    """Every point farther from the camera along its ray; and one point less."""
+    rays = points.points / np.linalg.norm(points.points, axis=1, keepdims=True)
+    kept = np.arange(len(points)) > 0
+    return replace(points, points=(points.points + mm * rays).astype(np.float32)).only(kept)
+
+
+def test_a_difference_is_that_along_the_rays() -> None:
+    found = difference(record("b", farther(cloud(), 0.25)), record("a", cloud()))
+    assert found.distances_mm is not None
+    assert found.distances_mm == pytest.approx(np.full(len(cloud()) - 1, 0.25), abs=1e-4)
+    assert found.summary()["median_um"] == pytest.approx(250, abs=0.1)
+    assert found.summary()["pixels"] == len(cloud()) - 1
+
+
+def test_other_calibrations_and_clouds_without_pixels_are_not_compared() -> None:
+    one = record("a", cloud())
+    moved = replace(CALIBRATION, T_projector_camera=RigidTransform(np.eye(3), np.array([-99.0, 0, 0])))
+    bare = Cloud(cloud().points)
+    for other, reason in (
+        (replace(one, calibration=moved), "different calibrations"),
+        (replace(one, calibration=None), "not recorded"),
+        (replace(one, cloud=None), "no points"),
+        (replace(one, cloud=bare), "not known by pixels"),
+    ):
+        assert reason in difference(other, one).summary()["not_compared"]
+
+
+def test_the_page_marks_what_differs(tmp_path: Path) -> None:
+    scans = [record("a", cloud()), record("b", farther(cloud(), 0.1), rig="two"), record("c", None)]
+    write_scans_report(tmp_path / "s.html", scans, [difference(one, scans[0]) for one in scans[1:]])
+    page = Page(tmp_path / "s.html")
+    text = (tmp_path / "s.html").read_text(encoding="utf-8")
+    assert text.count('<tr class="marked">') == 1  # the rig; the camera is recorded of none
+    assert "not recorded" in page.cells
+    assert "b minus a" in page.cells
+    assert "one of them has no points" in page.cells
+    assert text.count('class="verdict doubtful"') == 3
+    with pytest.raises(DataError, match="none of 1 sessions holds a cloud"):
+        write_scans_report(tmp_path / "t.html", scans[2:], [])
+
+
+def test_names_are_as_short_as_they_may(tmp_path: Path) -> None:
+    assert short_names([tmp_path / "a", tmp_path / "b"]) == ["a", "b"]
+    assert short_names([tmp_path / "a/cloud.ply", tmp_path / "b/cloud.ply"]) == ["a/cloud.ply", "b/cloud.ply"]
+    with pytest.raises(ConfigError, match="given twice"):
+        short_names([tmp_path / "a", tmp_path / "a"])
+
+
+def test_a_verdict_is_read_back_as_it_was_given(tmp_path: Path) -> None:
+    finding = Finding(FaultCause.WRONG_PLAN, "all: 'wrong'\n…", float("inf"), "mend it")
+    given = Diagnosis(Verdict.USELESS, "9 points", (finding,), ("focus",))
+    assert load_diagnosis(tmp_path) is None
+    save_diagnosis(given, tmp_path)
+    recorded = load_diagnosis(tmp_path)
+    assert recorded is not None
+    assert recorded.diagnosis().summary() == given.summary()
+
+
+def test_decimation_keeps_the_grid_and_the_limit() -> None:
+    points = cloud()
+    for most in (1, 10, 500, len(points)):
+        assert 0 < decimate(points, most).sum() <= most
+        assert 0 < decimate(Cloud(points.points), most).sum() <= most
+    far = replace(points, points=points.points.copy())
+    far.points[7] = 1e6
+    assert not decimate(far, len(far))[7]
+    assert "1 points far from all others" in cloud_view("far", far).caption
+
+
+def test_values_are_quantised_within_their_range() -> None:
+    values = np.array([-5.0, 0.0, 5.0, np.nan, 1e9], np.float32)
+    steps = CloudQuantity("x", "mm", values, -5.0, 5.0, "viridis").quantised()
+    assert steps.tolist() == [1, 32768, 65535, 0, 65535]
+
+
+def test_durations_and_cells() -> None:
+    words = [duration_words(timedelta(seconds=s)) for s in (0.25, 61, 3600, 3 * 86400 + 7200)]
+    assert words == ["0.2 s", "1 min 1 s", "1 h 0 min", "3 d 2 h"]
+    table = ReportTable(("a", "b"), (("=SUM(A1)", "+1\u202f000.5"), ("-x", "-2")))
+    import base64
+
+    text = base64.b64decode(table.csv_link.partition(",")[2]).decode("utf-8")
+    assert text.splitlines() == ["a,b", "'=SUM(A1),+1000.5", "'-x,-2"]

@@ -1,0 +1,93 @@
+"""Sessions and calibrations record when, where and with which devices they were made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fpplab.calibration.model import Calibration, CalibrationOrigin
+from fpplab.core.errors import ConfigError
+from fpplab.core.origin import DeviceIdentity
+from fpplab.core.version import __version__
+from fpplab.report.provenance import poses_provenance, session_provenance
+from fpplab.sessions.origin import ORIGIN, SessionOrigin, calibration_origin, record_origin, session_origin
+from tests.comparison.test_comparison import CALIBRATION
+from tests.support.faulty_rig import formula_rig
+from tests.support.recorded import record
+
+
+def test_the_origin_of_a_session_is_that_of_its_beginning(tmp_path: Path) -> None:
+    with formula_rig(None, 3) as rig:
+        record_origin(tmp_path, rig)
+        first = (tmp_path / ORIGIN).read_text(encoding="utf-8")
+        record_origin(tmp_path, rig)
+        told = rig.camera.info()
+    assert (tmp_path / ORIGIN).read_text(encoding="utf-8") == first
+    origin = session_origin(tmp_path)
+    assert origin is not None
+    assert origin.version == __version__
+    assert origin.devices["camera"] == DeviceIdentity(model=told.model, serial=told.serial)
+    (tmp_path / ORIGIN).write_text("made: yesterday\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="made"):
+        session_origin(tmp_path)
+
+
+def test_copies_of_a_calibration_tell_its_first_name(tmp_path: Path) -> None:
+    made = replace(CALIBRATION, origin=CalibrationOrigin.now())
+    made.save(tmp_path / "monday.yaml")
+    Calibration.load(tmp_path / "monday.yaml").save(tmp_path / "calibration.yaml")
+    copy = Calibration.load(tmp_path / "calibration.yaml").origin
+    assert copy is not None
+    assert copy.file == "monday.yaml"
+    CALIBRATION.save(tmp_path / "old.yaml")
+    assert "origin" not in (tmp_path / "old.yaml").read_text(encoding="utf-8")
+    assert Calibration.load(tmp_path / "old.yaml").origin is None
+
+
+def recorded_pose(path: Path, serial: str | None) -> None:
+    """A session of a rig that records its serial numbers, or of version 0.1.0."""
+    session = record(path)
+    (session.path / "rig.yaml").write_text("name: bench\nresolved: {}\n", encoding="utf-8")
+    if serial is not None:
+        devices = {"camera": DeviceIdentity(model="cam", serial=serial)}
+        from fpplab.core import config
+
+        origin = SessionOrigin.now(rig_file="rig.yaml", devices=devices)
+        (path / ORIGIN).write_text(config.dump(origin), encoding="utf-8")
+
+
+def test_a_calibration_names_devices_that_all_poses_agree_on(tmp_path: Path) -> None:
+    from fpplab.sessions.session import Session
+
+    for name, serial in (("a", "1"), ("b", "1"), ("c", "2"), ("d", None)):
+        recorded_pose(tmp_path / name, serial)
+    poses = {name: Session.open(tmp_path / name) for name in "abcd"}
+    agreed = calibration_origin([poses["a"], poses["b"]])
+    assert agreed.camera == DeviceIdentity(model="cam", serial="1")
+    assert agreed.projector is None
+    assert agreed.poses_taken is not None
+    assert agreed.poses_taken.timestamp() == 103  # host time of the last frame
+    assert calibration_origin([poses["a"], poses["c"]]).camera is None
+    assert calibration_origin([poses["a"], poses["d"]]).camera is None
+    whence = poses_provenance(
+        [poses["a"], poses["b"]], replace(CALIBRATION, origin=agreed), tmp_path / "c.yaml"
+    )
+    assert whence.values["calibration"] == "c.yaml"
+    assert "2 poses" in (whence.values["session"] or "")
+
+
+def test_an_exchanged_camera_is_told_and_what_is_missing_is_not_invented(tmp_path: Path) -> None:
+    from fpplab.sessions.session import Session
+
+    recorded_pose(tmp_path / "new", "2")
+    old = CalibrationOrigin.now(camera=DeviceIdentity(model="cam", serial="1"))
+    told = session_provenance(Session.open(tmp_path / "new"), replace(CALIBRATION, origin=old)).values
+    assert "the camera that measured is ANOTHER" in (told["calibration_devices"] or "")
+    assert "younger than the measurement" in (told["calibration_age"] or "")  # frames of 1970
+    record(tmp_path / "imported")
+    bare = session_provenance(Session.open(tmp_path / "imported"), CALIBRATION).values
+    for key in ("rig", "rig_file", "camera", "projector", "exposure", "gain", "taken", "host", "version"):
+        assert bare[key] is None
+    assert bare["calibration_made"] is None
