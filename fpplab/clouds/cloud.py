@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.clouds import ply
-from fpplab.clouds.pixelgrid import PixelGrid, are_within, gather
+from fpplab.clouds.pixelgrid import PixelGrid, are_within
+from fpplab.clouds.selection import are_finite, select
 from fpplab.core.conventions import Mask
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import write_atomic
+from fpplab.core.files import write_large
 
 if TYPE_CHECKING:
     import trimesh
@@ -89,7 +90,7 @@ class Cloud:
             values = getattr(self, name)
             if values is not None and values.shape != shape:
                 raise DataError(f"cloud: {name} has the shape {values.shape} instead of {shape}")
-        if n == 0 or not np.isfinite([self.points.min(), self.points.max()]).all():
+        if n == 0 or not are_finite(self.points):
             raise DataError("cloud: there must be at least one point, and all must be finite")
         if (self.pixels is None) != (self.size is None):
             raise DataError("cloud: 'pixels' and 'size' must be given together")
@@ -139,10 +140,8 @@ class Cloud:
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
         if kept.shape != (len(self),):
             raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
-        rows = np.flatnonzero(kept)
-        chosen: dict[str, Any] = {
-            name: gather(part, rows) for name, part in parts.items() if part is not None
-        }
+        known = [name for name, part in parts.items() if part is not None]
+        chosen: dict[str, Any] = dict(zip(known, select([parts[name] for name in known], kept), strict=True))
         return replace(self, **chosen)
 
     def grid(self) -> PixelGrid:
@@ -160,7 +159,8 @@ class Cloud:
         """
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
-        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_along_ray_mm)
+        sigmas = (self.sigma_noise_mm, self.sigma_phase_error_mm) if self.sigma_noise_mm is not None else ()
+        return PixelGrid.of(self.points, self.pixels, self.size, *(s for s in sigmas if s is not None))
 
     def grid_mesh(self) -> tuple[CloudPoints, NDArray[np.int32]]:
         """Mesh the surface over the pixel grid, cut at jumps in depth.
@@ -237,7 +237,7 @@ def save_cloud(cloud: Cloud, path: Path | str) -> None:
     path = Path(path)
     writers = {".ply": _write_ply, ".xyz": _write_xyz, ".npz": _write_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
-    write_atomic(path, lambda stream: writers[suffix](cloud, stream))
+    write_large(path, lambda stream: writers[suffix](cloud, stream))
 
 
 def load_cloud(path: Path | str) -> Cloud:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Axis, Map, Mask
 from fpplab.core.errors import DataError
-from fpplab.core.files import write_atomic
+from fpplab.core.files import write_large
 from fpplab.phase.outside import OutsideShare
 
 SAMPLING_STRIDE = 4
@@ -119,7 +119,7 @@ class Decoded:
         """
         maps = {name: getattr(self, name) for name in (*_KEYS, *_OPTIONAL)}
         maps = {name: values for name, values in maps.items() if values is not None}
-        write_atomic(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
+        write_large(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
 
     @classmethod
     def load(cls, path: Path | str) -> Decoded:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core import buffers
 from fpplab.core.conventions import AXES, Axis, Map, axis_length, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
@@ -93,9 +94,10 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels, doubt["x"], doubt["y"])
     u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v = (
-        np.empty(n, np.float32) for n in sizes
+        buffers.empty(n) for n in sizes
     )
-    cause = np.zeros(pixels, np.uint8)
+    cause = buffers.empty(pixels, np.uint8)
+    cause[:] = 0
     return Maps(u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v, cause)
 
 

@@ -37,7 +37,7 @@ from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
 from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid
-from fpplab.reconstruction.triangulation import DecodedMaps
+from fpplab.reconstruction.triangulation import DecodedMaps, any_known
 
 BLOCK = 1 << 14
 """Points whose derivatives are in memory at a time: 12 MB."""
@@ -61,9 +61,9 @@ def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
     CoordinateNoise
         Of u and v; infinite for an axis that is not coded.
     """
-    if not np.isfinite(decoded.u).any():
+    if not any_known(decoded.u):
         return np.inf, 1.0
-    return 1.0, decoded.v_per_u if np.isfinite(decoded.v).any() else np.inf
+    return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
 
 
 def with_uncertainty(
