@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 
 LEAST_BYTES = 1 << 22
 """Smaller arrays come from the allocator, which reuses its memory itself."""
-MOST_KEPT_BYTES = min(1 << 31, psutil.virtual_memory().total // 8)
+MOST_KEPT_BYTES = min(3 << 30, psutil.virtual_memory().total // 6)
 """Most memory that is kept while nobody uses it: what a measurement at twenty megapixels needs."""
 _MOST_WASTE = 2
 

@@ -36,7 +36,9 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
         write(cast(BinaryIO, _Sink(stream)))
 
 
-def write_large(path: Path, write: Callable[[BinaryIO], object]) -> None:
+def write_large(
+    path: Path, write: Callable[[BinaryIO], object], approve: Callable[[], object] | None = None
+) -> None:
     """Write a large file as `write_atomic` does, from front to back and past the system's cache.
 
     Parameters
@@ -45,6 +47,8 @@ def write_large(path: Path, write: Callable[[BinaryIO], object]) -> None:
         Of the file; missing folders are made.
     write : Callable[[BinaryIO], object]
         Writes the content to a stream, which can be neither searched nor read.
+    approve : Callable[[], object], optional
+        Called once all is on disk; what it raises leaves the file as it was before.
 
     Raises
     ------
@@ -55,6 +59,8 @@ def write_large(path: Path, write: Callable[[BinaryIO], object]) -> None:
         straight = DirectWriter(stream.fileno())
         write(cast(BinaryIO, straight))
         straight.finish()
+        if approve is not None:
+            approve()
 
 
 class _Sink(io.BufferedIOBase):

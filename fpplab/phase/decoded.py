@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +121,8 @@ class Decoded:
         """
         maps = {name: getattr(self, name) for name in (*_KEYS, *_OPTIONAL)}
         maps = {name: values for name, values in maps.items() if values is not None}
-        write_large(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
+        arrays = {**maps, "v_per_u": np.asarray(self.v_per_u)}
+        write_large(Path(path), lambda stream: _write_npz(arrays, stream))
 
     @classmethod
     def load(cls, path: Path | str) -> Decoded:
@@ -162,3 +165,17 @@ class Decoded:
 
 _KEYS = "u", "v", "modulation", "sigma"
 _OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error"
+
+
+def _write_npz(arrays: Mapping[str, NDArray[Any]], stream: BinaryIO) -> None:
+    """As `np.savez`, which copies everything once more."""
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                header = np.lib.format.header_data_from_array_1_0(values)
+                np.lib.format.write_array_header_1_0(member, {**header, "fortran_order": False})
+                for part in np.array_split(values, max(1, values.nbytes // _PART_BYTES)) if values.ndim else [values]:
+                    member.write(np.ascontiguousarray(part).reshape(-1).view(np.uint8).data)
+
+
+_PART_BYTES = 1 << 20
