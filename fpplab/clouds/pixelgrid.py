@@ -1,7 +1,8 @@
 """A cloud as a surface over its camera's pixels: connectivity, normals, faces, local fits.
 
-Which points lie on one surface is the rule of `fpplab.clouds.continuity`. Everything is computed in w = 1/z over
-the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w, with (α, β, γ) along its normal.
+Which points lie on one surface is the rule of `fpplab.clouds.continuity`. Everything is computed in w = 1/z
+over the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w, with (α, β, γ) along
+its normal.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Memory for large arrays that is used again once nobody holds them.
 
-The system hands out memory page by page and clears each page at its first use. For maps of millions of pixels
-that takes about as long as computing them, and on a virtual machine, whose host takes free pages back, ten times
-as long. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the
-next.
+The system hands out memory page by page and clears each page at its first use. For maps of millions of
+pixels that takes as long as computing them, and far longer on a virtual machine whose host takes free pages
+back. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the next.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArra
     if block is None:
         block = np.empty(size, np.uint8)
     # All views of the array hold `loan`, because its memory belongs to an object that is no array.
-    loan = np.frombuffer(memoryview(block), np.uint8)
+    loan = np.frombuffer(block.data, np.uint8)
     # Called in whatever thread drops the last view, and so it must not wait for a lock.
     weakref.finalize(loan, _returned.append, block).atexit = False
     return loan[:size].view(kind).reshape(shape)

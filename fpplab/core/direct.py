@@ -1,6 +1,7 @@
 """Writing large files past the system's cache.
 
-What is written through the cache is copied into fresh pages first, and flushing it to disk waits for all of them.
+What is written through the cache is copied into fresh pages first, and flushing it to disk waits for all of
+them.
 Where the file system allows it, large results go from one small buffer to the disk directly.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+from contextlib import suppress
 from mmap import mmap
 from typing import Any
 
@@ -102,7 +104,5 @@ def _set_direct(handle: int, wanted: bool) -> None:
     if fcntl is None or not hasattr(os, "O_DIRECT"):
         return
     flags = fcntl.fcntl(handle, fcntl.F_GETFL)
-    try:
+    with suppress(OSError):
         fcntl.fcntl(handle, fcntl.F_SETFL, flags | os.O_DIRECT if wanted else flags & ~os.O_DIRECT)
-    except OSError:
-        pass

@@ -16,6 +16,8 @@ from fpplab.core.errors import DataError
 from fpplab.core.files import write_large
 from fpplab.phase.outside import OutsideShare
 
+_PART_BYTES = 1 << 20
+
 SAMPLING_STRIDE = 4
 """Stride in rows and columns at which the typical disagreement is sampled."""
 
@@ -172,10 +174,9 @@ def _write_npz(arrays: Mapping[str, NDArray[Any]], stream: BinaryIO) -> None:
     with zipfile.ZipFile(stream, "w") as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                header = np.lib.format.header_data_from_array_1_0(values)
-                np.lib.format.write_array_header_1_0(member, {**header, "fortran_order": False})
-                for part in np.array_split(values, max(1, values.nbytes // _PART_BYTES)) if values.ndim else [values]:
+                header = np.lib.format.header_data_from_array_1_0(values)  # type: ignore[no-untyped-call]
+                header["fortran_order"] = False
+                np.lib.format.write_array_header_1_0(member, header)  # type: ignore[no-untyped-call]
+                # In parts, because a map of an axis that is not coded is one value, seen as many.
+                for part in np.array_split(np.atleast_1d(values), max(1, values.nbytes // _PART_BYTES)):
                     member.write(np.ascontiguousarray(part).reshape(-1).view(np.uint8).data)
-
-
-_PART_BYTES = 1 << 20

@@ -117,9 +117,9 @@ def triangulate(
     slopes = camera_slopes(calibration.camera)
     unknown, phase_error = np.empty((0, width), np.float32), decoded.sigma_phase_error
     u, v = decoded.u if use_u else unknown, decoded.v if use_v else unknown
-    maps = [np.ascontiguousarray(m, np.float32) for m in (u, v, decoded.sigma)]
-    maps.append(unknown if phase_error is None else np.ascontiguousarray(phase_error, np.float32))
-    counts = _count(maps[0] if use_u else maps[1], maps[1] if use_v else maps[0])
+    error = unknown if phase_error is None else phase_error
+    u, v, sigma, error = (np.ascontiguousarray(m, np.float32) for m in (u, v, decoded.sigma, error))
+    counts = _count(u if use_u else v, v if use_v else u)
     total = int(counts.sum())
     points, pixels = buffers.empty((total, 3)), buffers.empty((total, 2), np.int32)
     sigma_mm = buffers.empty(total)
@@ -128,7 +128,10 @@ def triangulate(
     projector, pose = calibration.projector, calibration.T_projector_camera.matrix[:3].ravel()
     _solve(
         slopes,
-        *maps,
+        u,
+        v,
+        sigma,
+        error,
         use_u,
         use_v,
         float(decoded.v_per_u),
@@ -274,7 +277,9 @@ def any_known(values: Map) -> bool:
     bool
         Whether one is finite.
     """
-    if values.strides[0] == 0 and values.strides[1] == 0:  # one value for all, as of an axis that is not coded
+    if (
+        values.strides[0] == 0 and values.strides[1] == 0
+    ):  # one value for all, as of an axis that is not coded
         return bool(np.isfinite(values[0, 0]))
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
