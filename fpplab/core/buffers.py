@@ -2,7 +2,8 @@
 
 The system hands out memory page by page and clears each page at its first use. For maps of millions of
 pixels that takes as long as computing them, and far longer on a virtual machine whose host takes free pages
-back. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the next.
+back. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the
+next.
 """
 
 from __future__ import annotations
@@ -64,6 +65,18 @@ def release() -> None:
     with _lock:
         _returned.clear()
         _free.clear()
+
+
+def kept_bytes() -> int:
+    """Measure the memory that is kept while nobody uses it.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    with _lock:
+        return sum(block.nbytes for block in (*_free, *_returned))
 
 
 def _kept(size: int) -> _Block | None:

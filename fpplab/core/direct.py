@@ -38,7 +38,13 @@ class DirectWriter(io.BufferedIOBase):
         _set_direct(handle, True)
 
     def writable(self) -> bool:
-        """Whether it can be written: always."""
+        """Tell that it can be written.
+
+        Returns
+        -------
+        bool
+            True.
+        """
         return True
 
     def write(self, data: Any) -> int:
