@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
 from fpplab.phase.saturation import fit_unsaturated
+from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import EDGE_SIGMAS
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
@@ -371,7 +372,7 @@ def _add_frames(sums: Any, at: int, n: int, s: int, like: Any, recipe: Any) -> N
 
 
 @compiled
-def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
+def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) -> Any:
     """Fill the maps for a range of pixels.
 
     Releases the interpreter's lock, so that threads may share a frame's pixels.
