@@ -6,9 +6,9 @@ runs on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -497,16 +497,30 @@ def finish_scan(
             save_diagnosis(error.diagnosis, session.path)
             raise
         saved[0].result()  # a cloud is not written where its maps could not be
-        diagnosis = diagnose_scan(recording, decoded, cloud, calibration)
-        save_diagnosis(diagnosis, session.path)
-        if judged is not None:
-            judged(decoded, cloud, diagnosis)
-        if diagnosis.verdict is Verdict.USELESS:
-            (session.path / CLOUD).unlink(missing_ok=True)  # of an earlier reconstruction
-        diagnosis.require_usable(str(session.path))
-        save_cloud(cloud, session.path / CLOUD)
+        verdict: Future[None] = Future()
+        written = writer.submit(save_cloud, cloud, session.path / CLOUD, verdict.result)
+        with _answered(verdict):
+            diagnosis = diagnose_scan(recording, decoded, cloud, calibration)
+            save_diagnosis(diagnosis, session.path)
+            if judged is not None:
+                judged(decoded, cloud, diagnosis)
+            if diagnosis.verdict is Verdict.USELESS:
+                (session.path / CLOUD).unlink(missing_ok=True)  # of an earlier reconstruction
+            diagnosis.require_usable(str(session.path))
+        written.result()
         calibration.save(session.path / CALIBRATION)
     return decoded, cloud
+
+
+@contextmanager
+def _answered(question: Future[None]) -> Iterator[None]:
+    """Answer whoever waits: yes where the block ends, and with its error where it fails."""
+    try:
+        yield
+    except BaseException as error:
+        question.set_exception(error)
+        raise
+    question.set_result(None)
 
 
 def scan(

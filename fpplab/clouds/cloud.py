@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import warnings
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.clouds import ply
-from fpplab.clouds.pixelgrid import PixelGrid, are_within, gather
+from fpplab.clouds.pixelgrid import PixelGrid, are_within
+from fpplab.clouds.selection import are_finite, select
+from fpplab.core import buffers
 from fpplab.core.conventions import Mask
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import write_atomic
+from fpplab.core.files import write_large
 
 if TYPE_CHECKING:
     import trimesh
@@ -89,7 +93,7 @@ class Cloud:
             values = getattr(self, name)
             if values is not None and values.shape != shape:
                 raise DataError(f"cloud: {name} has the shape {values.shape} instead of {shape}")
-        if n == 0 or not np.isfinite([self.points.min(), self.points.max()]).all():
+        if n == 0 or not are_finite(self.points):
             raise DataError("cloud: there must be at least one point, and all must be finite")
         if (self.pixels is None) != (self.size is None):
             raise DataError("cloud: 'pixels' and 'size' must be given together")
@@ -115,9 +119,10 @@ class Cloud:
 
         None where noise or calibration is not known; a phase error that is not known is not in it.
         """
-        if self.sigma_along_ray_mm is None or self.sigma_calibration_mm is None:
+        along = self.sigma_along_ray_mm
+        if along is None or self.sigma_calibration_mm is None:
             return None
-        return _root_of_squares(self.sigma_along_ray_mm, self.sigma_calibration_mm)
+        return _root_of_squares(along, self.sigma_calibration_mm)
 
     @property
     def sigma_along_ray_mm(self) -> CloudPoints | None:
@@ -147,10 +152,8 @@ class Cloud:
         parts: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "size"}
         if kept.shape != (len(self),):
             raise DataError(f"cloud: a selection of {kept.shape} does not fit {len(self)} points")
-        rows = np.flatnonzero(kept)
-        chosen: dict[str, Any] = {
-            name: gather(part, rows) for name, part in parts.items() if part is not None
-        }
+        known = [name for name, part in parts.items() if part is not None]
+        chosen: dict[str, Any] = dict(zip(known, select([parts[name] for name in known], kept), strict=True))
         return replace(self, **chosen)
 
     def grid(self) -> PixelGrid:
@@ -168,7 +171,8 @@ class Cloud:
         """
         if self.pixels is None or self.size is None:
             raise DataError("cloud: its points are not known by camera pixel; use a cloud that fpplab made")
-        return PixelGrid.of(self.points, self.pixels, self.size, self.sigma_along_ray_mm)
+        sigmas = (self.sigma_noise_mm, self.sigma_phase_error_mm) if self.sigma_noise_mm is not None else ()
+        return PixelGrid.of(self.points, self.pixels, self.size, *(s for s in sigmas if s is not None))
 
     def grid_mesh(self) -> tuple[CloudPoints, NDArray[np.int32]]:
         """Mesh the surface over the pixel grid, cut at jumps in depth.
@@ -192,7 +196,15 @@ class Cloud:
 
 def _root_of_squares(one: CloudPoints, other: CloudPoints) -> CloudPoints:
     """As `np.hypot`, which takes ten times as long, to avoid overflows that no uncertainty comes near."""
-    return np.asarray(np.sqrt(one * one + other * other))
+    found = buffers.empty(len(one))
+    _add_in_quadrature(one, other, found)
+    return found
+
+
+@njit(parallel=True, cache=True)
+def _add_in_quadrature(one: CloudPoints, other: CloudPoints, found: CloudPoints) -> None:
+    for i in prange(len(one)):
+        found[i] = np.sqrt(one[i] * one[i] + other[i] * other[i])
 
 
 def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
@@ -225,7 +237,7 @@ def local_quadric_distance(cloud: Cloud, window: int = 15) -> CloudPoints:
     return cloud.grid().quadric_distances(window)
 
 
-def save_cloud(cloud: Cloud, path: Path | str) -> None:
+def save_cloud(cloud: Cloud, path: Path | str, approve: Callable[[], object] | None = None) -> None:
     """Write a cloud in the format of the path's suffix, atomically: the file is complete or unchanged.
 
     Parameters
@@ -234,6 +246,9 @@ def save_cloud(cloud: Cloud, path: Path | str) -> None:
         What to write.
     path : path or str
         With the suffix `.ply` (binary), `.xyz` (text, points only) or `.npz`.
+    approve : callable, optional
+        Called once everything is written, before the file takes its name; what it raises leaves the file
+        unchanged.
 
     Raises
     ------
@@ -245,7 +260,7 @@ def save_cloud(cloud: Cloud, path: Path | str) -> None:
     path = Path(path)
     writers = {".ply": _write_ply, ".xyz": _write_xyz, ".npz": _write_npz}
     suffix = _known_suffix(path, CLOUD_SUFFIXES)
-    write_atomic(path, lambda stream: writers[suffix](cloud, stream))
+    write_large(path, lambda stream: writers[suffix](cloud, stream), approve)
 
 
 def load_cloud(path: Path | str) -> Cloud:

@@ -1,13 +1,8 @@
 """A cloud as a surface over its camera's pixels: connectivity, normals, faces, local fits.
 
-Two points lie on one surface when the step in depth between them is no more than a surface
-inclined by `STEEPEST_DEG` to the image plane would show over the footprint that separates
-their rays at that depth, plus `NOISE_SIGMAS` standard deviations of the step's own noise.
-A longer step is a jump from one surface to another.
-
-Everything is computed in w = 1/z over the ray's slopes (a, b) = (x/z, y/z), where a plane is
-linear: α a + β b + γ = w, with (α, β, γ) along its normal. The rule then reads
-`|Δw| <= w (tan(STEEPEST) |Δ(a, b)| + NOISE_SIGMAS σ(Δz)/z)`.
+Which points lie on one surface is the rule of `fpplab.clouds.continuity`. Everything is computed in w = 1/z
+over the ray's slopes (a, b) = (x/z, y/z), where a plane is linear: α a + β b + γ = w, with (α, β, γ) along
+its normal.
 """
 
 from __future__ import annotations
@@ -19,18 +14,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.clouds.continuity import NOISE_SIGMAS, is_continuous
+from fpplab.clouds.normals import surface_normals
+from fpplab.core import buffers
 from fpplab.core.conventions import Floats, Map
 
-STEEPEST_DEG = 80.0
-"""Greatest inclination of a surface to the image plane."""
-NOISE_SIGMAS = 4.0
-"""Standard deviations of noise that are allowed in a step within one surface."""
-NORMAL_REACH = 2
-"""A point's normal is that of the plane through it and its eight neighbours this many px away."""
-
-_STEEPEST = np.float32(np.tan(np.radians(STEEPEST_DEG)))
-_LINE = 1e-3
-"""Neighbours lie on a line when the squared correlation of their places is within this of 1."""
 _TERMS = 6
 
 GridPoints = NDArray[np.float32]
@@ -68,7 +56,7 @@ class PixelGrid:
         points: GridPoints,
         pixels: PixelColumnsRows,
         size: tuple[int, int],
-        sigma_mm: GridPoints | None = None,
+        *sigmas_mm: GridPoints,
     ) -> PixelGrid:
         """Arrange points over the pixels that saw them.
 
@@ -80,8 +68,8 @@ class PixelGrid:
             (N, 2) as (u, v), at most one point per pixel.
         size : tuple of int
             Width and height of the camera in px.
-        sigma_mm : ndarray of float32, optional
-            Standard deviation (N,) of each point's noise in mm; None means no noise.
+        *sigmas_mm : ndarray of float32
+            Standard deviations (N,) of each point's errors in mm, which add in quadrature; at most two.
 
         Returns
         -------
@@ -89,23 +77,24 @@ class PixelGrid:
             The points by pixel.
         """
         shape = size[1], size[0]
-        index = np.full(shape, -1, np.int32)
-        a, b, w = (np.full(shape, np.nan, np.float32) for _ in range(3))
-        noise = np.zeros(shape, np.float32)
-        sigma = np.zeros(len(points), np.float32) if sigma_mm is None else sigma_mm
-        _scatter(points, pixels, sigma, NOISE_SIGMAS / np.sqrt(2.0), index, a, b, w, noise)
+        index = buffers.empty(shape, np.int32)
+        a, b, w, noise = (buffers.empty(shape) for _ in range(4))
+        _clear(index, a, b, w, noise)
+        none = np.empty(0, np.float32)
+        one, other = (*sigmas_mm, none, none)[:2]
+        _scatter(points, pixels, one, other, NOISE_SIGMAS / np.sqrt(2.0), index, a, b, w, noise)
         return cls(index, a, b, w, noise, len(points))
 
     def normals(self) -> GridPoints:
-        """Compute normals from the plane through each point and its neighbours `NORMAL_REACH` px away.
+        """Compute normals from the plane through each point and its neighbours.
 
         Returns
         -------
         ndarray of float32
             Unit normals (N, 3) facing the camera, (0, 0, 0) where the neighbours do not span a plane.
         """
-        found = np.zeros((self.count, 3), np.float32)
-        _normals(self.index, self.a, self.b, self.w, self.noise, found)
+        found = buffers.empty((self.count, 3))
+        surface_normals(self.index, self.a, self.b, self.w, self.noise, found)
         return found
 
     def faces(self) -> PixelColumnsRows:
@@ -164,11 +153,20 @@ def _quadric_design(window: int) -> Floats:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
+@njit(parallel=True, cache=True)
+def _clear(index: PixelColumnsRows, a: Map, b: Map, w: Map, noise: Map) -> None:
+    for v in prange(len(index)):
+        index[v, :] = -1
+        a[v, :] = b[v, :] = w[v, :] = np.nan
+        noise[v, :] = 0.0
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def _scatter(
     points: GridPoints,
     pixels: PixelColumnsRows,
     sigma: GridPoints,
+    other_sigma: GridPoints,
     weight: float,
     index: PixelColumnsRows,
     a: Map,
@@ -181,35 +179,11 @@ def _scatter(
         near = 1.0 / points[i, 2]
         index[v, u] = i
         a[v, u], b[v, u], w[v, u] = points[i, 0] * near, points[i, 1] * near, near
-        if sigma[i] > 0.0:
-            noise[v, u] = weight * sigma[i] * near
-
-
-def gather(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Select rows of an array, on all processors.
-
-    Parameters
-    ----------
-    values : ndarray, (N,) or (N, C)
-        Any numbers.
-    rows : ndarray of intp, (M,)
-        Which.
-
-    Returns
-    -------
-    ndarray
-        (M,) or (M, C), of the same type.
-    """
-    found = np.empty((len(rows), *values.shape[1:]), values.dtype)
-    _gather(values.reshape(len(values), -1), rows, found.reshape(len(found), -1))
-    return found
-
-
-@njit(parallel=True, cache=True)
-def _gather(values: NDArray[Any], rows: NDArray[np.intp], found: NDArray[Any]) -> None:
-    for i in prange(len(rows)):
-        for k in range(values.shape[1]):
-            found[i, k] = values[rows[i], k]
+        spread = sigma[i] if len(sigma) > 0 else np.float32(0.0)
+        if len(other_sigma) > 0:
+            spread = np.sqrt(spread * spread + other_sigma[i] * other_sigma[i])
+        if spread > 0.0:
+            noise[v, u] = weight * spread * near
 
 
 def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
@@ -227,7 +201,7 @@ def at_pixels(values: NDArray[Any], pixels: PixelColumnsRows) -> NDArray[Any]:
     ndarray
         (N,), of the same type.
     """
-    found = np.empty(len(pixels), values.dtype)
+    found = buffers.empty(len(pixels), values.dtype)
     _at_pixels(values, pixels, found)
     return found
 
@@ -238,7 +212,7 @@ def _at_pixels(values: NDArray[Any], pixels: PixelColumnsRows, found: NDArray[An
         found[i] = values[pixels[i, 1], pixels[i, 0]]
 
 
-@njit(cache=True)
+@njit(parallel=True, cache=True)
 def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
     """Tell whether all pixels lie in an image.
 
@@ -254,68 +228,11 @@ def are_within(pixels: PixelColumnsRows, width: int, height: int) -> bool:
     bool
         True where none lies outside.
     """
-    inside = True
-    for i in range(len(pixels)):
+    outside = 0
+    for i in prange(len(pixels)):
         u, v = pixels[i, 0], pixels[i, 1]
-        inside &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    return inside
-
-
-@njit(inline="always")
-def is_continuous(da: float, db: float, dw: float, w: float, noise: float) -> bool:
-    """Decide whether two points lie on one surface, by the rule of this module.
-
-    Parameters
-    ----------
-    da, db : float
-        Differences of the rays' slopes.
-    dw : float
-        Difference of the inverse depths in 1/mm.
-    w : float
-        Inverse depth of the step in 1/mm.
-    noise : float
-        Sum of the two points' `PixelGrid.noise`.
-
-    Returns
-    -------
-    bool
-        True on one surface; False across a jump, or where a difference is NaN.
-    """
-    return bool(abs(dw) <= w * (_STEEPEST * np.sqrt(da * da + db * db) + noise))
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _normals(index: PixelColumnsRows, a: Map, b: Map, w: Map, noise: Map, found: GridPoints) -> None:
-    height, width = index.shape
-    for v in prange(height):
-        for u in range(width):
-            i = index[v, u]
-            if i < 0:
-                continue
-            a0, b0, w0, noise0 = a[v, u], b[v, u], w[v, u], noise[v, u]
-            n = sa = sb = sw = saa = sab = sbb = saw = sbw = 0.0
-            for y in range(v - NORMAL_REACH, v + NORMAL_REACH + 1, NORMAL_REACH):
-                for x in range(u - NORMAL_REACH, u + NORMAL_REACH + 1, NORMAL_REACH):
-                    if y < 0 or x < 0 or y >= height or x >= width:
-                        continue
-                    da, db, dw = a[y, x] - a0, b[y, x] - b0, w[y, x] - w0
-                    # False where there is no point.
-                    if is_continuous(da, db, dw, w0, noise0 + noise[y, x]):
-                        n += 1.0
-                        sa, sb, sw = sa + da, sb + db, sw + dw
-                        saa, sab, sbb = saa + da * da, sab + da * db, sbb + db * db
-                        saw, sbw = saw + da * dw, sbw + db * dw
-            caa, cab, cbb = saa - sa * sa / n, sab - sa * sb / n, sbb - sb * sb / n
-            caw, cbw = saw - sa * sw / n, sbw - sb * sw / n
-            determinant = caa * cbb - cab * cab
-            if determinant <= _LINE * caa * cbb:
-                continue
-            alpha = (caw * cbb - cbw * cab) / determinant
-            beta = (cbw * caa - caw * cab) / determinant
-            gamma = w0 + (sw - alpha * sa - beta * sb) / n - alpha * a0 - beta * b0
-            # (α, β, γ)·X = 1 > 0 on the plane: it points away from the camera at the origin.
-            scale = -1.0 / np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
-            found[i, 0], found[i, 1], found[i, 2] = alpha * scale, beta * scale, gamma * scale
+        outside += not ((u >= 0) & (u < width) & (v >= 0) & (v < height))
+    return outside == 0
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -24,7 +24,7 @@ import trimesh
 from fpplab.artefacts.recognition import PlacedArtefact
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.clouds.pixelgrid import STEEPEST_DEG
+from fpplab.clouds.continuity import STEEPEST_DEG
 from fpplab.comparison.alignment import Alignment, AlignmentMesh, align_mesh
 from fpplab.comparison.lengths import MeasuredLength, measure_lengths
 from fpplab.comparison.neighbours import nearest

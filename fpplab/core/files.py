@@ -13,6 +13,7 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+from fpplab.core.direct import DirectWriter
 from fpplab.core.errors import ConfigError, DataError
 
 
@@ -33,6 +34,33 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """
     with _draft(path) as stream:
         write(cast(BinaryIO, _Sink(stream)))
+
+
+def write_large(
+    path: Path, write: Callable[[BinaryIO], object], approve: Callable[[], object] | None = None
+) -> None:
+    """Write a large file as `write_atomic` does, from front to back and past the system's cache.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file; missing folders are made.
+    write : Callable[[BinaryIO], object]
+        Writes the content to a stream, which can be neither searched nor read.
+    approve : Callable[[], object], optional
+        Called once all is on disk; what it raises leaves the file as it was before.
+
+    Raises
+    ------
+    DataError
+        As `write_parts`.
+    """
+    with _draft(path) as stream:
+        straight = DirectWriter(stream.fileno())
+        write(cast(BinaryIO, straight))
+        straight.finish()
+        if approve is not None:
+            approve()
 
 
 class _Sink(io.BufferedIOBase):

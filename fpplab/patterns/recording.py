@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Axis, Image, full_scale, raw_per_grey
+from fpplab.core import buffers
+from fpplab.core.conventions import Axis, Image, Map, full_scale, raw_per_grey
 from fpplab.core.errors import DataError
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Curve
+
+_BAND = 32
+"""Rows whose mean is taken while their sums are in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +112,18 @@ class Recording:
             8-bit grey levels.
         """
         _, frames = self.finest()
-        total = np.zeros(frames[0].shape, np.float32)
-        for frame in frames:
-            total += frame
-        levels = np.rint(total / (len(frames) / self.grey))
-        mean: NDArray[np.uint8] = levels.clip(0, 255).astype(np.uint8)
+        height, width = frames[0].shape
+        mean, divisor = buffers.empty((height, width), np.uint8), np.float32(len(frames) / self.grey)
+
+        def average(first: int) -> None:
+            rows = slice(first, first + _BAND)
+            total = np.zeros(mean[rows].shape, np.float32)
+            for frame in frames:
+                _add(frame[rows], total)
+            _round(total, divisor, mean[rows])
+
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(average, range(0, height, _BAND)))
         return mean
 
     def checked(self) -> Recording:
@@ -136,6 +149,21 @@ class Recording:
         self.plan.check_projector(self.projector_size, self.name)
         native = [cast(Image, np.ascontiguousarray(f, f.dtype.newbyteorder("="))) for f in self.frames]
         return replace(self, frames=native)
+
+
+@njit(nogil=True, cache=True)
+def _add(frame: Image, total: Map) -> None:
+    for v in range(len(total)):
+        for u in range(total.shape[1]):
+            total[v, u] += np.float32(frame[v, u])
+
+
+@njit(nogil=True, cache=True)
+def _round(total: Map, divisor: np.float32, mean: NDArray[np.uint8]) -> None:
+    """Divide, and round to 8 bits."""
+    for v in range(len(total)):
+        for u in range(total.shape[1]):
+            mean[v, u] = np.uint8(min(np.rint(total[v, u] / divisor), np.float32(255)))
 
 
 def _check_number(recording: Recording) -> None:

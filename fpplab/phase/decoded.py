@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.core.conventions import Axis, Map, Mask
 from fpplab.core.errors import DataError
-from fpplab.core.files import write_atomic
+from fpplab.core.files import write_large
 from fpplab.phase.outside import OutsideShare
+
+_PART_BYTES = 1 << 20
 
 SAMPLING_STRIDE = 4
 """Stride in rows and columns at which the typical disagreement is sampled."""
@@ -119,7 +123,8 @@ class Decoded:
         """
         maps = {name: getattr(self, name) for name in (*_KEYS, *_OPTIONAL)}
         maps = {name: values for name, values in maps.items() if values is not None}
-        write_atomic(Path(path), lambda stream: np.savez(stream, **maps, v_per_u=self.v_per_u))
+        arrays = {**maps, "v_per_u": np.asarray(self.v_per_u)}
+        write_large(Path(path), lambda stream: _write_npz(arrays, stream))
 
     @classmethod
     def load(cls, path: Path | str) -> Decoded:
@@ -162,3 +167,16 @@ class Decoded:
 
 _KEYS = "u", "v", "modulation", "sigma"
 _OPTIONAL = "disagreement", "uncertain_order", "removed", "sigma_phase_error"
+
+
+def _write_npz(arrays: Mapping[str, NDArray[Any]], stream: BinaryIO) -> None:
+    """As `np.savez`, which copies everything once more."""
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                header = np.lib.format.header_data_from_array_1_0(values)  # type: ignore[no-untyped-call]
+                header["fortran_order"] = False
+                np.lib.format.write_array_header_1_0(member, header)  # type: ignore[no-untyped-call]
+                # In parts, because a map of an axis that is not coded is one value, seen as many.
+                for part in np.array_split(np.atleast_1d(values), max(1, values.nbytes // _PART_BYTES)):
+                    member.write(np.ascontiguousarray(part).reshape(-1).view(np.uint8).data)

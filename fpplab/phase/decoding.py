@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core import buffers
 from fpplab.core.conventions import AXES, Axis, Map, axis_length, full_scale
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, no_progress
@@ -21,12 +22,13 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.bounds import PossibleCoordinates, check_bounds, interval_of, widest
 from fpplab.phase.decoded import Decoded
 from fpplab.phase.error_model import ErrorModel, error_model_of
-from fpplab.phase.kernels import Maps, Recipe, decode_pixels
+from fpplab.phase.kernels import decode_pixels
 from fpplab.phase.order_vote import DOUBTFUL, vote_orders
 from fpplab.phase.outside import outside_share
 from fpplab.phase.precision import coordinate_spread
 from fpplab.phase.recipe import recipe_of
 from fpplab.phase.reference import AxisPhases, axis_phases, fuse, unwrap
+from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence, wavelength_sequence
 
 _BLOCK = 1 << 18
@@ -92,10 +94,9 @@ def _allocate(pixels: int, plan: Plan) -> Maps:
     along = {axis: pixels if axis in plan.axes else 0 for axis in AXES}
     doubt = {axis: n if plan.order_vote else 0 for axis, n in along.items()}
     sizes = (along["x"], along["y"], pixels, pixels, pixels, pixels, doubt["x"], doubt["y"])
-    u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v = (
-        np.empty(n, np.float32) for n in sizes
-    )
-    cause = np.zeros(pixels, np.uint8)
+    u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v = (buffers.empty(n) for n in sizes)
+    cause = buffers.empty(pixels, np.uint8)
+    cause[:] = 0
     return Maps(u, v, modulation, sigma, phase_error, disagreement, doubt_u, doubt_v, cause)
 
 

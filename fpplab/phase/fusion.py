@@ -50,7 +50,7 @@ def find_repeated(offset: Any, repeated: Any, recipe: Any, n: int) -> None:
         Mean level of the pixels, in 8-bit grey levels.
     repeated : ndarray of float32, (n,)
         Written: in 8-bit grey levels squared.
-    recipe : Recipe
+    recipe : fpplab.phase.tables.Recipe
         With the noise of the grey levels.
     n : int
         Number of pixels.

@@ -10,7 +10,7 @@ what is not measured becomes NaN at the very end. Phases are counted in turns.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fpplab.phase.chunks import CHUNK, HIGH, LOW, ROW, compiled
 from fpplab.phase.fusion import FUSION_ROWS, find_repeated, fuse_axis, weigh
 from fpplab.phase.saturation import fit_unsaturated
+from fpplab.phase.tables import Maps, Recipe
 from fpplab.phase.unwrapping import EDGE_SIGMAS
 from fpplab.phase.wrong_order import TO_EXPLAIN, settle_orders
 
@@ -70,162 +71,6 @@ def _arctangent() -> tuple[np.float32, ...]:
 _C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9 = _arctangent()
 
 
-class Recipe(NamedTuple):
-    """Everything that the compiled decoder needs to know about frames, plan, rules and noise.
-
-    F is the padded number of frames, S of fringe sets, R of synthetic wavelengths over both axes.
-
-    Attributes
-    ----------
-    addresses : ndarray of uintp, (F,)
-        Address of every frame's first pixel.
-    weights : ndarray of float32, (F, 3)
-        Weights of every frame for sine, cosine and mean, with the grey scale in them.
-    first : ndarray of int64, (S + 1,)
-        Where each set starts among the F frames.
-    origin : ndarray of float32, (S,)
-        Phase origin of each set, in turns.
-    coefficients : ndarray of float32, (R, S)
-        Integer combination of phases of each synthetic wavelength, x's before y's, coarse to fine.
-    stripes : ndarray of float32, (R,)
-        Stripes of each synthetic wavelength.
-    trust : ndarray of float32, (R,)
-        Weight of each wavelength's squared disagreement with the one before, see `WavelengthSequence.trust`.
-    wavelengths : ndarray of int64, (3,)
-        Where each axis starts among the R wavelengths.
-    finest : ndarray of int64, (2,)
-        The set that each axis is unwrapped to, -1 if none.
-    length : ndarray of float32, (2,)
-        Projector width and height in px.
-    axis : ndarray of int64, (S,)
-        Axis of each set, 0 or 1.
-    set_stripes : ndarray of float32, (S,)
-        Stripes of each set.
-    phase_noise : ndarray of float32, (S,)
-        Variance of each set's phase in turns squared, per unit of (u_I/B)².
-    low_u, high_u, low_v, high_v : ndarray of float32, (P,) or (0,)
-        Interval of possible positions of every pixel, as shares of the projector's length; empty for all.
-    alternatives : ndarray of int64, (3,)
-        Where each axis starts among the J shifts of `fpplab.phase.alternatives`.
-    shifts : ndarray of float32, (J,)
-        Shares of the projector's length.
-    shift_turns : ndarray of float32, (J, S)
-        What each shift changes the phase of each set by.
-    causes : ndarray of int64, (J,)
-        The set that tells most of each.
-    least_separation, edge_shift : ndarray of float64, (2,)
-        Of each axis, see `Alternatives`.
-    order_margin : ndarray of float64, (2,)
-        `edge_margin` as a share of each axis' length.
-    wrong_order_max : float
-        Greatest probability of a wrong order; infinite where orders stay as unwrapped.
-    reference : int
-        The set whose modulation is reported.
-    grey : float32
-        8-bit grey levels per raw unit.
-    full_scale : float32
-        Raw value from which on a sample is saturated.
-    modulation_min, contrast_min, residual_max, disagreement_max : float32
-        As in `MaskRules`, in 8-bit grey levels.
-    edge_margin : float32
-        How far beyond the projector's edge a coordinate may lie besides its noise, in px.
-    noise_constant, noise_per_level : float32
-        Variance of a grey level, `noise_constant + noise_per_level * level`, in 8-bit grey levels squared.
-    step : float32
-        Smallest difference of two levels, in 8-bit grey levels.
-    rounding_repeats : bool
-        Whether noise is so small at some level that rounding repeats.
-    images : ndarray of float32, (S,)
-        Number of images of each set.
-    error_constant, error_harmonic, error_rising : ndarray of float32, (S,)
-        Mean square phase error that is common to the pixels of a phase, `constant + rising (A/B)²` of offset
-        and modulation, where the variance of the phase for u_I = B is one; `error_harmonic` is the part of
-        the constant that is the response's. NaN where nothing tells it.
-    harmonics : ndarray of float32, (S, K)
-        Harmonics of the response from the second on, as shares of the fringe.
-    shift : ndarray of float32, (F, 2)
-        Cosine and sine of every frame's phase shift; both 0 for padding.
-    """
-
-    addresses: NDArray[np.uintp]
-    weights: NDArray[np.float32]
-    first: NDArray[np.int64]
-    origin: NDArray[np.float32]
-    coefficients: NDArray[np.float32]
-    stripes: NDArray[np.float32]
-    trust: NDArray[np.float32]
-    wavelengths: NDArray[np.int64]
-    finest: NDArray[np.int64]
-    length: NDArray[np.float32]
-    axis: NDArray[np.int64]
-    set_stripes: NDArray[np.float32]
-    phase_noise: NDArray[np.float32]
-    low_u: NDArray[np.float32]
-    high_u: NDArray[np.float32]
-    low_v: NDArray[np.float32]
-    high_v: NDArray[np.float32]
-    alternatives: NDArray[np.int64]
-    shifts: NDArray[np.float32]
-    shift_turns: NDArray[np.float32]
-    causes: NDArray[np.int64]
-    least_separation: NDArray[np.float64]
-    edge_shift: NDArray[np.float64]
-    order_margin: NDArray[np.float64]
-    wrong_order_max: float
-    reference: int
-    grey: np.float32
-    full_scale: np.float32
-    modulation_min: np.float32
-    contrast_min: np.float32
-    residual_max: np.float32
-    disagreement_max: np.float32
-    edge_margin: np.float32
-    noise_constant: np.float32
-    noise_per_level: np.float32
-    step: np.float32
-    rounding_repeats: bool
-    images: NDArray[np.float32]
-    error_constant: NDArray[np.float32]
-    error_harmonic: NDArray[np.float32]
-    error_rising: NDArray[np.float32]
-    harmonics: NDArray[np.float32]
-    shift: NDArray[np.float32]
-
-
-class Maps(NamedTuple):
-    """Flat float32 maps of the camera's P pixels that the compiled decoder fills.
-
-    An empty map of `u`, `v`, `doubt_u` or `doubt_v` is left out.
-
-    Attributes
-    ----------
-    u, v : ndarray of float32, (P,)
-        Projector coordinates in px, NaN where the pixel is not measured.
-    modulation : ndarray of float32, (P,)
-        Fringe amplitude B of the reference set, in 8-bit grey levels.
-    sigma : ndarray of float32, (P,)
-        Standard uncertainty of the coordinate of the first coded axis by noise, in px.
-    phase_error : ndarray of float32, (P,)
-        The same by errors that are common to the pixels of a phase.
-    disagreement : ndarray of float32, (P,)
-        Disagreement of the fringe sets: the root of χ² per degree of freedom.
-    doubt_u, doubt_v : ndarray of float32, (P,)
-        Greatest disagreement of the chosen hypothesis along each axis, in periods.
-    cause : ndarray of uint8, (P,)
-        1 + the index of the set whose noise left the order too uncertain, 0 elsewhere.
-    """
-
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    modulation: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    phase_error: NDArray[np.float32]
-    disagreement: NDArray[np.float32]
-    doubt_u: NDArray[np.float32]
-    doubt_v: NDArray[np.float32]
-    cause: NDArray[np.uint8]
-
-
 @intrinsic
 def _pointer(_typing: Any, address: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -255,6 +100,30 @@ def _add_four(a: Any, b: Any, c: Any, d: Any, weights: Any, sums: Any, n: int) -
         sums[i + _MEAN] += mx + my + mz + mw
         sums[i + _SQUARE] += mx * x + my * y + mz * z + mw * w
         sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w)
+
+
+@compiled
+def _add_eight(
+    a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, weights: Any, sums: Any, n: int
+) -> None:
+    """As `_add_four` twice, which reads and writes the sums twice."""
+    s0, s1, s2, s3 = weights[0, 0], weights[1, 0], weights[2, 0], weights[3, 0]
+    c0, c1, c2, c3 = weights[0, 1], weights[1, 1], weights[2, 1], weights[3, 1]
+    m0, m1, m2, m3 = weights[0, 2], weights[1, 2], weights[2, 2], weights[3, 2]
+    s4, s5, s6, s7 = weights[4, 0], weights[5, 0], weights[6, 0], weights[7, 0]
+    c4, c5, c6, c7 = weights[4, 1], weights[5, 1], weights[6, 1], weights[7, 1]
+    m4, m5, m6, m7 = weights[4, 2], weights[5, 2], weights[6, 2], weights[7, 2]
+    for j in range(n):
+        i = _u(j)
+        x, y, z, w = _f(a[i]), _f(b[i]), _f(c[i]), _f(d[i])
+        p, q, r, t = _f(e[i]), _f(f[i]), _f(g[i]), _f(h[i])
+        mx, my, mz, mw = m0 * x, m1 * y, m2 * z, m3 * w
+        mp, mq, mr, mt = m4 * p, m5 * q, m6 * r, m7 * t
+        sums[i] += (s0 * x + s1 * y + s2 * z + s3 * w) + (s4 * p + s5 * q + s6 * r + s7 * t)
+        sums[i + _COS] += (c0 * x + c1 * y + c2 * z + c3 * w) + (c4 * p + c5 * q + c6 * r + c7 * t)
+        sums[i + _MEAN] += (mx + my + mz + mw) + (mp + mq + mr + mt)
+        sums[i + _SQUARE] += (mx * x + my * y + mz * z + mw * w) + (mp * p + mq * q + mr * r + mt * t)
+        sums[i + _PEAK] = max(sums[i + _PEAK], x, y, z, w, p, q, r, t)
 
 
 @compiled
@@ -470,7 +339,40 @@ def _erase(out: Any, good: Any, n: int) -> None:
 
 
 @compiled
-def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> Any:
+def _add_frames(sums: Any, at: int, n: int, s: int, like: Any, recipe: Any) -> None:
+    """Add all frames of a set to the sums of a chunk: eight at a time, and four that are left."""
+    k, last = recipe.first[s], recipe.first[s + 1]
+    while k + 8 <= last:
+        frame = recipe.addresses[k : k + 8]
+        _add_eight(
+            _pixels(frame[0], at, n, like),
+            _pixels(frame[1], at, n, like),
+            _pixels(frame[2], at, n, like),
+            _pixels(frame[3], at, n, like),
+            _pixels(frame[4], at, n, like),
+            _pixels(frame[5], at, n, like),
+            _pixels(frame[6], at, n, like),
+            _pixels(frame[7], at, n, like),
+            recipe.weights[k : k + 8],
+            sums,
+            n,
+        )
+        k += 8
+    if k < last:
+        frame = recipe.addresses[k : k + 4]
+        _add_four(
+            _pixels(frame[0], at, n, like),
+            _pixels(frame[1], at, n, like),
+            _pixels(frame[2], at, n, like),
+            _pixels(frame[3], at, n, like),
+            recipe.weights[k : k + 4],
+            sums,
+            n,
+        )
+
+
+@compiled
+def decode_pixels(recipe: Recipe, like: Any, start: int, stop: int, maps: Maps) -> Any:
     """Fill the maps for a range of pixels.
 
     Releases the interpreter's lock, so that threads may share a frame's pixels.
@@ -515,17 +417,7 @@ def decode_pixels(recipe: Any, like: Any, start: int, stop: int, maps: Any) -> A
         disagreement[:] = _ZERO
         for s in range(sets):
             sums[: _SUM_ROWS * ROW] = _ZERO
-            for k in range(recipe.first[s], recipe.first[s + 1], 4):
-                frame = recipe.addresses[k : k + 4]
-                _add_four(
-                    _pixels(frame[0], at, n, like),
-                    _pixels(frame[1], at, n, like),
-                    _pixels(frame[2], at, n, like),
-                    _pixels(frame[3], at, n, like),
-                    recipe.weights[k : k + 4],
-                    sums,
-                    n,
-                )
+            _add_frames(sums, at, n, s, like, recipe)
             loss[:], bent[:] = _ONE, recipe.error_constant[s]
             if _saturated(sums, n, recipe.full_scale) > _ZERO:
                 _refit_saturated(sums, at, n, s, like, recipe, loss, bent)

@@ -12,7 +12,8 @@ from fpplab.patterns.recording import Recording
 from fpplab.phase.alternatives import alternatives_of
 from fpplab.phase.bounds import PossibleCoordinates
 from fpplab.phase.error_model import ErrorModel
-from fpplab.phase.kernels import GROUP, Recipe
+from fpplab.phase.kernels import GROUP
+from fpplab.phase.tables import Recipe
 from fpplab.phase.unwrapping import EDGE_MARGIN_PX, WavelengthSequence
 
 

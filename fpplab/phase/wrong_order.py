@@ -64,7 +64,7 @@ def settle_orders(
     ----------
     axis : int
         0 or 1.
-    recipe : Recipe
+    recipe : fpplab.phase.tables.Recipe
         With the shifts.
     rows : ndarray of float32
         Buffer of unwrapping: positions of the finest set, replaced where the order changes, and the interval

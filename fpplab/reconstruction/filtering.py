@@ -30,12 +30,16 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from fpplab.clouds import Cloud
-from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid, is_continuous
+from fpplab.clouds.continuity import is_continuous
+from fpplab.clouds.pixelgrid import PixelColumnsRows, PixelGrid
+from fpplab.clouds.selection import places_of
+from fpplab.core import buffers
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.phase import Decoded
 from fpplab.phase.precision import coordinate_spread
+from fpplab.reconstruction.regions import mark_small_regions
 
 REACH_PX = 3
 """Distance in px from an edge within which a surface reaches its full modulation: the width of the blur."""
@@ -89,27 +93,32 @@ def filtered(
     rules = plan.filter
     if rules is None:
         return decoded, cloud
-    grid, removed = cloud.grid(), np.zeros(decoded.u.shape, np.uint8)
+    grid, removed = cloud.grid(), buffers.empty(decoded.u.shape, np.uint8)
+    removed[:] = 0
     if plan.order_vote is None and decoded.disagreement is not None:
-        removed[decoded.disagreement > _greatest_disagreement(decoded, rules)] = Rule.CONTRADICTION
-        _erase(grid.index, grid.w, removed)
+        limit = np.float32(_greatest_disagreement(decoded, rules))
+        _contradictory(decoded.disagreement, limit, grid.w, removed)
     across, down = _links(grid)
+    phase_error = decoded.sigma_phase_error
     _half_lit(
-        *(grid.index, grid.a, grid.b, grid.w, grid.noise, across, down),
+        *(grid.a, grid.b, grid.w, grid.noise, across, down, decoded.modulation, decoded.sigma),
+        np.empty((0, 0), np.float32) if phase_error is None else phase_error,
         # Times sigma this is the noise of the finest phase, and that of its modulation as a share of it.
-        *(decoded.modulation, decoded.sigma_total, plan.finest.phase_per_px(projector_size)),
-        *(rules.light_min, removed),
+        *(plan.finest.phase_per_px(projector_size), rules.light_min, removed),
     )
-    _erase(grid.index, grid.w, removed)
-    _isolated(grid.index, across, down, np.empty(grid.count, np.int32), rules.patch_min, removed)
-    _erase(grid.index, grid.w, removed)
-    kept = np.zeros(grid.count, np.bool_)
-    kept[grid.index[grid.index >= 0]] = True
+    _erase(grid.w, removed)
+    mark_small_regions(grid.w, across, down, rules.patch_min, removed, Rule.ISOLATED)
+    _erase(grid.w, removed)
+    kept = buffers.empty(grid.count, np.bool_)
+    _keep(grid.index, grid.w, kept)
     if not kept.any():
         raise DataError(
             f"the plan's filter removes all {len(cloud)} points; look at the fringes, or leave 'filter' out"
         )
-    return replace(decoded, removed=removed), replace(cloud, normals=grid.normals()).only(kept)
+    remaining = cloud.only(kept)
+    _number(grid.index, grid.w, places_of(kept))
+    normals = replace(grid, count=len(remaining)).normals()
+    return replace(decoded, removed=removed), replace(remaining, normals=normals)
 
 
 def removal(decoded: Decoded) -> dict[str, int | float] | None:
@@ -151,7 +160,8 @@ def _phase_noise_per_px(plan: Plan, projector_size: tuple[int, int]) -> float:
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:
     """Tell whether each pixel sees one surface with the next in its row, and in its column."""
-    across, down = np.zeros(grid.index.shape, np.bool_), np.zeros(grid.index.shape, np.bool_)
+    across, down = (buffers.empty(grid.index.shape, np.bool_) for _ in range(2))
+    across[:, -1] = down[-1] = False
     _link(grid.a, grid.b, grid.w, grid.noise, across, down)
     return across, down
 
@@ -181,7 +191,6 @@ def _link(a: Map, b: Map, w: Map, noise: Map, across: Mask, down: Mask) -> None:
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _half_lit(
-    index: PixelColumnsRows,
     a: Map,
     b: Map,
     w: Map,
@@ -190,15 +199,16 @@ def _half_lit(
     down: Mask,
     modulation: Map,
     sigma: Map,
+    phase_error: Map,
     phase_per_px: float,
     light_min: float,
     removed: Removed,
 ) -> None:
     """Mark edge pixels of less modulation than their surface has; the image border is no edge."""
-    height, width = index.shape
+    height, width = w.shape
     for v in prange(height):
         for u in range(width):
-            if index[v, u] < 0:
+            if np.isnan(w[v, u]):
                 continue
             edge = u > 0 and not across[v, u - 1]
             edge |= u + 1 < width and not across[v, u]
@@ -212,53 +222,43 @@ def _half_lit(
                     if _joined(a, b, w, noise, v, u, y, x):
                         full = max(full, modulation[y, x])
             own = modulation[v, u]
-            noisy = SIGNIFICANT * own * sigma[v, u] * phase_per_px
+            total = np.hypot(sigma[v, u], phase_error[v, u]) if len(phase_error) > 0 else sigma[v, u]
+            noisy = SIGNIFICANT * own * total * phase_per_px
             if own < light_min * full and full - own > noisy:
                 removed[v, u] = Rule.HALF_LIT.value
 
 
-@njit(cache=True)
-def _root(parent: NDArray[np.int32], i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@njit(cache=True)
-def _isolated(
-    index: PixelColumnsRows, across: Mask, down: Mask, parent: NDArray[np.int32], least: int, removed: Removed
-) -> None:
-    """Mark connected regions of fewer than `least` pixels; `parent` is working memory (points,)."""
-    height, width = index.shape
-    for v in range(height):
-        for u in range(width):
-            i = index[v, u]
-            if i < 0:
-                continue
-            parent[i] = i
-            if u > 0 and across[v, u - 1] and index[v, u - 1] >= 0:
-                parent[i] = _root(parent, index[v, u - 1])
-            joined = v > 0 and down[v - 1, u] and index[v - 1, u] >= 0
-            # Usually both are in the same region already, and no root has to be searched.
-            if joined and parent[index[v - 1, u]] != parent[i]:
-                above, here = _root(parent, index[v - 1, u]), _root(parent, i)
-                parent[max(above, here)] = min(above, here)
-    sizes = np.zeros(len(parent), np.int32)
-    for v in range(height):
-        for u in range(width):
-            if index[v, u] >= 0:
-                sizes[_root(parent, index[v, u])] += 1
-    for v in range(height):
-        for u in range(width):
-            if index[v, u] >= 0 and sizes[_root(parent, index[v, u])] < least:
-                removed[v, u] = Rule.ISOLATED.value
+@njit(parallel=True, cache=True)
+def _contradictory(disagreement: Map, greatest: np.float32, w: Map, removed: Removed) -> None:
+    """Remove the pixels whose fringe sets disagree by more than the greatest disagreement."""
+    for v in prange(len(w)):
+        for u in range(w.shape[1]):
+            if disagreement[v, u] > greatest:
+                removed[v, u], w[v, u] = Rule.CONTRADICTION.value, np.nan
 
 
 @njit(parallel=True, cache=True)
-def _erase(index: PixelColumnsRows, w: Map, removed: Removed) -> None:
+def _erase(w: Map, removed: Removed) -> None:
     """Remove the marked pixels from the grid."""
-    for v in prange(len(index)):
-        for u in range(index.shape[1]):
+    for v in prange(len(w)):
+        for u in range(w.shape[1]):
             if removed[v, u] > 0:
-                index[v, u], w[v, u] = -1, np.nan
+                w[v, u] = np.nan
+
+
+@njit(parallel=True, cache=True)
+def _keep(index: PixelColumnsRows, w: Map, kept: Mask) -> None:
+    """Tell which points are still in the grid."""
+    for v in prange(len(w)):
+        for u in range(w.shape[1]):
+            if index[v, u] >= 0:
+                kept[index[v, u]] = not np.isnan(w[v, u])
+
+
+@njit(parallel=True, cache=True)
+def _number(index: PixelColumnsRows, w: Map, places: NDArray[np.int32]) -> None:
+    """Number the points that are still in the grid anew."""
+    for v in prange(len(w)):
+        for u in range(w.shape[1]):
+            if index[v, u] >= 0:
+                index[v, u] = -1 if np.isnan(w[v, u]) else places[index[v, u]]

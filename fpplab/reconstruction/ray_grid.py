@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from fpplab.core import buffers
 from fpplab.core.conventions import Floats
 
 NODES = (25, 19, 13)
@@ -91,7 +92,7 @@ class RayGrid:
         for axis, nodes in enumerate(NODES):
             finer = np.moveaxis(np.tensordot(_cubic_weights(nodes), finer, (1, axis)), 0, axis)
         per_step = FINER * (np.array(NODES) - 1) / (self.upper - self.lower)
-        found = np.empty((values.shape[1], len(points)), np.float32)
+        found = buffers.empty((values.shape[1], len(points)))
         _interpolate(
             np.ascontiguousarray(points), self.lower, per_step, np.ascontiguousarray(finer, np.float32), found
         )
@@ -111,7 +112,7 @@ def _cubic_weights(nodes: int) -> Floats:
     return weights
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract"})
+@njit(parallel=True, nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _interpolate(
     points: AnyPoints,
     lower: Floats,
@@ -143,3 +144,24 @@ def _bilinear(flat: Singles, at: int, per_y: int, per_z: int, y: float, z: float
     near = flat[at] + z * (flat[at + per_z] - flat[at])
     far = flat[at + per_y] + z * (flat[at + per_y + per_z] - flat[at + per_y])
     return float(near + y * (far - near))
+
+
+@njit(parallel=True, cache=True)
+def are_positive(values: Singles) -> bool:
+    """Tell whether all values are positive.
+
+    Parameters
+    ----------
+    values : ndarray of float32, (K, N)
+        Any numbers.
+
+    Returns
+    -------
+    bool
+        False where one is zero, negative or no number.
+    """
+    others = 0
+    for n in prange(values.shape[1]):
+        for k in range(values.shape[0]):
+            others += not (values[k, n] > 0)
+    return others == 0

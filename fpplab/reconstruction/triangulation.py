@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.clouds.pixelgrid import at_pixels
-from fpplab.core.conventions import Floats, Map
+from fpplab.clouds.selection import select
+from fpplab.core import buffers
+from fpplab.core.conventions import Floats, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.geometry import INVERSION_STEPS, PIXEL_TOLERANCE, Pinhole, distort
 
@@ -109,22 +111,27 @@ def triangulate(
             f"texture: {texture.shape[1]} x {texture.shape[0]} pixels, but the maps have {width} x {height}; "
             "take it from the same session"
         )
-    u, v, sigma = (np.ascontiguousarray(m, np.float32) for m in (decoded.u, decoded.v, decoded.sigma))
-    use_u, use_v = _any_finite(u), _any_finite(v)
+    use_u, use_v = any_known(decoded.u), any_known(decoded.v)
     if not (use_u or use_v):
         raise DataError("decoded maps: no pixel has a projector coordinate; look at exposure and modulation")
     slopes = camera_slopes(calibration.camera)
+    unknown, phase_error = np.empty((0, width), np.float32), decoded.sigma_phase_error
+    u, v = decoded.u if use_u else unknown, decoded.v if use_v else unknown
+    error = unknown if phase_error is None else phase_error
+    u, v, sigma, error = (np.ascontiguousarray(m, np.float32) for m in (u, v, decoded.sigma, error))
     counts = _count(u if use_u else v, v if use_v else u)
     total = int(counts.sum())
-    points, pixels = np.empty((total, 3), np.float32), np.empty((total, 2), np.int32)
-    sigma_mm, epipolar = np.empty(total, np.float32), np.empty(total, np.float32)
-    outputs = points, pixels, sigma_mm, epipolar
+    points, pixels = buffers.empty((total, 3)), buffers.empty((total, 2), np.int32)
+    sigma_mm = buffers.empty(total)
+    error_mm = buffers.empty(0 if phase_error is None else total)
+    epipolar = buffers.empty(total if use_u and use_v else 0)
     projector, pose = calibration.projector, calibration.T_projector_camera.matrix[:3].ravel()
     _solve(
         slopes,
         u,
         v,
         sigma,
+        error,
         use_u,
         use_v,
         float(decoded.v_per_u),
@@ -133,16 +140,23 @@ def triangulate(
         projector.size,
         projector.reach,
         np.cumsum(counts) - counts,
-        *outputs,
+        points,
+        pixels,
+        sigma_mm,
+        error_mm,
+        epipolar,
     )
-    solved = np.isfinite(points[:, 2])
+    solved = _are_solved(points)
     if not solved.any():
         raise DataError(
             "decoded maps: no pixel triangulates; check that the calibration is of this rig and that the "
             "fringes run across the baseline"
         )
     if not solved.all():
-        points, pixels, sigma_mm, epipolar = (values[solved] for values in outputs)
+        outputs = points, pixels, sigma_mm, error_mm, epipolar
+        points, pixels, sigma_mm, error_mm, epipolar = (
+            select([values], solved)[0] if len(values) else values for values in outputs
+        )
     cloud = Cloud(
         points=points,
         pixels=pixels,
@@ -150,17 +164,9 @@ def triangulate(
         colour=None if texture is None else at_pixels(np.asarray(texture, np.uint8), pixels),
         sigma_noise_mm=sigma_mm,
         epipolar_px=epipolar if use_u and use_v else None,
-        sigma_phase_error_mm=_phase_error_mm(decoded, pixels, sigma_mm),
+        sigma_phase_error_mm=None if phase_error is None else error_mm,
     )
     return replace(cloud, normals=cloud.grid().normals()) if normals else cloud
-
-
-def _phase_error_mm(decoded: DecodedMaps, pixels: NDArray[np.int32], sigma_mm: Map) -> Map | None:
-    """Propagate the common phase errors of the points along their rays, as their noise."""
-    if decoded.sigma_phase_error is None:
-        return None
-    share = at_pixels(decoded.sigma_phase_error, pixels) / at_pixels(decoded.sigma, pixels)
-    return np.asarray(sigma_mm * share, np.float32)
 
 
 def camera_slopes(camera: Pinhole) -> Floats:
@@ -258,12 +264,36 @@ def _invert(camera: Numbers, reach: float, slopes: Floats) -> None:
 
 
 @njit(cache=True)
-def _any_finite(values: Map) -> bool:
+def any_known(values: Map) -> bool:
+    """Tell whether a map has any value.
+
+    Parameters
+    ----------
+    values : ndarray of float32, (height, width)
+        The map.
+
+    Returns
+    -------
+    bool
+        Whether one is finite.
+    """
+    if (
+        values.strides[0] == 0 and values.strides[1] == 0
+    ):  # one value for all, as of an axis that is not coded
+        return bool(np.isfinite(values[0, 0]))
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
             if np.isfinite(values[row, column]):
                 return True
     return False
+
+
+@njit(parallel=True, cache=True)
+def _are_solved(points: Map) -> Mask:
+    solved = np.empty(len(points), np.bool_)
+    for i in prange(len(points)):
+        solved[i] = np.isfinite(points[i, 2])
+    return solved
 
 
 @njit(inline="always")
@@ -291,6 +321,7 @@ def _solve(
     coded_u: Map,
     coded_v: Map,
     sigma: Map,
+    phase_error: Map,
     use_u: bool,
     use_v: bool,
     v_per_u: float,
@@ -302,13 +333,14 @@ def _solve(
     points: Map,
     pixels: NDArray[np.int32],
     spread: Map,
+    common_spread: Map,
     epipolar: Map,
 ) -> None:
-    """Fill points, pixels, sigma along the ray in mm and epipolar distance in px, each row from its start.
+    """Fill points, pixels, both sigmas along the ray in mm and epipolar distance in px, row by row.
 
     A pixel with coordinates but without a solution has NaN for its point.
     """
-    height, width = coded_u.shape
+    height, width = sigma.shape
     fx, fy, cx, cy = projector[0], projector[1], projector[2], projector[3]
     lens, reach_squared = projector[4:], reach * reach
     per_fx, per_fy = 1.0 / fx, 1.0 / fy
@@ -359,6 +391,9 @@ def _solve(
                             pixels[at, 0], pixels[at, 1] = column, row
                             mm_per_px = np.sqrt((1.0 + a * a + b * b) * per_square)
                             spread[at] = sigma[row, column] * mm_per_px
+                            if len(common_spread) > 0:
+                                share = phase_error[row, column] / sigma[row, column]
+                                common_spread[at] = spread[at] * share
                             if use_u and use_v:
                                 iu, iv = ju, jv * v_per_u
                                 across = abs(iu * (v - pv) - iv * (u - pu))

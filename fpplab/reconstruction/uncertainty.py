@@ -36,8 +36,8 @@ from fpplab.core.conventions import Floats
 from fpplab.core.errors import CalibrationError
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.core.progress import Progress, no_progress
-from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid
-from fpplab.reconstruction.triangulation import DecodedMaps
+from fpplab.reconstruction.ray_grid import AnyPoints, RayGrid, are_positive
+from fpplab.reconstruction.triangulation import DecodedMaps, any_known
 
 BLOCK = 1 << 14
 """Points whose derivatives are in memory at a time: 12 MB."""
@@ -61,9 +61,9 @@ def coordinate_noise(decoded: DecodedMaps) -> CoordinateNoise:
     CoordinateNoise
         Of u and v; infinite for an axis that is not coded.
     """
-    if not np.isfinite(decoded.u).any():
+    if not any_known(decoded.u):
         return np.inf, 1.0
-    return 1.0, decoded.v_per_u if np.isfinite(decoded.v).any() else np.inf
+    return 1.0, decoded.v_per_u if any_known(decoded.v) else np.inf
 
 
 def with_uncertainty(
@@ -107,7 +107,8 @@ def with_uncertainty(
             progress(part.stop / len(points))
         return variances
 
-    whole, form = np.sqrt(_by_grid(cloud.points, exactly, progress)).astype(np.float32, copy=False)
+    variances = _by_grid(cloud.points, exactly, progress)
+    whole, form = np.sqrt(variances, out=variances).astype(np.float32, copy=False)
     return replace(cloud, sigma_calibration_mm=whole, sigma_form_mm=form)
 
 
@@ -120,8 +121,8 @@ def _by_grid(
         return exactly(points, progress)
     found = grid.interpolate(exactly(grid.points, lambda share: progress(0.9 * share)).T, points)
     # Outside, or so near to 0 that interpolation passes it.
-    left = np.flatnonzero(~((found[0] > 0) & (found[1] > 0)))
-    if len(left):
+    if not are_positive(found):
+        left = np.flatnonzero(~((found[0] > 0) & (found[1] > 0)))
         found[:, left] = exactly(points[left], no_progress)
     progress(1.0)
     return found

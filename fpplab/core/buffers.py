@@ -1,0 +1,93 @@
+"""Memory for large arrays that is used again once nobody holds them.
+
+The system hands out memory page by page and clears each page at its first use. For maps of millions of
+pixels that takes as long as computing them, and far longer on a virtual machine whose host takes free pages
+back. Arrays from `empty` are ordinary ones; when the last view of one is gone, its memory is kept for the
+next.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import weakref
+from collections import deque
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import DTypeLike, NDArray
+
+LEAST_BYTES = 1 << 22
+"""Smaller arrays come from the allocator, which reuses its memory itself."""
+MOST_KEPT_BYTES = min(3 << 30, psutil.virtual_memory().total // 6)
+"""Most memory that is kept while nobody uses it: what a measurement at twenty megapixels needs."""
+_MOST_WASTE = 2
+
+_Block = NDArray[np.uint8]
+_free: list[_Block] = []
+_returned: deque[_Block] = deque()
+_lock = threading.Lock()
+
+
+def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
+    """Give an array whose values are not set, as `np.empty` does.
+
+    Parameters
+    ----------
+    shape : int or tuple of int
+        Of the array.
+    dtype : dtype
+        Of its values.
+
+    Returns
+    -------
+    ndarray
+        Contiguous and writeable.
+    """
+    kind = np.dtype(dtype)
+    count = math.prod(shape) if isinstance(shape, tuple) else shape
+    size = count * kind.itemsize
+    if size < LEAST_BYTES:
+        return np.empty(shape, kind)
+    block = _kept(size)
+    if block is None:
+        block = np.empty(size, np.uint8)
+    # All views of the array hold `loan`, because its memory belongs to an object that is no array.
+    loan = np.frombuffer(block.data, np.uint8)
+    # Called in whatever thread drops the last view, and so it must not wait for a lock.
+    weakref.finalize(loan, _returned.append, block).atexit = False
+    return loan[:size].view(kind).reshape(shape)
+
+
+def release() -> None:
+    """Give all memory that nobody uses back to the system."""
+    with _lock:
+        _returned.clear()
+        _free.clear()
+
+
+def kept_bytes() -> int:
+    """Measure the memory that is kept while nobody uses it.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    with _lock:
+        return sum(block.nbytes for block in (*_free, *_returned))
+
+
+def _kept(size: int) -> _Block | None:
+    """The smallest block that is free and large enough, unless it is far too large."""
+    with _lock:
+        while _returned:
+            _free.append(_returned.popleft())
+        fitting = [block for block in _free if size <= block.nbytes <= _MOST_WASTE * size]
+        found = min(fitting, key=lambda block: block.nbytes, default=None)
+        kept = [block for block in _free if block is not found]
+        while sum(block.nbytes for block in kept) > MOST_KEPT_BYTES:
+            del kept[0]
+        _free[:] = kept
+        return found

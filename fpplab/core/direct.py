@@ -1,0 +1,114 @@
+"""Writing large files past the system's cache.
+
+What is written through the cache is copied into fresh pages first, and flushing it to disk waits for all of
+them.
+Where the file system allows it, large results go from one small buffer to the disk directly.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from contextlib import suppress
+from mmap import mmap
+from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+STAGED_BYTES = 1 << 22
+"""What is written at a time."""
+
+
+class DirectWriter(io.BufferedIOBase):
+    """A stream that writes a file from front to back.
+
+    Parameters
+    ----------
+    handle : int
+        Descriptor of the empty file; it stays open.
+    """
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+        self._staged = memoryview(mmap(-1, STAGED_BYTES))  # begins at a page, as the system demands
+        self._filled = self._before = 0
+        _set_direct(handle, True)
+
+    def writable(self) -> bool:
+        """Tell that it can be written.
+
+        Returns
+        -------
+        bool
+            True.
+        """
+        return True
+
+    def write(self, data: Any) -> int:
+        """Append bytes.
+
+        Parameters
+        ----------
+        data : bytes or contiguous buffer
+            What to write.
+
+        Returns
+        -------
+        int
+            How many bytes it has.
+
+        Raises
+        ------
+        OSError
+            The system refuses.
+        """
+        source, done = memoryview(data).cast("B"), 0
+        while done < len(source):
+            part = source[done : done + STAGED_BYTES - self._filled]
+            self._staged[self._filled : self._filled + len(part)] = part
+            self._filled += len(part)
+            done += len(part)
+            if self._filled == STAGED_BYTES:
+                self._empty_stage()
+        return len(source)
+
+    def tell(self) -> int:
+        """Give the number of bytes written so far.
+
+        Returns
+        -------
+        int
+            Bytes.
+        """
+        return self._before + self._filled
+
+    def finish(self) -> None:
+        """Write what is left, and wait until everything is on disk.
+
+        Raises
+        ------
+        OSError
+            The system refuses.
+        """
+        _set_direct(self._handle, False)  # which takes whole blocks only
+        self._empty_stage()
+        os.fsync(self._handle)
+
+    def _empty_stage(self) -> None:
+        left = self._staged[: self._filled]
+        while left:
+            left = left[os.write(self._handle, left) :]
+        self._before += self._filled
+        self._filled = 0
+
+
+def _set_direct(handle: int, wanted: bool) -> None:
+    """Switch the cache off or on, where the file system knows how; the file's content is the same."""
+    if fcntl is None or not hasattr(os, "O_DIRECT"):
+        return
+    flags = fcntl.fcntl(handle, fcntl.F_GETFL)
+    with suppress(OSError):
+        fcntl.fcntl(handle, fcntl.F_SETFL, flags | os.O_DIRECT if wanted else flags & ~os.O_DIRECT)
