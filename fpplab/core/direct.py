@@ -101,6 +101,8 @@ class DirectWriter(io.BufferedIOBase):
         left = self._staged[: self._filled]
         while left:
             left = left[os.write(self._handle, left) :]
+            if left:  # what is left does not begin at a block; without the cache the reason would be lost
+                _set_direct(self._handle, False)
         self._before += self._filled
         self._filled = 0
 
