@@ -216,7 +216,8 @@ def short_names(paths: Sequence[Path]) -> list[str]:
     ConfigError
         One is given twice.
     """
-    whole = [path.resolve() for path in paths]
+    # The cloud of a session is called as the session.
+    whole = [(path.parent if path.name == CLOUD else path).resolve() for path in paths]
     for path in whole:
         if whole.count(path) > 1:
             raise ConfigError(f"{path}: is given twice; name each scan once")

@@ -71,7 +71,7 @@ def test_the_page_marks_what_differs(tmp_path: Path) -> None:
 
 def test_names_are_as_short_as_they_may(tmp_path: Path) -> None:
     assert short_names([tmp_path / "a", tmp_path / "b"]) == ["a", "b"]
-    assert short_names([tmp_path / "a/cloud.ply", tmp_path / "b/cloud.ply"]) == ["a/cloud.ply", "b/cloud.ply"]
+    assert short_names([tmp_path / "a/cloud.ply", tmp_path / "b/cloud.ply"]) == ["a", "b"]
     with pytest.raises(ConfigError, match="given twice"):
         short_names([tmp_path / "a", tmp_path / "a"])
 
