@@ -43,6 +43,13 @@ FIRST_BLOCK = {"BaslerGigE": 1}
 """BlockID of the first frame after `arm`, by pylon's device class, where it is not 0."""
 NO_BLOCK_ID = (1 << 64) - 1
 """BlockID that pylon reports for a camera that does not count its frames."""
+USB_SPEEDS = {
+    "LowSpeed": "USB 1, 1.5 Mbit/s",
+    "FullSpeed": "USB 1, 12 Mbit/s",
+    "HighSpeed": "USB 2, 480 Mbit/s",
+    "SuperSpeed": "USB 3, 5 Gbit/s",
+}
+"""Descriptions of the speeds that a USB camera reports."""
 IN_USE = ("exclusively opened", "controlled by another application")
 """Phrases in pylon's error messages for a camera that another program has open, over USB and Ethernet."""
 
@@ -148,7 +155,9 @@ class BaslerCamera(Camera):
 
     def _info(self) -> DeviceInfo:
         info = self._camera.GetDeviceInfo()
-        return DeviceInfo("camera", info.GetModelName(), info.GetSerialNumber(), info.GetDeviceClass())
+        speed = USB_SPEEDS.get(str(self._features.read(named.USB_SPEED)))
+        link = ", ".join(filter(None, (info.GetDeviceClass(), speed)))
+        return DeviceInfo("camera", info.GetModelName(), info.GetSerialNumber(), link)
 
     def _caps(self) -> CameraCaps:
         return self._known

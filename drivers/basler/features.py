@@ -29,6 +29,7 @@ RESULTING_HZ: FeatureNames = (
     "BslResultingAcquisitionFrameRate",
     "ResultingFrameRateAbs",
 )
+USB_SPEED: FeatureNames = ("BslUSBSpeedMode",)
 TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
 TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
 TRIGGER_MODE: FeatureNames = ("TriggerMode",)

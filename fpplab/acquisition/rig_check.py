@@ -6,12 +6,20 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.device_check import (
+    device_finding,
+    disk_finding,
+    link_finding,
+    mains_finding,
+    with_mains,
+)
 from fpplab.acquisition.sync_check import (
     RUINOUS,
     UNCERTAIN,
@@ -23,7 +31,7 @@ from fpplab.acquisition.sync_check import (
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
-from fpplab.core.conventions import AXES, Image
+from fpplab.core.conventions import AXES, Image, raw_dtype
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
 from fpplab.core.progress import Progress
 from fpplab.devices.rig import Rig
@@ -35,6 +43,9 @@ from fpplab.phase import Decoded, decode
 from fpplab.reconstruction.depth_range import depth_bounds, first_stated
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.origin import SessionOrigin
+
+NEVER_SEEN = "the colour of the light, and which LED is off: a grey camera does not tell them"
+"""What no frame shows."""
 
 WITHOUT_CALIBRATION = "small_angle, wrong_axis, stale_calibration, undersampled: give --calibration"
 """What fringes alone do not show."""
@@ -97,7 +108,12 @@ def _or_none(level: float) -> float | None:
 
 
 def check_rig(
-    rig: Rig, plan: Plan, item: str, progress: Progress, calibration: Calibration | None = None
+    rig: Rig,
+    plan: Plan,
+    item: str,
+    progress: Progress,
+    calibration: Calibration | None = None,
+    folder: Path | None = None,
 ) -> RigCheck:
     """Open a rig, show it the marker and then fringes, and report what is wrong.
 
@@ -115,6 +131,8 @@ def check_rig(
         Called with the share that is done.
     calibration : Calibration, optional
         Of the rig; without it nothing is said about its geometry.
+    folder : Path, optional
+        Where sessions are to go; without it nothing is said about the disk.
 
     Returns
     -------
@@ -139,20 +157,41 @@ def check_rig(
                 rig.fixture.mount(item)
             marker_seen.at(rig, lambda share: progress(0.4 * share))
             fringes.at(rig, marker_seen.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
+            failed += _of_transport(rig, plan, folder)
     except DeviceError as error:
-        failed.append(_of_device(error))
+        failed.append(device_finding(error))
     progress(1.0)
     seen = fringes.diagnosis.findings if fringes.diagnosis else tuple(marker_seen.light)
     return RigCheck(
         shown=marker(),
         runs=tuple(marker_seen.runs),
         findings=_ranked([*failed, *_weighed(marker_seen.findings, seen), *seen]),
-        unknown=(*fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
+        unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         image=fringes.image,
         rig=described,
         origin=origin,
     )
+
+
+def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
+    """What frames of a dark projector do not tell."""
+    dark = {FaultCause.PROJECTOR_DARK, FaultCause.UNDEREXPOSED, FaultCause.MISSING_COLOUR}
+    return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
+
+
+def _of_transport(rig: Rig, plan: Plan, folder: Path | None) -> list[Finding]:
+    """Whether frames come and are written as fast as the plan takes them."""
+    settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
+    caps = rig.camera.caps
+    period_s = settings.exposure_s + caps.readout_s
+    width, height = caps.size
+    kind = raw_dtype(settings.bits)
+    found = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]
+    if folder is not None:
+        noise: Image = np.random.default_rng(0).integers(0, 256, (height, width), kind)
+        found.append(disk_finding(folder, plan, noise, settings, period_s))
+    return [one for one in found if one is not None]
 
 
 def _weighed(slips: Sequence[Finding], seen: Sequence[Finding]) -> list[Finding]:
@@ -193,7 +232,7 @@ class _FringeInspection:
     def at(self, rig: Rig, plan: Plan | None, progress: Progress) -> None:
         """Take the fringes of a plan, and further ones where the projector can show them."""
         if plan is None:
-            self.unknown.append("light, focus and geometry: the frames are out of step")
+            self.unknown.append("light, focus and geometry: the frames do not show their own patterns")
             return
         for wanted in _with_both_axes(plan) if self._calibration else (plan,):
             try:
@@ -203,6 +242,9 @@ class _FringeInspection:
                 continue
             self.image = recording.mean_image()
             self.diagnosis = self._judged(recording, rig)
+            if any(one.cause in (FaultCause.FLICKER, FaultCause.BANDS) for one in self.diagnosis.findings):
+                findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
+                self.diagnosis = replace(self.diagnosis, findings=findings)
             return
         self.unknown.append(f"light, focus and geometry: {missing.found}; {missing.remedy}")
 
@@ -266,8 +308,3 @@ def _decoded_alone(recording: Recording) -> Decoded | None:
         return decode(recording)
     except ConfigError:
         return None
-
-
-def _of_device(error: DeviceError) -> Finding:
-    seen = f"{error.device}: {error.operation}: {error.found} ({type(error).__name__})"
-    return Finding(FaultCause.DEVICE, seen, RUINOUS, error.remedy)

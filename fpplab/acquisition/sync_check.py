@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from fpplab.core.progress import Progress
 from fpplab.devices import State
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis.brightness import COLOURS, colour_finding
 from fpplab.patterns.fringes import uniform_patterns
 from fpplab.patterns.plan import Plan
 
@@ -189,6 +190,9 @@ class MarkerInspection:
         self.light = _of_light(run)
         if run.rise < LEAST_RISE:
             return
+        if (colour := _missing_colour(shown, run.levels)) is not None:
+            self.light = [colour]
+            return
         if (slipped := matching_faults(shown, run.levels)) != ():
             again = matching_faults(shown, _run(rig, stepped, shown).levels)
             self.settle_s = _settling(rig, stepped, shown)
@@ -206,6 +210,8 @@ class MarkerInspection:
     @property
     def fringe_plan(self) -> Plan | None:
         """The plan as it is in step: triggered, or stepped and slowly enough; None where neither is."""
+        if any(finding.cause is FaultCause.MISSING_COLOUR for finding in self.light):
+            return None
         known = [one for one in self._of_stepped if one.excess > UNCERTAIN]
         if any(finding.cause is FaultCause.OUT_OF_STEP for finding in known):
             return None
@@ -238,6 +244,24 @@ class MarkerInspection:
         timing = _timing(rig, plan, shown, gap_s)
         dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
         return [_not_ready(run, gap_s, dead_s)]
+
+
+def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
+    """A third of the frames darker than the curve by which the others rise with the grey levels."""
+    if not np.isfinite(levels).all() or _departure(shown, levels, range(len(shown))) <= MOST_DEPARTURE:
+        return None
+    places = np.arange(len(shown))
+    for colour in range(COLOURS):
+        others = places % COLOURS != colour
+        if _departure(shown[others], levels[others], range(int(others.sum()))) > MOST_DEPARTURE:
+            continue
+        order = np.argsort(shown[others])
+        wanted = np.interp(shown, shown[others][order], levels[others][order])
+        dark = float(levels.min())
+        relative = (levels - dark + 0.1 * np.ptp(levels)) / (wanted - dark + 0.1 * np.ptp(levels))
+        if (found := colour_finding(np.where(others, 1.0, relative), places)) is not None:
+            return replace(found, excess=RUINOUS)
+    return None
 
 
 def recover_camera(rig: Rig) -> None:

@@ -60,6 +60,26 @@ class FaultCause(StrEnum):
     """A pose fits far worse than the others."""
     UNDERSAMPLED = "undersampled"
     """The finest stripes are too narrow for the camera's pixels."""
+    HARMONICS = "harmonics"
+    """The fringes are bent as no power law bends them."""
+    INTERREFLECTION = "interreflection"
+    """Parts of the scene light each other."""
+    WRONG_RESOLUTION = "wrong_resolution"
+    """The picture is scaled before it is shown, or the lattice of mirrors is another."""
+    MISSING_COLOUR = "missing_colour"
+    """Every third image is dark: one colour of the images that carry three patterns."""
+    BANDS = "bands"
+    """The brightness of rows differs from frame to frame."""
+    MAINS_FLICKER = "mains_flicker"
+    """The light follows the mains."""
+    LENS_NOT_LOCKED = "lens_not_locked"
+    """The image's scale differs between the poses of a characterisation."""
+    SLOW_LINK = "slow_link"
+    """The camera's connection carries fewer frames than the plan takes."""
+    NO_PERMISSION = "no_permission"
+    """The user may not open a device."""
+    SLOW_DISK = "slow_disk"
+    """Frames come faster than they are written."""
 
 
 REMEDIES = {
@@ -71,7 +91,8 @@ REMEDIES = {
     FaultCause.CAMERA_NOT_READY: "state a longer `dead_time_s` in the rig file's section of the camera",
     FaultCause.SLOW_DISPLAY: "give the plan a longer settle_s",
     FaultCause.OUT_OF_STEP: "check the trigger, or give the plan a longer settle_s",
-    FaultCause.PROJECTOR_DARK: "switch the lamp on and take off the lens cap; try 'fpplab check'",
+    FaultCause.PROJECTOR_DARK: "switch the lamp and its LEDs on, and take off the lens cap; try "
+    "'fpplab check'",
     FaultCause.NO_OVERLAP: "turn camera and projector to the same place, at the distance of the part",
     FaultCause.STALE_CALIBRATION: "characterise the rig again; something was moved, refocused or exchanged",
     FaultCause.WRONG_PLAN: "mend the plan; 'fpplab plan guess' writes one for images of another program",
@@ -97,6 +118,23 @@ REMEDIES = {
     FaultCause.POSE_MISFIT: "take the pose again; keep the board flat, and camera, projector and lenses as "
     "they are",
     FaultCause.UNDERSAMPLED: "use a plan with fewer stripes, less binning, or go nearer",
+    FaultCause.HARMONICS: "switch off the projector's picture enhancement and tone curves, or use a plan of "
+    "five steps or more; 'fpplab gamma' fits a power law, which does not mend this",
+    FaultCause.INTERREFLECTION: "coat or turn the part so that its faces do not light each other, cover what "
+    "stands beside it, or use a plan of many fine stripes alone",
+    FaultCause.WRONG_RESOLUTION: "set the display to the projector's native resolution, without scaling, "
+    "keystone or overscan, and state the projector's lattice as it is",
+    FaultCause.MISSING_COLOUR: "see to the LED, the cable and the colour channel of every third image; send "
+    "images of 24 bits",
+    FaultCause.BANDS: "use a camera with a global shutter or a global reset, or expose for whole periods of "
+    "the lamp and of the projector's sequence",
+    FaultCause.MAINS_FLICKER: "expose for whole periods of the light, or run the lamp from direct current",
+    FaultCause.LENS_NOT_LOCKED: "lock focus and aperture of both lenses, let them warm up, and take all "
+    "poses anew",
+    FaultCause.SLOW_LINK: "use a USB 3 port and cable, fewer bits, or a longer period between frames",
+    FaultCause.NO_PERMISSION: "copy the udev rules of docs/hardware.md, join the group that they name, and "
+    "plug the device in again",
+    FaultCause.SLOW_DISK: "write to a local disk, or take fewer frames per second",
 }
 """What to do, by cause."""
 
@@ -115,12 +153,15 @@ class Finding:
         Measured value over its limit, 1 or more, by which findings are ranked.
     advice : str, optional
         What to do in this very case; by default what the catalogue says.
+    factor : float, optional
+        By which to multiply the plan's exposure, where that is the remedy or goes with it.
     """
 
     cause: FaultCause
     evidence: str
     excess: float
     advice: str | None = None
+    factor: float | None = None
 
     @property
     def sentence(self) -> str:
@@ -130,7 +171,8 @@ class Finding:
     @property
     def remedy(self) -> str:
         """What to do."""
-        return self.advice or REMEDIES[self.cause]
+        words = self.advice or REMEDIES[self.cause]
+        return f"{words}; multiply exposure_s by {self.factor:.2g}" if self.factor else words
 
     def summary(self) -> dict[str, str]:
         """Collect what is printed.

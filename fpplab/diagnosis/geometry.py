@@ -10,7 +10,7 @@ import numpy as np
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
-from fpplab.core.conventions import Floats, axis_length
+from fpplab.core.conventions import Floats, Lattice, axis_length
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.patterns.plan import Plan
 
@@ -25,6 +25,12 @@ MOST_EPIPOLAR_PX = 0.3
 
 LEAST_PX_PER_STRIPE = 4.0
 """Camera pixels that a stripe should cover."""
+
+ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
+"""Distance of columns beside that of rows, by lattice."""
+
+MOST_STRETCHED = 0.05
+"""Greatest share by which a projector's picture may be stretched."""
 
 POINTS, NEIGHBOURS = 4000, 64
 """How many points are evaluated, and over how many neighbours epipolar distances are averaged."""
@@ -103,7 +109,24 @@ def geometry_findings(sample: PointSample, plan: Plan) -> Iterator[Finding]:
             f"{MOST_EPIPOLAR_PX:g})"
         )
         yield Finding(FaultCause.STALE_CALIBRATION, words, off / MOST_EPIPOLAR_PX)
+    if (stretched := _aspect(sample.calibration)) is not None:
+        yield stretched
     yield from _sampling(sample, plan)
+
+
+def _aspect(calibration: Calibration) -> Finding | None:
+    """A projector whose focal lengths do not belong to the lattice of mirrors that is stated."""
+    matrix, lattice = calibration.projector.matrix, calibration.projector.lattice
+    aspect, wanted = float(matrix[1, 1] / matrix[0, 0]), ASPECTS[lattice]
+    off = abs(aspect / wanted - 1.0)
+    if off <= MOST_STRETCHED:
+        return None
+    words = (
+        f"by the calibration a column of the projector's picture is {aspect:.2f} times as wide as a row is "
+        f"high, but {wanted:g} times with the lattice '{lattice.value}' (at most {100 * MOST_STRETCHED:g} % "
+        "off)"
+    )
+    return Finding(FaultCause.WRONG_RESOLUTION, words, off / MOST_STRETCHED)
 
 
 def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:

@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length
+from fpplab.core.conventions import Axis, Floats, axis_length
+from fpplab.diagnosis.brightness import band_finding, missing_colour
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
 
-DARK_SIGMAS = 10.0
+DARK_SIGMAS = 15.0
 """Fringes weaker than so many times their noise are none."""
 
 LEAST_COHERENCE = 0.15
@@ -32,6 +34,9 @@ MOST_SATURATED = 0.05
 
 LEAST_PEAK = 0.07
 """Least share of full scale that the brightest lit pixels should reach."""
+
+BEST_PEAK = 0.9
+"""Share of full scale that the brightest lit pixels reach at the best exposure."""
 
 MOST_AMBIENT = 1.0
 """Greatest share of other light, of the fringes' modulation: noise of photons grows by the root of both."""
@@ -57,11 +62,11 @@ EDGE_CONTRAST = 0.25
 LEAST_HARMONIC_RAD = 0.03
 """Phase error by the response that is worth telling, in rad RMS."""
 
+MUCH_BENT = 2.0
+"""Phase error by harmonics that a power law cannot explain, beside that which it does."""
+
 MOST_HARMONICS = 0.15
 """Harmonics as a share of the fringes beyond which pixels are masked as no sinusoids, or soon will be."""
-
-LEAST_RIPPLED, MOST_UNEVEN = 500, 0.3
-"""Fewest pixels that tell a ripple, and how unevenly they may be spread over its period."""
 
 MOST_FLICKER = 0.015
 """Scatter of the frames' brightness that is told."""
@@ -99,16 +104,35 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     if darkness is not None:
         yield darkness
         return
-    for measure in (_saturation, _exposure, _ambient, _response):
-        finding = measure(sample)
-        if finding is not None:
-            yield finding
-    motion, flicker = _motion(sample), _flicker(sample)
-    if motion is not None:
-        yield motion
-    if flicker is not None:
-        # Edges that move change the brightness of frames as well.
-        yield flicker if motion is None else replace(flicker, excess=min(flicker.excess, 0.9 * motion.excess))
+    colour = missing_colour(sample)
+    if colour is not None:
+        yield colour
+        return  # the other figures take equal frames for granted
+    found = [one(sample) for one in (_saturation, _exposure, _ambient, _response)]
+    motion, bands, flicker = _motion(sample), band_finding(sample), _flicker(sample)
+    yield from (one for one in (*found, motion) if one is not None)
+    # Edges that move change the brightness of frames as well, and bands that of whole frames.
+    bent = max((one for one in found if one is not None), key=lambda one: one.excess, default=None)
+    bands = _behind(_behind(bands, motion), bent)
+    if bands is not None and flicker is not None and bands.excess < 1.5 * flicker.excess:
+        bands = _behind(bands, flicker)  # gains of whole frames leave some of themselves in the rows
+    else:
+        flicker = _behind(flicker, bands)
+    flicker = _behind(flicker, motion)
+    yield from (one for one in (bands, flicker) if one is not None)
+    explained = {FaultCause.FLICKER, FaultCause.BANDS, FaultCause.RESPONSE, FaultCause.HARMONICS}
+    explained |= {FaultCause.SATURATED, FaultCause.VIBRATION}
+    others = [one for one in (*found, motion, bands, flicker) if one is not None and one.cause in explained]
+    worst = max(others, key=lambda one: one.excess, default=None)
+    stray = stray_light(sample, float(sample.errors.sets[sample.recording.plan.finest_set()].harmonic_rad))
+    yield from (one for one in (_behind(stray, worst), _behind(moire(sample), worst)) if one is not None)
+
+
+def _behind(finding: Finding | None, other: Finding | None) -> Finding | None:
+    """Rank a finding behind another that may have caused it."""
+    if finding is None or other is None:
+        return finding
+    return replace(finding, excess=min(finding.excess, 0.9 * other.excess))
 
 
 def _darkness(sample: FrameSample) -> Finding | None:
@@ -136,7 +160,8 @@ def _saturation(sample: FrameSample) -> Finding | None:
     if share <= MOST_SATURATED:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
-    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED)
+    # How far beyond full scale they would be is not seen; the share tells it roughly.
+    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.5 if share > 0.4 else 0.85)
 
 
 def _exposure(sample: FrameSample) -> Finding | None:
@@ -144,7 +169,10 @@ def _exposure(sample: FrameSample) -> Finding | None:
     if peak >= LEAST_PEAK:
         return None
     words = f"the brightest parts reach {100 * peak:.1f} % of full scale (at least {100 * LEAST_PEAK:g} %)"
-    return Finding(FaultCause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3))
+    # Without black level and the noise of single frames, which peaks contain.
+    fringes = 2.0 * float(np.percentile(sample.widest.modulation[sample.lit], 98)) / 255.0
+    factor = BEST_PEAK / max(fringes, 1e-3)
+    return Finding(FaultCause.UNDEREXPOSED, words, LEAST_PEAK / max(peak, 1e-3), factor=factor)
 
 
 def _ambient(sample: FrameSample) -> Finding | None:
@@ -160,7 +188,11 @@ def _ambient(sample: FrameSample) -> Finding | None:
         f"{fringes:.0f}; noise is {math.sqrt(1.0 + other / fringes):.1f} times as large as without (at most "
         f"{math.sqrt(1.0 + MOST_AMBIENT):.1f})"
     )
-    return Finding(FaultCause.AMBIENT, words, other / fringes / MOST_AMBIENT)
+    # Without it they reach twice their modulation, and may be exposed for longer.
+    peak = 2.0 * float(np.percentile(fit.modulation[sample.measured], 98)) / 255.0
+    return Finding(
+        FaultCause.AMBIENT, words, other / fringes / MOST_AMBIENT, factor=max(BEST_PEAK / peak, 1.0)
+    )
 
 
 def _response(sample: FrameSample) -> Finding | None:
@@ -175,33 +207,13 @@ def _response(sample: FrameSample) -> Finding | None:
             f"{100 * MOST_HARMONICS:g} %)"
         )
         return Finding(FaultCause.RESPONSE, words, max(of_waves) / MOST_HARMONICS)
-    rad = float(np.nanmax([0.0, errors.harmonic_rad, *_ripples(sample)]))
+    by_power_law, seen = float(np.nan_to_num(errors.harmonic_rad)), max(ripples(sample), default=0.0)
+    # Three images do not tell a second harmonic, as of a power law, from others.
+    if plan.fringes[plan.finest_set()].images > 3 and seen > MUCH_BENT * by_power_law:
+        what = f"harmonics that no power law explains ({by_power_law:.3f} rad)"
+        return _phase_error(sample, FaultCause.HARMONICS, seen, LEAST_HARMONIC_RAD, what)
+    rad = max(by_power_law, seen)
     return _phase_error(sample, FaultCause.RESPONSE, rad, LEAST_HARMONIC_RAD, "harmonics of the response")
-
-
-def _ripples(sample: FrameSample) -> Iterator[float]:
-    """Phase error in rad RMS, N times in a period, of wider sets of as many images N as the finest.
-
-    Three images show no harmonics by themselves; the coordinate, in which the finest set has most weight,
-    tells which phase each wider set should have.
-    """
-    recording = sample.recording
-    for k, fringe in enumerate(recording.plan.fringes):
-        finest = recording.plan.fringes[recording.plan.finest_set(fringe.axis)]
-        known = sample.coordinates.get(fringe.axis)
-        if known is None or fringe.images != finest.images or fringe.stripes > 0.5 * finest.stripes:
-            continue
-        size = axis_length(recording.projector_size, fringe.axis)
-        position = (known[:: sample.step, :: sample.step].astype(np.float64) + 0.5) / size
-        used = sample.measured & np.isfinite(position)
-        if used.sum() < LEAST_RIPPLED:
-            continue
-        expected = TWO_PI * fringe.stripes * position[used]
-        off = np.exp(1j * (sample.fits[k].phase[used] - expected))
-        off = np.angle(off * np.conj(off.mean()))
-        wave = np.exp(1j * fringe.images * expected)
-        if np.abs(wave.mean()) < MOST_UNEVEN:
-            yield float(math.sqrt(2.0) * np.abs(np.mean((off - off.mean()) * wave)))
 
 
 def _flicker(sample: FrameSample) -> Finding | None:

@@ -27,6 +27,8 @@ LEAST_CHANGE = 0.1
 """Least typical change of a coordinate along the image, as a share of that on a surface at constant depth."""
 DISTANCE_BASELINES = 3.0
 """Distance in baselines of the surface on which the change is computed; it hardly depends on it."""
+CLEARLY_BETTER = 0.25
+"""Share of the disagreement that a better plan leaves where the response is bent."""
 RUINOUS = 1e3
 """Excess of a plan that is wrong: every other finding follows from it."""
 
@@ -38,6 +40,7 @@ def plan_finding(
     cloud: Cloud | None,
     calibration: Calibration,
     flickers: bool,
+    bent: bool = False,
 ) -> list[Finding]:
     """Find a plan that is not that of the images.
 
@@ -58,6 +61,8 @@ def plan_finding(
         That they were triangulated with.
     flickers : bool
         Whether the light is known to flicker, which shifts the phase of whole sets as other origins would.
+    bent : bool
+        Whether the fringes are known to be no sinusoids, so that sets of a right plan disagree too.
 
     Returns
     -------
@@ -69,6 +74,8 @@ def plan_finding(
         return []
     found = check_plan_fit(recording)
     if flickers and found is not None and _moves_origins_alone(found.better, recording.plan):
+        return []
+    if bent and found is not None and found.better_disagreement > CLEARLY_BETTER * found.disagreement:
         return []
     if found is not None and found.fault is not None:
         return [Finding(FaultCause.WRONG_PLAN, found.fault, RUINOUS)]

@@ -24,6 +24,20 @@ USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
+NOT_STALE = frozenset(
+    {
+        FaultCause.WRONG_PLAN,
+        FaultCause.CAMERA_FOCUS,
+        FaultCause.VIBRATION,
+        FaultCause.MISSING_COLOUR,
+        FaultCause.SATURATED,
+        FaultCause.WRONG_RESOLUTION,
+        FaultCause.RESPONSE,
+        FaultCause.FLICKER,
+    }
+)
+"""Causes that put points off their epipolar lines although the calibration is the rig's."""
+
 USELESS_EXCESS = {FaultCause.STALE_CALIBRATION: 10.0, FaultCause.WRONG_PLAN: 1.0}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
@@ -172,24 +186,32 @@ def diagnose_scan(
     points = PointSample(cloud, calibration) if cloud is not None else None
     scale = float(points.projector_px_per_px["xy".index(plan.axes[0])]) if points else None
     of_frames = _of_frames(sample, scale)
-    flickers = any(finding.cause is FaultCause.FLICKER for finding in of_frames)
-    wrong = plan_finding(recording, decoded, sample, cloud, calibration, flickers)
+    seen = {finding.cause for finding in of_frames}
+    flickers = FaultCause.FLICKER in seen
+    bent = bool(seen & {FaultCause.RESPONSE, FaultCause.HARMONICS})
+    wrong = (
+        []
+        if FaultCause.MISSING_COLOUR in seen
+        else plan_finding(recording, decoded, sample, cloud, calibration, flickers, bent)
+    )
     if cloud is None or points is None:
         return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *of_frames]))
-    findings = _ranked(_without_blur([*wrong, *of_frames, *geometry_findings(points, plan)]))
+    everything = _without_blur([*wrong, *of_frames, *geometry_findings(points, plan)])
+    findings = _ranked(_of_another_rig_first(everything))
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     return _judged(sample, cloud, findings, unknown)
 
 
 def _without_blur(findings: list[Finding]) -> list[Finding]:
-    """Rank a calibration slightly off behind a camera out of focus, which shifts points beside edges."""
-    blur = [one.excess for one in findings if one.cause is FaultCause.CAMERA_FOCUS]
-    if not blur:
+    """Rank a calibration slightly off behind what shifts points: a camera out of focus, a scaled picture."""
+    shifting = {FaultCause.CAMERA_FOCUS, FaultCause.WRONG_RESOLUTION}
+    others = [one.excess for one in findings if one.cause in shifting]
+    if not others:
         return findings
     ruinous = USELESS_EXCESS[FaultCause.STALE_CALIBRATION]
     return [
-        replace(one, excess=min(one.excess, 0.9 * blur[0]))
+        replace(one, excess=min(one.excess, 0.9 * max(others)))
         if one.cause is FaultCause.STALE_CALIBRATION and one.excess < ruinous
         else one
         for one in findings
@@ -202,7 +224,10 @@ def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:
 
 
 def diagnose_poses(
-    recordings: Iterable[tuple[str, Recording]], warnings: Sequence[str], left_out: Mapping[str, str]
+    recordings: Iterable[tuple[str, Recording]],
+    warnings: Sequence[str],
+    left_out: Mapping[str, str],
+    of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
     """Judge a characterisation by the frames of its poses, and by what the fit said.
 
@@ -214,6 +239,8 @@ def diagnose_poses(
         Of the fit.
     left_out : mapping of str to str
         Why poses could not be used, by name.
+    of_fit : sequence of Finding
+        What the fit of the poses shows.
 
     Returns
     -------
@@ -226,7 +253,7 @@ def diagnose_poses(
         poses += 1
         for finding in diagnose_frames(recording):
             found.setdefault(finding.cause, []).append((name, finding))
-    findings = _ranked([_worst(seen, poses) for seen in found.values()])
+    findings = _ranked([*of_fit, *(_worst(seen, poses) for seen in found.values())])
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
     said = [*warnings, *left_out.values()]
@@ -270,3 +297,14 @@ def _of_frames(sample: FrameSample, scale: float | None) -> list[Finding]:
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: -finding.excess))
+
+
+def _of_another_rig_first(findings: list[Finding]) -> list[Finding]:
+    """Rank a calibration that is not the rig's first, unless its evidence may come of something else."""
+    if any(one.cause in NOT_STALE for one in findings):
+        return findings
+    most = max((one.excess for one in findings), default=0.0)
+    return [
+        replace(one, excess=max(one.excess, 1.1 * most)) if one.cause is FaultCause.STALE_CALIBRATION else one
+        for one in findings
+    ]

@@ -493,3 +493,9 @@ def test_a_camera_that_cannot_say_when_it_is_ready_is_not_triggered(made: Make) 
 def test_wrong_options_are_refused(options: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         BaslerCamera("camera", options)
+
+
+def test_a_camera_that_states_its_speed_has_it_in_its_link(made: Make) -> None:
+    slow = choice("BslUSBSpeedMode", "HighSpeed", "SuperSpeed")
+    assert made(but(BslUSBSpeedMode=slow)).info().link.endswith("USB 2, 480 Mbit/s")
+    assert "bit/s" not in made(NodeCamera(ACE)).info().link

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from fpplab.calibration.model import Calibration
@@ -49,6 +50,20 @@ class Bench:
     seed: int = 0
     window: float = 1.0
     """Share of the projector's width and height that reaches what the camera sees."""
+    third: float = 0.0
+    """Third harmonic of the display, as a share of a fringe."""
+    scale: float = 1.0
+    """By which the picture is made smaller and larger again before it is shown."""
+    bounce: float = 0.0
+    """Share of light that comes mirrored from the other half of the scene."""
+    bounce_blur_px: float = 2.0
+    dark_colour: tuple[int, float] = (0, 1.0)
+    """Which of three colours is weak, and its share of the others' light."""
+    bands: float = 0.0
+    """Amplitude of the rows' brightness, with another phase in each frame."""
+    mains_hz: float = 0.0
+    """Frequency of a lamp whose light changes by `mains`."""
+    mains: float = 0.0
 
     @property
     def calibration(self) -> Calibration:
@@ -60,10 +75,13 @@ class Bench:
         random = np.random.default_rng(self.seed)
         settings = CameraSettings(0.02, 0.0, self.bits)
         size = self.parameters.calibration.projector.size
-        patterns = [self.reaching(one) for one in make_patterns(self.plan, size, Lattice.SQUARE)]
+        shown = [self.reaching(one) for one in make_patterns(self.plan, size, Lattice.SQUARE)]
+        patterns = [self.coloured(one, k) for k, one in enumerate(shown)]
         twin = PlaneTwin(self.parameters)
         still = twin.expected(0, patterns, settings)
-        seen = still * (1 + self.flicker * random.standard_normal((len(still), 1, 1)))
+        gains = 1 + self.flicker * random.standard_normal((len(still), 1, 1))
+        gains = gains * np.stack([self.of_rows(still.shape[1], random) for _ in still])
+        seen = self.with_bounce(still) * gains
         if self.vibration_mm:
             place = self.parameters.poses[0]
             for axis in np.eye(3):
@@ -75,8 +93,39 @@ class Bench:
         return Recording(frames, self.plan, size, self.bits, "bench")
 
     def reaching(self, pattern: Pattern) -> Pattern:
-        """What of a pattern reaches what the camera sees."""
-        return _windowed(pattern, self.window)
+        """What of a pattern reaches what the camera sees, as the display shows it."""
+        image = pattern.image
+        if self.scale != 1.0:
+            there = [round(self.scale * n) for n in image.shape[::-1]]
+            small = cv2.resize(image, there, interpolation=cv2.INTER_NEAREST)
+            image = cv2.resize(small, image.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        if self.third:
+            wave = image / 127.5 - 1.0
+            bent = wave + self.third * (4 * wave**3 - 3 * wave)
+            image = np.rint(127.5 * (bent.clip(-1, 1) + 1.0)).astype(np.uint8)
+        return _windowed(replace(pattern, image=image), self.window)
+
+    def coloured(self, pattern: Pattern, index: int) -> Pattern:
+        """The pattern in the colour of its place."""
+        colour, share = self.dark_colour
+        if index % 3 != colour or share == 1.0:
+            return pattern
+        return replace(pattern, image=np.rint(share * pattern.image).astype(np.uint8))
+
+    def with_bounce(self, still: Floats) -> Floats:
+        """Frames (K, rows, columns) with light that faces of a valley send each other."""
+        if not self.bounce:
+            return still
+        mirrored = np.ascontiguousarray(still[:, :, ::-1], np.float32)
+        other = [cv2.GaussianBlur(one, (0, 0), self.bounce_blur_px) for one in mirrored]
+        return np.asarray(still + self.bounce * np.stack(other))
+
+    def of_rows(self, rows: int, random: np.random.Generator) -> Floats:
+        """Gain (rows, 1) of the rows of a frame."""
+        if not self.bands:
+            return np.ones((rows, 1))
+        turn = 2 * np.pi * (1.7 * np.arange(rows) / rows + random.uniform())
+        return np.asarray(1.0 + self.bands * np.cos(turn))[:, None]
 
     def digitised(self, expected: Floats, random: np.random.Generator) -> list[Image]:
         """Grey levels with the sensor's noise."""
@@ -151,6 +200,36 @@ def _stale(bench: Bench, random: np.random.Generator) -> Bench:
     return replace(bench, plan=PLANS["both"], known=known)
 
 
+def _scaled(bench: Bench, random: np.random.Generator) -> Bench:
+    return replace(bench, scale=float(random.uniform(0.5, 0.92)))
+
+
+def _odd(bench: Bench, random: np.random.Generator) -> Bench:
+    return replace(bench, plan=PLANS["four"], third=float(random.uniform(0.06, 0.3)))
+
+
+def _valley(bench: Bench, random: np.random.Generator) -> Bench:
+    blur = float(random.uniform(1.0, 4.0))
+    return replace(bench, bounce=float(random.uniform(0.15, 0.5)), bounce_blur_px=blur)
+
+
+def _colourless(bench: Bench, random: np.random.Generator) -> Bench:
+    colour = int(random.integers(3)), float(random.choice([0.0, 0.3, 0.6]))
+    return replace(bench, dark_colour=colour)
+
+
+def _banded(bench: Bench, random: np.random.Generator) -> Bench:
+    return replace(bench, bands=float(random.uniform(0.04, 0.2)))
+
+
+def _mains(bench: Bench, random: np.random.Generator) -> Bench:
+    hertz = float(random.choice([100.0, 120.0]))
+    exposure_s = float(random.choice([0.004, 0.013, 0.027]))
+    plan = bench.plan.model_copy(update={"exposure_s": exposure_s})
+    depth = float(random.uniform(0.05, 0.3)) / max(float(abs(np.sinc(hertz * exposure_s))), 0.2)
+    return replace(bench, plan=plan, mains_hz=hertz, mains=min(depth, 0.9))
+
+
 def _windowed(pattern: Pattern, share: float) -> Pattern:
     """Dark but for the middle of the picture."""
     if share == 1.0:
@@ -178,7 +257,14 @@ FAULTS: dict[str, Fault] = {
     "small_angle": _small_angle,
     "wrong_axis": lambda bench, _: replace(bench, plan=PLANS["rows"]),
     "stale_calibration": _stale,
+    "harmonics": _odd,
+    "interreflection": _valley,
+    "wrong_resolution": _scaled,
+    "missing_colour": _colourless,
+    "bands": _banded,
 }
+FAULTS_IN_TIME: dict[str, Fault] = {"mains_flicker": _mains}
+"""Those that frames without their times do not show."""
 
 
 def faulty(cause: str, seed: int) -> Bench:
@@ -186,4 +272,4 @@ def faulty(cause: str, seed: int) -> Bench:
     random = np.random.default_rng([seed, 3])
     bench = healthy(seed)
     good = replace(bench.parameters, paper=0.9, ink=0.05)
-    return FAULTS[cause](replace(bench, parameters=good), random)
+    return (FAULTS | FAULTS_IN_TIME)[cause](replace(bench, parameters=good), random)

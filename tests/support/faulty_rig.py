@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ class FormulaBench:
         self.pulses: deque[Pattern] = deque()
         self._twin = PlaneTwin(self.now.parameters)
         self._random = np.random.default_rng([self.now.seed, 5])
+        self._now_s = 0.0
 
     def close(self) -> None:
         self.on_show = None
@@ -46,7 +48,11 @@ class FormulaBench:
             moved = place.translation + random.normal(0, now.vibration_mm, 3)
             self._twin = PlaneTwin(replace(now.parameters, poses=(RigidTransform(place.rotation, moved),)))
         still = np.asarray(self._twin.expected(0, [now.reaching(shown)], settings), np.float64)
-        gain = 1 + now.flicker * random.standard_normal()
+        gain = (1 + now.flicker * random.standard_normal()) * now.of_rows(still.shape[0], random)
+        self._now_s += settings.exposure_s + random.uniform(0.01, 0.05)
+        turns = now.mains_hz * settings.exposure_s
+        gain = gain * (1 + now.mains * np.sinc(turns) * np.cos(2 * np.pi * now.mains_hz * self._now_s))
+        still = now.with_bounce(still[None])[0] * settings.exposure_s / now.plan.exposure_s
         return replace(now, bits=settings.bits).digitised(gain * still, random)[0]
 
 
@@ -70,9 +76,13 @@ class FormulaCamera(ReferenceCamera):
 
 
 class FormulaProjector(ReferenceProjector):
-    """Shows what it is given."""
+    """Shows what it is given, each pattern in the colour of its place."""
 
     _bench: Any
+
+    def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
+        shown = [self._bench.now.coloured(one, k) for k, one in enumerate(patterns)]
+        return super()._load(shown)
 
     def _caps(self) -> ProjectorCaps:
         size = self._bench.now.parameters.calibration.projector.size

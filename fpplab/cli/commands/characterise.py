@@ -16,8 +16,8 @@ from fpplab.cli.guided import run_guided, wanted_mm
 from fpplab.core.errors import CalibrationError, ConfigError, FppError
 
 if TYPE_CHECKING:
-    from fpplab.characterisation import Judgement
-    from fpplab.diagnosis import Diagnosis
+    from fpplab.characterisation import Characterisation, Judgement
+    from fpplab.diagnosis import Diagnosis, Finding
     from fpplab.patterns.recording import Recording
     from fpplab.sessions.session import Session
 
@@ -174,7 +174,7 @@ def characterise_command(
                 )
         except CalibrationError as error:
             raise _with_causes(error, recorded) from error
-    diagnosis = _diagnosis(recorded, result.warnings, result.left_out)
+    diagnosis = _diagnosis(recorded, result.warnings, result.left_out, _of_lens(result))
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")
     for warning in result.warnings:
@@ -191,7 +191,10 @@ def characterise_command(
 
 
 def _diagnosis(
-    sessions: Sequence[Session], warnings: Sequence[str], left_out: Mapping[str, str]
+    sessions: Sequence[Session],
+    warnings: Sequence[str],
+    left_out: Mapping[str, str],
+    of_fit: Sequence[Finding] = (),
 ) -> Diagnosis:
     """Judge a characterisation by the frames of its poses."""
     from fpplab.diagnosis import diagnose_poses
@@ -203,7 +206,25 @@ def _diagnosis(
                 yield session.path.name, session.recording(verify=False)
                 report((k + 1) / len(sessions))
 
-        return diagnose_poses(frames(), warnings, left_out)
+        return diagnose_poses(frames(), warnings, left_out, of_fit)
+
+
+def _of_lens(result: Characterisation) -> list[Finding]:
+    """Whether the camera's lens was locked while the poses were taken."""
+    from fpplab.characterisation import lens
+    from fpplab.diagnosis import FaultCause, Finding
+
+    if result.solution is None or result.sizes is None:
+        return []
+    scales, sigmas = lens.scales_of_poses(result.observations, result.solution, result.sizes)
+    if not lens.breathes(scales, sigmas):
+        return []
+    scatter, _ = lens.breathing(scales, sigmas)
+    words = (
+        f"the scale of the camera's image differs between poses by {100 * scatter:.3f} % RMS "
+        f"(at most {100 * lens.MOST_BREATHING:g} %, and what noise explains)"
+    )
+    return [Finding(FaultCause.LENS_NOT_LOCKED, words, scatter / lens.MOST_BREATHING)]
 
 
 def _with_causes(error: CalibrationError, sessions: Sequence[Session]) -> CalibrationError:

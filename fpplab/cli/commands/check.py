@@ -56,7 +56,9 @@ def check_command(
     wanted, bench = Plan.load(plan), Rig.load(rig)
     known = Calibration.load(calibration) if calibration else None
     with console.progress("Checking") as report:
-        found = rig_check.check_rig(bench, wanted, item, report, known)
+        found = rig_check.check_rig(
+            bench, wanted, item, report, known, out.absolute().parent if out else Path.cwd()
+        )
     if out and found.runs:
         drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
         write_atomic(out, lambda stream: stream.write(drawn))

@@ -1,0 +1,115 @@
+"""Whether the camera's lens kept its scale from pose to pose of a characterisation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from fpplab.characterisation.observation import Observation
+from fpplab.characterisation.parameters import ErrorSizes, Solution
+from fpplab.core.conventions import Floats
+
+LENS_CHANCE = 1e-4
+"""Probability at which noise alone explains the scatter of the scales so badly that it is told."""
+
+FEWEST_SCALES = 5
+"""Fewest poses from which anything is concluded."""
+
+MOST_BREATHING = 1e-4
+"""Scatter of the image's scale between poses that is told: 0.1 px at 1000 px from the centre."""
+
+
+def scales_of_poses(
+    observations: Sequence[Observation], solution: Solution, sizes: ErrorSizes
+) -> tuple[Floats, Floats]:
+    """Estimate by how much the camera's image of each pose is larger than the calibration says.
+
+    The projector's coordinates tell where the board is, so that its distance does not explain another scale.
+
+    Parameters
+    ----------
+    observations : Sequence[Observation]
+        The poses.
+    solution : Solution
+        The fit.
+    sizes : ErrorSizes
+        How large errors are.
+
+    Returns
+    -------
+    scales : Floats
+        (M,) relative changes of scale.
+    sigmas : Floats
+        (M,) their standard uncertainties by the noise of the points.
+    """
+    found = [_scale(k, one, solution, sizes) for k, one in enumerate(observations)]
+    scales, sigmas = np.array(found).T
+    return scales, sigmas
+
+
+def breathing(scales: Floats, sigmas: Floats) -> tuple[float, float]:
+    """Compute the scatter of the scales beyond their uncertainty.
+
+    Parameters
+    ----------
+    scales, sigmas : Floats
+        As `scales_of_poses` gives them.
+
+    Returns
+    -------
+    scatter : float
+        Standard deviation of the relative scale.
+    chance : float
+        Probability of a scatter as great, given noise alone.
+    """
+    weights = 1.0 / sigmas**2
+    off = scales - float((weights * scales).sum() / weights.sum())
+    freedom = len(scales) - 1
+    beyond = float((off**2 - sigmas**2).mean()) * len(scales) / freedom
+    return float(np.sqrt(max(beyond, 0.0))), float(chi2.sf((weights * off**2).sum(), freedom))
+
+
+def breathes(scales: Floats, sigmas: Floats) -> bool:
+    """Tell whether the scale differs between poses, even without the one in which it differs most.
+
+    A board that moved in one pose looks like another scale there.
+
+    Parameters
+    ----------
+    scales, sigmas : Floats
+        As `scales_of_poses` gives them.
+
+    Returns
+    -------
+    bool
+        True where neither noise nor one pose explains the scatter.
+    """
+    if len(scales) < FEWEST_SCALES:
+        return False
+    odd = int(np.argmax(np.abs(scales - np.median(scales)) / sigmas))
+    scatter, chance = breathing(np.delete(scales, odd), np.delete(sigmas, odd))
+    return chance < LENS_CHANCE and scatter > MOST_BREATHING
+
+
+def _scale(
+    index: int, observation: Observation, solution: Solution, sizes: ErrorSizes
+) -> tuple[float, float]:
+    """The scale that fits one pose best together with its place, and its uncertainty."""
+    step = np.array([1e-5] * 3 + [1e-3] * 3)
+
+    def whitened(pose: Floats) -> Floats:
+        own = replace(solution, poses=pose[None]).residuals(0, observation)
+        carried = np.hypot(sizes.projector_px, solution.carried * sizes.camera_px)
+        return np.concatenate([(own[0] / sizes.camera_px).ravel(), (own[1] / carried).ravel()])
+
+    pose = solution.poses[index]
+    here = whitened(pose)
+    moved = [(whitened(pose + d) - here) / d.sum() for d in np.diag(step)]
+    radial = (observation.camera_px - solution.camera[2:4]) / sizes.camera_px
+    larger = np.concatenate([-radial.ravel(), np.zeros(2 * len(radial))])
+    normal = np.stack([*moved, larger])
+    inverse = np.linalg.inv(normal @ normal.T)
+    return float(-(inverse @ normal @ here)[-1]), float(np.sqrt(inverse[-1, -1]))

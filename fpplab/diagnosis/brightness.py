@@ -1,0 +1,198 @@
+"""Causes that are seen in the brightness of frames and of their rows: a colour that is missing, bands."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats
+from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.sample import FrameSample
+
+COLOURS = 3
+"""Patterns of 8 bits that one image of 24 bits carries."""
+
+LEAST_COLOUR = 0.9
+"""Least brightness of the frames of one colour, as a share of the others'."""
+
+FEWEST_STRIPES = 4.0
+"""Stripes of a set from which on the mean of a frame does not depend on its phase."""
+
+DISTINCT = 4.0
+"""How many times the scatter of all frames' brightness a colour must be off."""
+
+MOST_BANDS = 0.015
+"""Scatter of the rows' brightness between frames that is told."""
+
+FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
+"""Fewest measured pixels of a row, and fewest rows, from which bands are concluded."""
+
+
+def frame_levels(sample: FrameSample) -> Floats:
+    """Compute the mean brightness of each frame where the scene is bright.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of K frames.
+
+    Returns
+    -------
+    ndarray of float64, (K,)
+        8-bit grey levels.
+    """
+    brightest = sample.spread.max(axis=0)
+    bright = brightest >= 0.5 * np.percentile(brightest, 95)
+    return np.asarray(sample.spread[:, bright].mean(axis=1))
+
+
+def missing_colour(sample: FrameSample) -> Finding | None:
+    """Look for a colour that is missing or weak: every third frame is darker than the others.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Returns
+    -------
+    Finding or None
+        None where no third of the frames stands out.
+    """
+    plan = sample.recording.plan
+    starts = zip(pairwise(plan.set_starts), plan.fringes, strict=True)
+    fine = [k for (a, b), one in starts if one.stripes >= FEWEST_STRIPES for k in range(a, b)]
+    if len(fine) < COLOURS:
+        return None
+    return colour_finding(frame_levels(sample)[fine], np.array(fine))
+
+
+def colour_finding(levels: Floats, places: NDArray[np.intp]) -> Finding | None:
+    """Tell whether every third of some frames is darker than the others.
+
+    Parameters
+    ----------
+    levels : ndarray of float64, (K,)
+        Brightness that frames of equal patterns would share.
+    places : ndarray of int, (K,)
+        Which pattern of the plan each shows.
+
+    Returns
+    -------
+    Finding or None
+        None where no colour stands out.
+    """
+    own = [levels[places % COLOURS == c] for c in range(COLOURS)]
+    if any(len(part) == 0 for part in own):
+        return None
+    worst = int(np.argmin([part.mean() for part in own]))
+    others = np.concatenate([part for c, part in enumerate(own) if c != worst])
+    share = float(own[worst].mean() / others.mean())
+    scatter = math.hypot(float(others.std()), float(own[worst].std())) / float(others.mean())
+    if share >= LEAST_COLOUR or own[worst].max() >= others.min() or 1.0 - share < DISTINCT * scatter:
+        return None
+    words = (
+        f"frames {worst + 1}, {worst + 4}, {worst + 7} … have {100 * share:.0f} % of the others' brightness "
+        f"(at least {100 * LEAST_COLOUR:g} %): one of three colours is weak or missing"
+    )
+    return Finding(FaultCause.MISSING_COLOUR, words, LEAST_COLOUR / max(share, 1e-3) * (1.0 - share) * 100.0)
+
+
+def row_gains(sample: FrameSample) -> Floats | None:
+    """Compute by how much the rows of frames are brighter than the fit of their fringe set says.
+
+    Sets of more than three images show the gain of each frame; sets of three only that of their mean, which
+    is given as if of one frame.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Returns
+    -------
+    ndarray of float64, (F, R) or None
+        Gains of R rows in F frames, as shares, with a mean of 0 in each frame; None where there are few rows.
+    """
+    used = sample.measured
+    rows = np.flatnonzero(used.sum(axis=1) >= FEWEST_IN_ROW)
+    if len(rows) < FEWEST_ROWS:
+        return None
+    found = _from_frames(sample, rows) or _between_sets(sample, rows)
+    if not found:
+        return None
+    gains = np.stack(found)
+    return np.asarray(gains - gains.mean(axis=1, keepdims=True))
+
+
+def _from_frames(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
+    plan, used = sample.recording.plan, sample.measured[rows]
+    found = []
+    for k, fringe in enumerate(plan.fringes):
+        if fringe.images <= 3:
+            continue
+        fit = sample.fits[k]
+        offset, phase = np.where(used, fit.offset[rows], 0.0), fit.phase[rows]
+        power = np.square(offset).sum(axis=1)
+        angles = phase - fringe.phase_shifts()[:, None, None]
+        images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1], rows]
+        left = images - fit.offset[rows] - fit.modulation[rows] * np.cos(angles)
+        left -= _even_waves(left, fit.modulation[rows], angles, used)
+        found += list((left * offset).sum(axis=2) / power * math.sqrt(fringe.images / (fringe.images - 3)))
+    return found
+
+
+def _even_waves(left: Floats, modulation: Floats, angles: Floats, used: NDArray[np.bool_]) -> Floats:
+    """What harmonics of the response leave beside the sinusoid, the same in all pixels."""
+    total = np.zeros_like(left)
+    for m in (2, 3, 4):
+        if not 1 < m % len(angles) < len(angles) - 1:
+            continue
+        for wave in (np.cos(m * angles), np.sin(m * angles)):
+            shape = modulation * wave
+            power = float(np.square(shape[:, used]).sum())
+            total += float((left[:, used] * shape[:, used]).sum()) / max(power, 1e-12) * shape
+    return total
+
+
+def _between_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
+    if len(sample.fits) < 2:
+        return []
+    used = sample.measured[rows]
+    offsets = np.stack([np.where(used, fit.offset[rows], 0.0) for fit in sample.fits])
+    mean = offsets.mean(axis=0)
+    share = (offsets * mean).sum(axis=2) / np.square(mean).sum(axis=1) - 1.0
+    count = len(offsets)
+    images = np.array([one.images for one in sample.recording.plan.fringes])
+    return list(share * np.sqrt(images * count / (count - 1.0))[:, None])
+
+
+def band_finding(sample: FrameSample) -> Finding | None:
+    """Look for bands: rows whose brightness changes from frame to frame, as neighbouring rows' does.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Returns
+    -------
+    Finding or None
+        None where rows keep their brightness.
+    """
+    gains = row_gains(sample)
+    if gains is None:
+        return None
+    # Noise is independent in neighbouring rows, bands are not.
+    shared = float((gains[:, 1:] * gains[:, :-1]).mean())
+    scatter = math.sqrt(max(shared, 0.0))
+    if scatter <= MOST_BANDS:
+        return None
+    words = (
+        f"rows differ in brightness from frame to frame by {100 * scatter:.1f} % RMS "
+        f"(at most {100 * MOST_BANDS:g} %)"
+    )
+    return Finding(FaultCause.BANDS, words, scatter / MOST_BANDS)

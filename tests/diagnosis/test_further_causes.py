@@ -1,0 +1,93 @@
+"""Harmonics, interreflection, scaled pictures, missing colours, bands; the table that lists all causes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Lattice
+from fpplab.core.geometry import Pinhole
+from fpplab.diagnosis import FaultCause, diagnose_frames
+from fpplab.diagnosis.brightness import colour_finding
+from fpplab.diagnosis.geometry import PointSample, geometry_findings
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import decode
+from tests.diagnosis.scenes import Bench as Scene
+from tests.diagnosis.test_diagnosis import measured, of_other
+from tests.support.faulty_bench import faulty
+
+VERDICTS = Path(__file__).parents[2] / "docs" / "verdicts.md"
+
+
+def test_the_table_of_causes_is_the_catalogue() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", VERDICTS.read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(cause.value for cause in FaultCause)
+
+
+@pytest.mark.parametrize(
+    "cause", ["harmonics", "interreflection", "wrong_resolution", "missing_colour", "bands"]
+)
+def test_it_is_named_first(cause: str) -> None:
+    assert of_other(faulty(cause, 202)).findings[0].cause == cause
+
+
+def test_a_colour_is_missing_only_where_every_third_frame_is_dark() -> None:
+    places = np.arange(12)
+    even = 100.0 + np.random.default_rng(1).normal(0, 3, 12)
+    assert colour_finding(even, places) is None
+    one_dark = even.copy()
+    one_dark[4] = 20
+    assert colour_finding(one_dark, places) is None
+    found = colour_finding(np.where(places % 3 == 1, 0.5, 1.0) * even, places)
+    assert found is not None
+    assert found.cause is FaultCause.MISSING_COLOUR
+    assert found.evidence.startswith("frames 2, 5, 8")
+
+
+def test_a_lattice_that_is_another_shows_in_the_focal_lengths() -> None:
+    scene = Scene(seed=3)
+    _, cloud, _ = measured(scene)
+    assert cloud is not None
+    rig = scene.rig()
+
+    def causes(known: Calibration) -> list[FaultCause]:
+        return [one.cause for one in geometry_findings(PointSample(cloud, known), scene.plan)]
+
+    def lattice(projector: Pinhole) -> Calibration:
+        return replace(rig, projector=replace(projector, lattice=Lattice.DIAMOND))
+
+    assert causes(rig) == []
+    assert causes(lattice(rig.projector)) == [FaultCause.WRONG_RESOLUTION]
+
+
+def real(captures: Path, name: str) -> Recording:
+    plan = Plan.load("plan_slstudio_skull" if "skull" in name else "plan_slstudio_board")
+    frames = [cv2.imread(str(captures / name / f"{k:02d}.png"), 0) for k in range(plan.images)]
+    return Recording(frames, plan, (1824, 1140))
+
+
+def named(recording: Recording) -> list[str]:
+    return [one.cause.value for one in diagnose_frames(recording, decode(recording))]
+
+
+@pytest.mark.parametrize("name", ["calseq1", "calseq5", "skull_2x3"])
+def test_real_captures_are_good_as_they_are(captures: Path, name: str) -> None:
+    assert named(real(captures, name)) == []
+
+
+def test_faults_added_to_real_captures_are_named(captures: Path) -> None:
+    right = real(captures, "calseq1")
+    random = np.random.default_rng(4)
+    blurred = [cv2.GaussianBlur(frame, (0, 0), 6.0) for frame in right.frames]
+    assert named(replace(right, frames=blurred))[0] == "camera_focus"
+    bright = [np.clip(2.5 * frame.astype(np.float64), 0, 255).astype(np.uint8) for frame in right.frames]
+    assert named(replace(right, frames=bright))[0] == "saturated"
+    moved = [np.roll(frame, random.integers(-3, 4, 2), (0, 1)) for frame in right.frames]
+    assert named(replace(right, frames=moved))[0] == "vibration"
