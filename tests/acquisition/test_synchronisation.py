@@ -256,7 +256,7 @@ def test_a_session_out_of_step_is_refused_by_name(trigger: str) -> None:
     with pytest.raises(
         CalibrationError, match=r"pose_04: every frame shows the pattern before its own"
     ) as told:
-        pipeline._observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]
+        pipeline.observe_session(session, BOARD, (14.25, 17.8))  # type: ignore[arg-type]
     assert remedy(plan) in str(told.value)
     with pytest.raises(DataError, match=r"pose_04: every frame .* --force"):
         pipeline.decode_session(session)  # type: ignore[arg-type]
