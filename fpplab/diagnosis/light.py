@@ -125,7 +125,8 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     others = [one for one in (*found, motion, bands, flicker) if one is not None and one.cause in explained]
     worst = max(others, key=lambda one: one.excess, default=None)
     stray = stray_light(sample, float(sample.errors.sets[sample.recording.plan.finest_set()].harmonic_rad))
-    yield from (one for one in (_behind(stray, worst), _behind(moire(sample), worst)) if one is not None)
+    scaled = _behind(_behind(moire(sample), worst), bands)  # rows of other brightness bend the phase, too
+    yield from (one for one in (_behind(stray, worst), scaled) if one is not None)
 
 
 def _behind(finding: Finding | None, other: Finding | None) -> Finding | None:

@@ -123,7 +123,10 @@ def test_missing_frame_is_named(fpplab: Command, demo: Demo, tmp_path: Path) -> 
 
 
 BAD_IMAGES = {
-    "16 bits": (image_of(2).astype(np.uint16) * 257, "f_02.png: holds 16-bit grey levels but the first image 8-bit ones"),
+    "16 bits": (
+        image_of(2).astype(np.uint16) * 257,
+        "f_02.png: holds 16-bit grey levels but the first image 8-bit ones",
+    ),
     "colour": (np.zeros((16, 20, 3), np.uint8), "f_02.png: is not a grey image (its mode is RGB)"),
     "another size": (
         np.zeros((16, 21), np.uint8),

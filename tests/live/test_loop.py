@@ -194,7 +194,7 @@ def test_a_command_beside_live_just_works(name: str, command: tuple[str, ...], f
         out, _ = live.communicate(timeout=60)
     assert live.returncode == 0
     answer = json.loads(out)
-    assert answer["pauses"] == 1
+    assert answer["pauses"] >= 1  # a command that opens the rig twice may find it taken again
     assert answer["frames"] > frames
     assert answer["poses"] == []
 
