@@ -243,8 +243,7 @@ class MarkerInspection:
             return [_slipped(slipped, run, remedy(plan), "when it was repeated, all frames were in step")]
         timing = _timing(rig, plan, shown, gap_s)
         dead_s = math.ceil(1e4 * (timing.period_s - timing.light_s - timing.dark_s)) / 1e4
-        explained = bool(slipped) or run.frames < len(run.levels)
-        return [_not_ready(run, gap_s, dead_s, explained)]
+        return [_not_ready(run, gap_s, dead_s)]
 
 
 def _missing_colour(shown: NDArray[np.int64], levels: Floats) -> Finding | None:
@@ -376,13 +375,13 @@ def _wrong_edge() -> Finding:
     return Finding(FaultCause.TRIGGER_EDGE, seen, RUINOUS)
 
 
-def _not_ready(run: MarkerRun, gap_s: float, dead_s: float, explained: bool) -> Finding:
-    """The camera is not ready; frames that no lost pulse explains may show light that flickers instead."""
+def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:
+    """The camera is not ready. Where no frame is lost, light that flickers may be behind it."""
     return Finding(
         FaultCause.CAMERA_NOT_READY,
         f"{run.frames} of {len(run.levels)} frames came; with {1e3 * gap_s:g} ms more between triggers all "
         "come",
-        RUINOUS if explained else UNCERTAIN,
+        RUINOUS if run.frames < len(run.levels) else UNCERTAIN,
         f"put `dead_time_s: {dead_s:g}` into the rig file's section of the camera",
     )
 
