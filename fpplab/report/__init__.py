@@ -1,4 +1,4 @@
-"""Reports: figures as PNG, HTML pages that hold them, and the viewer."""
+"""Reports: figures as PNG, and HTML pages that hold them."""
 
 from fpplab.report.page import ScanSection, write_report
 from fpplab.report.scans import scan_section, write_scan_report

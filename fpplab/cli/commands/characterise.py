@@ -12,6 +12,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, app
 from fpplab.cli.completion import names_of
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError, FppError
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class ModelName(StrEnum):
 
 @app.command("characterise", rich_help_panel=PREPARE)
 def characterise_command(
+    context: typer.Context,
     sessions: Annotated[
         list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
     ] = None,
@@ -74,6 +76,8 @@ def characterise_command(
             "--judge", help="Calibration to judge by the sessions, poses that it was not fitted to."
         ),
     ] = None,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -105,6 +109,8 @@ def characterise_command(
     from fpplab.report import write_report
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
+    from fpplab.viewer.characterisation import CharacterisationView
+    from fpplab.viewer.measurement import frame_observer
 
     if target is None or out is None:
         raise ConfigError(f"{'--target' if target is None else '--out'} is missing")
@@ -114,6 +120,7 @@ def characterise_command(
     refuse_existing(out, force)
     refuse_existing(page, force)
     board = Target.load(target)
+    viewer = open_viewer(context, CharacterisationView, view, keep_open, out.with_suffix(".rrd"))
     if rig:
         folder, chosen = out.with_name(out.stem + "_poses"), Plan.load(plan)
         check_unwrapping(chosen, plan)
@@ -124,7 +131,10 @@ def characterise_command(
         if folder.exists() and not force:
             console.say(f"{folder}: complete poses there are kept; --force takes all anew")
         with Rig.load(rig) as bench, console.progress("Taking poses") as report:
-            recorded = take_poses(bench, chosen, item, poses, folder, force, report)
+            caps = bench.projector.caps
+            viewer.show(CharacterisationView.plan, chosen, caps.size, caps.lattice)
+            observe = frame_observer(viewer)
+            recorded = take_poses(bench, chosen, item, poses, folder, force, report, observe)
     else:
         recorded = recorded_sessions(sessions or [])
     level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
@@ -139,6 +149,7 @@ def characterise_command(
     for warning in result.warnings:
         console.say(f"warning: {warning}")
     console.say(diagnosis.sentence)
+    viewer.show(CharacterisationView.result, result)
     result.calibration.save(out)
     write_report(page, f"Characterisation {out.stem}", facts=result.facts(), characterisation=result)
     console.answer(
