@@ -21,15 +21,11 @@ else:
 
 ViewOption = Annotated[
     bool,
-    typer.Option(
-        "--view", help="Watch it live in the viewer, which also leaves a recording for `fpplab view`."
-    ),
+    typer.Option("--view", help="Watch it live in the viewer; a recording is left for `fpplab view`."),
 ]
 KeepOpen = Annotated[
     bool,
-    typer.Option(
-        "--keep-open", help="The same, and the viewer stays until it is closed or Ctrl-C is pressed."
-    ),
+    typer.Option("--keep-open", help="The same; the viewer stays until it is closed, or Ctrl-C."),
 ]
 
 

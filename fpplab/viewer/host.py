@@ -112,7 +112,7 @@ def _start(
             stdout=log,
             stderr=log,
             env=environment,
-            preexec_fn=_dying_with_parent(),
+            preexec_fn=_dying_with_parent(),  # noqa: PLW1509 - no other thread yet
         )
 
 

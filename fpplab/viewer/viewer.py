@@ -119,7 +119,7 @@ class Viewer(Generic[V]):
         self._outbox.add(message)
 
     def wait(self, announce: Callable[[str], object] = ignore) -> None:
-        """Wait until the window or page is closed or Ctrl-C is pressed; return at once where nothing is shown.
+        """Wait until the window or page is closed or Ctrl-C is pressed, if anything is shown.
 
         Parameters
         ----------

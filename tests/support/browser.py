@@ -34,6 +34,11 @@ OPTIONS = (
     "--remote-debugging-pipe",
 )
 
+CAUSES = ("initiator", "network_isolation_key", "network_anonymization_key", "site_for_cookies")
+"""What an event of the network log names as its cause."""
+SAID = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
+"""Events in which the page says something."""
+
 Picture = NDArray[np.uint8]
 
 
@@ -60,7 +65,7 @@ class Browser:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             pass_fds=(3, 4),
-            preexec_fn=descriptors,
+            preexec_fn=descriptors,  # noqa: PLW1509 - nothing but system calls
         )
         os.close(ours[0])
         os.close(theirs[1])
@@ -156,19 +161,19 @@ def number_of_colours(picture: Picture) -> int:
 
 
 def hosts(log: Path) -> set[str]:
-    """Every host that a browser's network log names as looked up, connected to or requested from."""
+    """Every host that a browser's network log names in what a page on this computer has caused.
+
+    Chromium itself asks its maker for this and that; such events name no page as their cause.
+    """
     text = log.read_text().rstrip().rstrip(",")
     data = json.loads(text if text.endswith("}") else text + "]}")
     found: set[str] = set()
     for event in data["events"]:
         params = event.get("params", {})
-        for key in ("url", "host", "group_id", "address", "destination"):
+        cause = " ".join(str(params.get(key, "")) for key in CAUSES)
+        for key in ("url", "host"):
             word = params.get(key)
-            if isinstance(word, str):
-                full = word.rsplit(" ", 1)[-1].split("/?")[0]
-                name = urlsplit(full if "://" in full else f"//{full}").hostname
-                scheme = urlsplit(full).scheme
-                if name and scheme not in ("chrome", "chrome-extension", "data", "blob", "devtools"):
-                    found.add(name)
-        found.update(a.rsplit(":", 1)[0] for a in params.get("address_list", []))
+            if isinstance(word, str) and "127.0.0.1" in cause:
+                name = urlsplit(word if "://" in word else f"//{word}").hostname
+                found.update([name] if name else [])
     return found

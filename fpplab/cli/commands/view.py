@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def view_command(
     session: Annotated[
         Path,
-        typer.Argument(help="A recorded session; or what `--view` left, as a file (.rrd) or its folder."),
+        typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder."),
     ],
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Default: the one in the session.")
@@ -53,9 +53,7 @@ def view_command(
     recording = session if session.suffix == ".rrd" else session / RECORDING
     if recording.is_file() and not (session / JOURNAL).is_file():
         if out or mesh or calibration:
-            raise ConfigError(
-                f"{recording}: is a recording, which is shown as it is; give its session instead"
-            )
+            raise ConfigError(f"{recording}: is a recording, shown as it is; give a session instead")
         console.answer({"session": str(session), "shown": view_recording(recording, announce=announce)}, json)
         return
     if align and not mesh:
