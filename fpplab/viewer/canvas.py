@@ -25,6 +25,8 @@ SHOWN_POINTS = 300_000
 RECORDING_BYTES = 128 * 2**20
 """Size of a recording beyond which no more pictures of single moments go into it."""
 BACKGROUND = (38, 41, 46)
+AROUND = 1.4
+"""Pyramids of sight are that much longer in what a view opens on, which counts points alone."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -270,7 +272,7 @@ class Canvas:
         self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
 
     def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
-        """Show a camera or projector at its pose, with its pyramid of sight.
+        """Show a camera or projector at its pose, with its pyramid of sight, which views open on.
 
         Pinholes are drawn without distortion, so the edge of an image may lie beside the cloud.
 
@@ -300,6 +302,11 @@ class Canvas:
         )
         self.log(entity, pose, static=True)
         self.log(entity, model, static=True)
+        corners = np.array([[x, y] for x in (0, device.size[0]) for y in (0, device.size[1])], np.float64)
+        rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(device.matrix).T
+        reached = T_world_device.apply(np.vstack([np.zeros(3), AROUND * reach_mm * rays]))
+        unseen = np.full((5, 3), BACKGROUND, np.uint8)
+        self.cloud(f"world/reach/{Path(entity).name}", reached, unseen)
 
     def directions(self, entity: str) -> None:
         """Say that x points right, y down and z forward, as in the camera's frame.

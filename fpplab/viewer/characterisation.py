@@ -11,7 +11,7 @@ from fpplab.characterisation import Characterisation
 from fpplab.report.figures import residuals_figure
 from fpplab.viewer import layouts
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.measurement import CAMERA, PROJECTOR, Colouring, MeasurementView
+from fpplab.viewer.measurement import CAMERA, PROJECTOR, REACH, Colouring, MeasurementView
 
 BOARDS = "world/boards"
 
@@ -34,7 +34,9 @@ class CharacterisationView(MeasurementView):
         """
         import rerun.blueprint as rrb
 
-        rig = layouts.scene("Rig and boards", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{BOARDS}"])
+        rig = layouts.scene(
+            "Rig and boards", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{BOARDS}", f"/{REACH}/**"]
+        )
         boards = layouts.scene("Boards", [f"/{BOARDS}"])
         tabs = [layouts.with_bar(one, f"/bars/{BOARDS}", one.name) for one in (rig, boards)]
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")

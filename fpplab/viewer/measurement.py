@@ -38,7 +38,7 @@ MIN_MODULATION = 2.0
 """Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
 LEAST_RISK, GREATEST_RISK = -12.0, -3.0
 """Decimal logarithms of the probabilities at the ends of the colour bar of the order risk."""
-CAMERA, PROJECTOR, CLOUD = "world/camera", "world/projector", "world/cloud"
+CAMERA, PROJECTOR, CLOUD, REACH = "world/camera", "world/projector", "world/cloud", "world/reach"
 IMAGE, PATTERN = f"{CAMERA}/image", f"{PROJECTOR}/pattern"
 
 
@@ -159,7 +159,7 @@ class MeasurementView(View):
             layouts.with_bar(layouts.scene(one.name, [f"/{one.entity}"]), f"/bars/{one.entity}", one.name)
             for one in colourings
         ]
-        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}"])
+        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH}/**"])
         part = layouts.scene("Part", [f"/{CLOUD}"])
         if not colourings:
             return rrb.Tabs(rig, part, active_tab=0, name="Scene")

@@ -148,18 +148,10 @@ class Viewer(Generic[V]):
         self._outbox.end(discard=hurry)
         if self._thread is not None:
             self._thread.join(HURRY_S if hurry else FINISH_S)
-        process, self._process = self._process, None
-        if process is None:
+        process = self._process
+        if process is None or process.stdout is None or process.stdout.closed:
             return
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            if self._thread is not None and self._thread.is_alive():
-                raise subprocess.TimeoutExpired("viewer", FINISH_S)
-            with suppress(OSError):
-                process.stdin.close()
-            process.wait(FINISH_S)
-        except subprocess.TimeoutExpired:
+        if not self._ended(process):
             process.kill()
             process.wait()
             log.warning("the viewer did not end within %g s and was ended", FINISH_S)
@@ -167,6 +159,17 @@ class Viewer(Generic[V]):
         process.stdout.close()
         if self._outbox.dropped:
             log.info("%d images came too fast to be shown", self._outbox.dropped)
+
+    def _ended(self, process: subprocess.Popen[bytes]) -> bool:
+        """Whether the process ends by itself, now that its input does."""
+        if self._thread is not None and self._thread.is_alive():
+            return False
+        assert process.stdin is not None
+        with suppress(OSError):
+            process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(FINISH_S)
+        return process.returncode is not None
 
     def _send(self) -> None:
         """Start the process, and write to it until the end is said; runs in a thread."""

@@ -28,6 +28,7 @@ OPTIONS = (
     "--disable-component-update",
     "--disable-sync",
     "--disable-default-apps",
+    "--disable-features=AutofillServerCommunication,OptimizationHints",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--window-size=1600,1000",

@@ -288,7 +288,14 @@ def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementV
         urllib.request.urlopen(foreign)
 
 
-@pytest.mark.parametrize("name", ["rerun", "host.py", "fpplab.viewer.process"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "rerun",
+        pytest.param("host.py", marks=pytest.mark.slow),
+        pytest.param("fpplab.viewer.process", marks=pytest.mark.slow),
+    ],
+)
 def test_a_viewer_that_dies_does_not_stop_the_measurement(
     name: str, served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -310,7 +317,7 @@ def test_a_viewer_that_dies_does_not_stop_the_measurement(
 def test_bad_data_switch_the_viewer_off(
     served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
 ) -> None:
-    served.show(MeasurementView.results, None, cloud(), None, np.zeros((3, 3)))
+    served.show(MeasurementView.frame, ShownFrame(np.zeros((3, 3)), 0, 8))  # no integers
     served.close()
     assert served.fault is not None
     assert len(caplog.records) == 1
