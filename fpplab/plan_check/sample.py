@@ -27,6 +27,10 @@ LEAST_GREYS = 1.0
 """And at least so strong, in 8-bit grey levels."""
 FEWEST = 200
 """Fewest lit pixels from which anything is concluded."""
+LEAST_ALIGNED = 0.5
+"""Least mean of exp(i times the second difference of a set's phase) from pixel to pixel: it is near 1 for
+fringes, 0 for noise, and 0.5 where noise is 0.5 rad.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ class PhaseSample:
         Returns
         -------
         PhaseSample or None
-            None where too few pixels see all sets.
+            None where too few pixels see all sets, or the phase of a set is noise: it has no direction then.
         """
         height, width = frames[0].shape
         step = max(1, int(np.sqrt(height * width / ANCHORS)))
@@ -77,7 +81,7 @@ class PhaseSample:
         strongest = np.quantile(strength, 0.95, axis=(1, 2), keepdims=True)
         lit = np.all(strength >= np.maximum(LIT_SHARE * strongest, LEAST_GREYS * full_scale / 255), axis=0)
         lit &= np.max([frame[rows] for frame in frames], axis=0) < full_scale
-        if lit.sum() < FEWEST:
+        if lit.sum() < FEWEST or np.any(_coherence(frames, images, rows, lit) < LEAST_ALIGNED):
             return None
         gradients = np.zeros((*here[:, lit].shape, 2))
         for axis in (0, 1):
@@ -103,6 +107,14 @@ def _phasors(
         levels = np.stack([frame[moved] for frame in frames[first:end]]).astype(np.float64)
         sums.append(np.tensordot(np.exp(1j * phase_steps(count)), levels, 1) * (2.0 / count))
     return np.stack(sums)
+
+
+def _coherence(
+    frames: Sequence[Image], images: Sequence[int], rows: tuple[slice, slice], lit: Mask
+) -> Floats:
+    """How well the phases (S,) of three neighbours in a row lie on a line: 1 for fringes, 0 for noise."""
+    left, middle, right = (np.angle(_phasors(frames, images, rows, (0, k))[:, lit]) for k in range(3))
+    return np.asarray(np.cos(left - 2.0 * middle + right).mean(axis=1))
 
 
 def wrapped(phase: Floats) -> Floats:
