@@ -34,9 +34,8 @@ class CharacterisationView(MeasurementView):
         """
         import rerun.blueprint as rrb
 
-        rig = layouts.scene(
-            "Rig and boards", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{BOARDS}", f"/{REACH}/**"]
-        )
+        devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}/**"]
+        rig = layouts.scene("Rig and boards", [*devices, f"/{BOARDS}"])
         boards = layouts.scene("Boards", [f"/{BOARDS}"])
         tabs = [layouts.with_bar(one, f"/bars/{BOARDS}", one.name) for one in (rig, boards)]
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")

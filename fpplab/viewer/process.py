@@ -22,7 +22,7 @@ from fpplab.core.errors import DeviceError
 from fpplab.viewer.channel import WAITING, Opening, read_message
 from fpplab.viewer.server import ViewerServer, open_server
 
-NICE = 10
+NICE = 19
 """Added to the process' niceness: whatever it draws, the measurement comes first."""
 
 

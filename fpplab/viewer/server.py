@@ -20,6 +20,9 @@ ServerKind = Literal["window", "browser"]
 """A window on this display, or a page for a browser on this computer."""
 Shown = Literal["window", "browser", "anywhere"]
 """A window, a page, or a window where there is a display and one can be opened, and a page otherwise."""
+OWN_GROUP = 0 if os.name == "posix" else None
+"""Process group of what is started, so that Ctrl-C is for the command alone. A session of its own would have
+a share of the processor of its own on Linux, whatever its niceness."""
 ENDS_WITHIN_S = 5.0
 """Time in s that the process is given to end by itself."""
 
@@ -50,7 +53,7 @@ class ViewerServer:
     def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
         command = [sys.executable, "-I", host.__file__, _program(), kind, *(str(path) for path in files)]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=OWN_GROUP, bufsize=0
         )
         atexit.register(self.stop)
         where = self._next_words()

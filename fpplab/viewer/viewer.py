@@ -21,7 +21,7 @@ from typing import Any, Generic, Self, TypeVar, TypeVarTuple
 from fpplab.core.progress import ignore
 from fpplab.viewer.channel import WAITING, Opening, write_message
 from fpplab.viewer.outbox import Message, Outbox
-from fpplab.viewer.server import Shown
+from fpplab.viewer.server import OWN_GROUP, Shown
 from fpplab.viewer.view import View
 
 FINISH_S = 15.0
@@ -176,7 +176,7 @@ class Viewer(Generic[V]):
         command = [sys.executable, "-m", "fpplab.viewer.process"]
         try:
             self._process = process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=OWN_GROUP, bufsize=0
             )
             assert process.stdin is not None
             write_message(process.stdin, self._opening)  # type: ignore[arg-type]

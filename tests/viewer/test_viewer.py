@@ -354,6 +354,7 @@ def test_a_measurement_that_is_killed_leaves_no_process_and_its_recording(tmp_pa
         assert program.stdout is not None
         assert program.stdout.readline().startswith("http://127.0.0.1:")
         started = psutil.Process(program.pid).children(recursive=True)
+        time.sleep(1.0)  # what was shown is in the pipe by then
         program.kill()
     assert len(started) == 3
     _, alive = psutil.wait_procs(started, timeout=20)
