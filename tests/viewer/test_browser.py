@@ -30,8 +30,8 @@ pytestmark = [
     pytest.mark.skipif(PROGRAM is None, reason="no Chromium is installed: apt-get install chromium"),
 ]
 FILLED = {"session": 3500, "match": 4000, "search": 2500}
-"""Least number of colours of the page. Measured: 1,500 to 1,600 in layouts without data, and filled 6,021, 7,234
-and 3,784."""
+"""Least number of colours of the page. Layouts without data were measured to have 1,500 to 1,600, filled ones
+6,021, 7,234 and 3,784."""
 
 
 def a_session(path: Path, folder: Path) -> None:
