@@ -146,15 +146,17 @@ def _from_frames(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
 
 
 def _even_waves(left: Floats, modulation: Floats, angles: Floats, used: NDArray[np.bool_]) -> Floats:
-    """What harmonics of the response leave beside the sinusoid, the same in all pixels."""
-    total = np.zeros_like(left)
+    """What harmonics of the response leave beside the sinusoid, with one strength in all used pixels."""
+    total, shown = np.zeros_like(left), np.where(used, modulation, 0.0)
+    turn = np.exp(1j * angles)
+    harmonic = turn
     for m in (2, 3, 4):
+        harmonic = harmonic * turn
         if not 1 < m % len(angles) < len(angles) - 1:
             continue
-        for wave in (np.cos(m * angles), np.sin(m * angles)):
-            shape = modulation * wave
-            power = float(np.square(shape[:, used]).sum())
-            total += float((left[:, used] * shape[:, used]).sum()) / max(power, 1e-12) * shape
+        for wave in (harmonic.real, harmonic.imag):
+            shape = shown * wave
+            total += float(np.vdot(left, shape)) / max(float(np.vdot(shape, shape)), 1e-12) * shape
     return total
 
 
