@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +30,9 @@ MOST_BANDS = 0.015
 
 FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
 """Fewest measured pixels of a row, and fewest rows, from which bands are concluded."""
+
+HARMONICS = (2, 3, 4)
+"""Harmonics of the response that residuals of single frames are freed from, rising."""
 
 
 def frame_levels(sample: FrameSample) -> Floats:
@@ -148,16 +152,35 @@ def _from_frames(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:
 def _even_waves(left: Floats, modulation: Floats, angles: Floats, used: NDArray[np.bool_]) -> Floats:
     """What harmonics of the response leave beside the sinusoid, with one strength in all used pixels."""
     total, shown = np.zeros_like(left), np.where(used, modulation, 0.0)
-    turn = np.exp(1j * angles)
-    harmonic = turn
-    for m in (2, 3, 4):
-        harmonic = harmonic * turn
-        if not 1 < m % len(angles) < len(angles) - 1:
-            continue
-        for wave in (harmonic.real, harmonic.imag):
-            shape = shown * wave
-            total += float(np.vdot(left, shape)) / max(float(np.vdot(shape, shape)), 1e-12) * shape
+    for wave in harmonic_waves(angles):
+        shape = shown * wave
+        total += float(np.vdot(left, shape)) / max(float(np.vdot(shape, shape)), 1e-12) * shape
     return total
+
+
+def harmonic_waves(angles: Floats) -> Iterator[Floats]:
+    """Give those harmonics of the phase that the fit of a sinusoid to N images leaves.
+
+    Parameters
+    ----------
+    angles : ndarray of float64, (N, ...)
+        Phase in each image in rad, in equal steps along the first axis.
+
+    Yields
+    ------
+    ndarray of float64, (N, ...)
+        Cosine and sine of each order that is not 0, 1 or -1 by modulo N: these go into the sinusoid.
+    """
+    turn = np.exp(1j * angles)
+    harmonic, reached = turn, 1
+    for order in HARMONICS:
+        if not 1 < order % len(angles) < len(angles) - 1:
+            continue
+        for _ in range(order - reached):
+            harmonic = harmonic * turn
+        reached = order
+        yield harmonic.real
+        yield harmonic.imag
 
 
 def _between_sets(sample: FrameSample, rows: NDArray[np.intp]) -> list[Floats]:

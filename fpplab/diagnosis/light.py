@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from fpplab.core.conventions import Axis, Floats, axis_length
-from fpplab.diagnosis.brightness import band_finding, missing_colour
+from fpplab.diagnosis.brightness import band_finding, harmonic_waves, missing_colour
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
@@ -73,9 +73,6 @@ MOST_FLICKER = 0.015
 
 LEAST_FREEDOM = 3
 """Fewest gains of frames, beyond those that a phase takes with it, whose scatter is taken for flicker."""
-
-HARMONICS = (2, 3, 4)
-"""Harmonics of the response that residuals of single frames are freed from."""
 
 LEAST_FLICKER_RAD = 0.02
 """Phase error by flicker that is worth telling, in rad RMS."""
@@ -269,9 +266,7 @@ def _gains_left(sample: FrameSample, k: int) -> Floats | None:
     images = sample.spread[plan.set_starts[k] : plan.set_starts[k + 1], used]
     angles = phase - plan.fringes[k].phase_shifts()[:, None]
     left = images - offset - modulation * np.cos(angles)
-    # Those harmonics that the sinusoid's three coefficients do not take: not 0, 1 or -1 by modulo N.
-    told = [m for m in HARMONICS if 1 < m % len(images) < len(images) - 1]
-    waves = [modulation * wave(m * angles) for m in told for wave in (np.cos, np.sin)]
+    waves = [modulation * wave for wave in harmonic_waves(angles)]
     per_offset = offset / (offset @ offset)
     gains, shares = left @ per_offset, [wave @ per_offset for wave in waves]
     rests = np.stack(
