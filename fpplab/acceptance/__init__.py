@@ -1,6 +1,7 @@
 """The acceptance test of a measuring system on a ball bar and a plane, after VDI/VDE 2634 part 2."""
 
 from fpplab.acceptance.fitting import Plane, Sphere, fit_plane, fit_sphere, fit_without_worst
+from fpplab.acceptance.shares import shared_variance
 from fpplab.acceptance.standard import QUANTITIES, Standard
 from fpplab.acceptance.verification import (
     CONVENTIONS,
@@ -30,6 +31,7 @@ __all__ = [
     "fit_plane",
     "fit_sphere",
     "fit_without_worst",
+    "shared_variance",
     "verify",
     "verify_ball_bar",
     "verify_plane",

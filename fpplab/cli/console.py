@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -21,6 +21,9 @@ from rich.table import Table
 
 from fpplab.core.errors import Cancelled, DataError, FppError
 from fpplab.core.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from fpplab.diagnosis import Diagnosis
 
 stderr = Console(stderr=True, highlight=False)
 stdout = Console(highlight=False, soft_wrap=True)
@@ -94,6 +97,38 @@ def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | No
             if key == "provenance":  # the report shows it as a table
                 continue
             stdout.print(f"{key}: {_readable(value)}", markup=False)
+
+
+def conclude(
+    diagnosis: Diagnosis, name: str, result: dict[str, Any], as_json: bool, words: Callable[[], None]
+) -> None:
+    """Print a verdict in the first line, and then the result; refuse one that nobody should use.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The verdict, whose keys the result has too.
+    name : str
+        What the result is called in the message.
+    result : dict
+        By the keys of the command's JSON.
+    as_json : bool
+        Whether `--json` was given.
+    words : callable
+        Prints the result for a person.
+
+    Raises
+    ------
+    UselessScanError
+        The verdict is useless; with `--json` the result is printed beside the error.
+    """
+    say(diagnosis.sentence)
+    for finding in diagnosis.findings:
+        told = finding.sentence == diagnosis.reason
+        say(f"  {finding.remedy}" if told else f"  {finding.sentence}; {finding.remedy}")
+    if not (as_json and diagnosis.is_useless):
+        answer(result, as_json, words)
+    diagnosis.require_usable(name, result)
 
 
 def table(title: str, columns: list[str], rows: list[list[Any]]) -> None:

@@ -8,6 +8,7 @@ from fpplab.diagnosis.verdict import (
     diagnose_frames,
     diagnose_poses,
     diagnose_scan,
+    diagnosis_of,
 )
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "diagnose_frames",
     "diagnose_poses",
     "diagnose_scan",
+    "diagnosis_of",
 ]

@@ -1,6 +1,6 @@
 """What may be wrong with a rig or a scan, each cause with what to do about it.
 
-One catalogue for `check`, `scan`, `reconstruct` and `characterise`.
+One catalogue for every command that judges.
 """
 
 from __future__ import annotations
@@ -80,6 +80,40 @@ class FaultCause(StrEnum):
     """The user may not open a device."""
     SLOW_DISK = "slow_disk"
     """Frames come faster than they are written."""
+    FEW_POSITIONS = "few_positions"
+    """A standard was measured in fewer positions than an acceptance test needs."""
+    NO_LIMITS = "no_limits"
+    """No maximum permissible error is stated, so that nothing is judged."""
+    FORM = "form"
+    """A measured sphere or plane is bent: neighbouring pixels share the error."""
+    NOISE = "noise"
+    """A measured sphere or plane is rough: neighbouring pixels do not share the error."""
+    SCALE = "scale"
+    """All lengths are wrong by the same ratio."""
+    UNEVEN_LENGTHS = "uneven_lengths"
+    """Lengths are wrong by a ratio that depends on where they are measured."""
+    SPHERE_SIZE = "sphere_size"
+    """Spheres are measured too large or too small although lengths are right."""
+    ENDED_EARLY = "ended_early"
+    """A fit or a search stopped before it had converged."""
+    AT_BORDER = "at_border"
+    """A parameter lies at the border of its range."""
+    NO_GAIN = "no_gain"
+    """The result is not better than where it started from."""
+    UNLIKE_IMAGES = "unlike_images"
+    """The images of a matched twin differ from the bench's by more than noise."""
+    POINTS_MISFIT = "points_misfit"
+    """Points of the board fit in the twin's images as they do not in the bench's."""
+    ARTEFACT_MISFIT = "artefact_misfit"
+    """The twin measures an artefact better or worse than the bench does."""
+    FLAT_OPTIMUM = "flat_optimum"
+    """The optimum of a search cannot be told from its neighbours."""
+    LIMITS_BROKEN = "limits_broken"
+    """Measured again, the optimum of a search exceeds the study's limits."""
+    FAILED_CANDIDATES = "failed_candidates"
+    """Many candidates of a search could not be measured."""
+    NOT_CONFIRMED = "not_confirmed"
+    """Where it was confirmed, the plan found is not better than that of the start."""
 
 
 REMEDIES = {
@@ -135,6 +169,33 @@ REMEDIES = {
     FaultCause.NO_PERMISSION: "copy the udev rules of docs/hardware.md, join the group that they name, and "
     "plug the device in again",
     FaultCause.SLOW_DISK: "write to a local disk, or take fewer frames per second",
+    FaultCause.FEW_POSITIONS: "measure the standard in more positions, spread over the measuring volume",
+    FaultCause.NO_LIMITS: "state them in the standard's file, or with --mpe PF=…,SD=…",
+    FaultCause.FORM: "measure the response with 'fpplab gamma', take more steps, and characterise again with "
+    "poses over the whole volume; coat shiny standards",
+    FaultCause.NOISE: "expose longer or open the aperture, take more steps or more stripes, and shade the "
+    "scene",
+    FaultCause.SCALE: "measure the spacing of the characterisation's board and correct its target file, then "
+    "characterise again",
+    FaultCause.UNEVEN_LENGTHS: "characterise again, with more poses that cover the whole volume, and keep "
+    "temperature and lenses as they are",
+    FaultCause.SPHERE_SIZE: "use matt, opaque spheres of known diameter, and look for a bent response with "
+    "'fpplab check'",
+    FaultCause.ENDED_EARLY: "let it go on",
+    FaultCause.AT_BORDER: "widen the range",
+    FaultCause.NO_GAIN: "begin elsewhere, or keep what there was",
+    FaultCause.UNLIKE_IMAGES: "give the board's true pattern and material in the twin's world, and "
+    "cover what else the camera sees",
+    FaultCause.POINTS_MISFIT: "take the poses anew with the board at rest, and check the board against its "
+    "target file",
+    FaultCause.ARTEFACT_MISFIT: "give the artefact's true shape and material in the twin's world, and "
+    "measure the response with 'fpplab gamma'",
+    FaultCause.FLAT_OPTIMUM: "measure with more --seeds, or take any of these plans",
+    FaultCause.LIMITS_BROKEN: "search with more --seeds, or with limits that leave a margin",
+    FaultCause.FAILED_CANDIDATES: "narrow the study's space to what the rig measures; the journal says why "
+    "each failed",
+    FaultCause.NOT_CONFIRMED: "match the simulation to this rig with 'fpplab match' and search again, or "
+    "search on the rig itself",
 }
 """What to do, by cause."""
 

@@ -79,21 +79,28 @@ class Diagnosis:
         """The verdict with its reason."""
         return f"verdict: {self.verdict.value}: {self.reason}"
 
-    def require_usable(self, name: str) -> None:
+    @property
+    def is_useless(self) -> bool:
+        """Whether nobody should use the result."""
+        return self.verdict is Verdict.USELESS
+
+    def require_usable(self, name: str, figures: Mapping[str, object] | None = None) -> None:
         """Refuse a result that nobody should use.
 
         Parameters
         ----------
         name : str
             What it is called in the message.
+        figures : mapping of str to object, optional
+            Further figures for `--json`.
 
         Raises
         ------
         UselessScanError
             It is useless.
         """
-        if self.verdict is Verdict.USELESS:
-            raise UselessScanError(name, self)
+        if self.is_useless:
+            raise UselessScanError(name, self, figures)
 
     def summary(self) -> dict[str, object]:
         """Collect what is printed.
@@ -117,23 +124,63 @@ class UselessScanError(DataError):
     Parameters
     ----------
     name : str
-        Of the scan.
+        Of the scan, or of the output.
     diagnosis : Diagnosis
         Why.
+    figures : mapping of str to object, optional
+        Further figures for `--json`.
     """
 
-    def __init__(self, name: str, diagnosis: Diagnosis) -> None:
-        self.name, self.diagnosis = name, diagnosis
+    def __init__(self, name: str, diagnosis: Diagnosis, figures: Mapping[str, object] | None = None) -> None:
+        self.name, self.diagnosis, self._figures = name, diagnosis, dict(figures or {})
         words = f"{name}: useless: {diagnosis.reason}"
         if diagnosis.findings:
             first = diagnosis.findings[0]
-            words += f"; {first.sentence}; {first.remedy}"
+            words += (
+                f"; {first.remedy}"
+                if first.sentence == diagnosis.reason
+                else (f"; {first.sentence}; {first.remedy}")
+            )
         super().__init__(words)
-        self.details = diagnosis.summary()
+        self.details = {**self._figures, **diagnosis.summary()}
 
-    def __reduce__(self) -> tuple[type[UselessScanError], tuple[str, Diagnosis]]:
+    def __reduce__(self) -> tuple[type[UselessScanError], tuple[str, Diagnosis, dict[str, object]]]:
         """Pickle by the arguments, since errors also come from other processes."""
-        return type(self), (self.name, self.diagnosis)
+        return type(self), (self.name, self.diagnosis, self._figures)
+
+
+def diagnosis_of(
+    findings: Sequence[Finding],
+    good: str,
+    unknown: Sequence[str] = (),
+    useless: Mapping[FaultCause, float] | None = None,
+) -> Diagnosis:
+    """Judge a result by what was found alone.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        What is wrong, in any order.
+    good : str
+        The reason where nothing is.
+    unknown : sequence of str
+        What could not be checked, and why.
+    useless : mapping of FaultCause to float, optional
+        Excess of a finding from which on nobody should use the result, by cause.
+
+    Returns
+    -------
+    Diagnosis
+        Its findings in order, what makes the result useless before all others.
+    """
+    ruins = useless or {}
+    ranked = sorted(findings, key=lambda one: (one.excess < ruins.get(one.cause, float("inf")), -one.excess))
+    if not ranked:
+        return Diagnosis(Verdict.GOOD, good, (), tuple(unknown))
+    first = ranked[0]
+    ruinous = first.excess >= ruins.get(first.cause, float("inf"))
+    verdict = Verdict.USELESS if ruinous else Verdict.DOUBTFUL
+    return Diagnosis(verdict, first.sentence, tuple(ranked), tuple(unknown))
 
 
 def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tuple[Finding, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Sheet
@@ -19,10 +21,11 @@ from fpplab.acceptance import (
     PlaneTest,
     SphereTest,
 )
+from fpplab.diagnosis import Diagnosis
 from fpplab.report.drawing import FULL, as_png, colour_bar, draw_map, side_by_side
 from fpplab.report.figures import error_limit, error_map
-from fpplab.report.page import write_page
-from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.report.raster import raster_of, rasterise
 
 JUDGED = (
@@ -56,7 +59,9 @@ class _Drawn:
         return cls(found.points[found.kept], pixels), found.distances[found.kept].astype(np.float32)
 
 
-def write_acceptance_report(path: Path, found: Acceptance) -> None:
+def write_acceptance_report(
+    path: Path, found: Acceptance, diagnosis: Diagnosis, answer: Mapping[str, Any]
+) -> None:
     """Write the acceptance test as one HTML file.
 
     Parameters
@@ -65,6 +70,10 @@ def write_acceptance_report(path: Path, found: Acceptance) -> None:
         Of the file; an earlier one is replaced.
     found : Acceptance
         Result of the test.
+    diagnosis : Diagnosis
+        The verdict on it.
+    answer : mapping of str to object
+        What the command prints with `--json`.
 
     Raises
     ------
@@ -83,7 +92,8 @@ def write_acceptance_report(path: Path, found: Acceptance) -> None:
     }
     sections = [_bar_section(bar, k + 1) for k, bar in enumerate(found.bars)]
     sections += [_plane_section(plane, k + 1) for k, plane in enumerate(found.planes)]
-    write_page(path, "Acceptance test", _summary(found), sections, facts)
+    basis = PageBasis((PageVerdict.of(diagnosis),), answer=answer)
+    write_page(path, "Acceptance test", _summary(found), sections, facts, basis=basis)
 
 
 def _summary(found: Acceptance) -> list[ReportTable]:

@@ -65,8 +65,9 @@ def verify_command(
     Probing error of form PF and of size PS, sphere-spacing error SD and flatness measurement error F,
     each in µm beside its maximum permissible error. PF and F are the range of the points without the 3 ‰
     farthest from the fit; PF_all and F_all, given beside them, that of all points. The angle of incidence up
-    to which a sphere's points count, 60° by default, is part of the result. A test that is not passed is a
-    result and no fault: the exit code is 0, and `passed` is false. Writes OUT, a report.
+    to which a sphere's points count, 60° by default, is part of the result. `verdict` says whether to believe
+    the system, `findings` why not. A test that is not passed is a result and no fault: the exit code is 0,
+    and `passed` is false; with errors of ten times what is permitted it is 4. Writes OUT, a report.
 
     Examples: `fpplab verify --standard standard_demo --spheres bar1/cloud.ply bar2/cloud.ply
     --planes plane1/cloud.ply --out verify.html`;
@@ -88,17 +89,16 @@ def verify_command(
         if rig:
             bars, flats = _measured(rig, known, model, Plan.load(plan), out, force)
         from fpplab.acceptance import verify as judge
+        from fpplab.diagnosis.acceptance import diagnose_acceptance
         from fpplab.report.acceptance import write_acceptance_report
 
         with console.progress("Verifying"):
             again = None if rig else model
             result = judge(known, _clouds(bars, again), _clouds(flats, again))
-            write_acceptance_report(out, result)
-        elapsed = seconds()
-    for notice in result.notices():
-        console.say(notice)
-    answer = {**result.summary(), "seconds": elapsed, "report": str(out)}
-    console.answer(answer, json, lambda: _show(result, out))
+            diagnosis = diagnose_acceptance(result)
+            answer = {**diagnosis.summary(), **result.summary(), "seconds": seconds(), "report": str(out)}
+            write_acceptance_report(out, result, diagnosis, answer)
+    console.conclude(diagnosis, str(out), answer, json, lambda: _show(result, out))
 
 
 def _words(option: str) -> list[str]:
