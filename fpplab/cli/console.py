@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBars
 from rich.table import Table
 
 from fpplab.core.errors import Cancelled, DataError, FppError
-from fpplab.core.progress import Progress, no_progress
+from fpplab.core.progress import Progress, Say, ignore, no_progress
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import Diagnosis
@@ -54,15 +55,44 @@ def progress(what: str) -> Iterator[Progress]:
 
 
 @contextmanager
+def telling_progress(what: str) -> Iterator[tuple[Progress, Say]]:
+    """Show a progress bar as `progress` does, whose words change with what is done.
+
+    Parameters
+    ----------
+    what : str
+        What is done at first.
+
+    Yields
+    ------
+    report : callable
+        Told the share done, 0 … 1.
+    tell : callable
+        Given what is done now; not shown where stderr is no terminal.
+    """
+    with _words_and_bar(what) as both:
+        yield both
+
+
+@contextmanager
 def _bar(what: str) -> Iterator[Progress]:
+    with _words_and_bar(what) as (report, _):
+        yield report
+
+
+@contextmanager
+def _words_and_bar(what: str) -> Iterator[tuple[Progress, Say]]:
     if not stderr.is_terminal:
         say(f"{what} …")
-        yield no_progress
+        yield no_progress, ignore
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with ProgressBars(*columns, console=stderr, transient=True) as bars:
         task = bars.add_task(what, total=1.0)
-        yield lambda share: bars.update(task, completed=share)
+        yield (
+            lambda share: bars.update(task, completed=share),
+            lambda words: bars.update(task, description=escape(f"{what}: {words}")),
+        )
 
 
 def say(sentence: str) -> None:

@@ -15,15 +15,18 @@ import numpy as np
 
 from fpplab.core.config import Document
 from fpplab.core.errors import CalibrationError
-from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.matching import geometry, light, noise
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.light import PixelSample
 from fpplab.matching.loss import Weights
 from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
+from fpplab.matching.watching import watched_twin
 from fpplab.simulation.matchable import Twin, TwinParameters
 
+CONVERGED = "converged"
+"""Why a matching ends that need not go on."""
 SAMPLED_POSES = 6
 EQUAL_LOSS = 2e-4
 """Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
@@ -38,6 +41,8 @@ EXPLAINS = {
     "noise": "noise of the sensor and vibration",
 }
 """The effects that are matched beyond the paper, by step."""
+USUAL_IMAGES = 60
+"""About as many times a step has the twin compute images: the scale of its progress, which is an estimate."""
 FOCUS_STEPS = {"projector defocus", "depth of field"}
 """The steps that fit the focus; before them the twin may be sharp where the bench is not."""
 
@@ -48,7 +53,9 @@ class MatchingLimits(Document):
     epochs: int = 25
     """Greatest number of epochs."""
     seconds: float = 900.0
-    """Greatest duration in s, of all runs together."""
+    """Greatest duration of the epochs in s, of all runs together. A step that lasts longer is given up: the
+    record then ends with the epoch before.
+    """
     patience: int = 1
     """Number of rounds of the last steps without a gain after which the matching has converged."""
     converged: float = 2e-4
@@ -212,6 +219,41 @@ class MatchedTwin:
         return {epoch.step for epoch in self.epochs} >= FOCUS_STEPS
 
 
+class _TimeOver(Exception):  # noqa: N818 - no fault: the time is over
+    """Ends a step that would last longer than the matching may."""
+
+
+@dataclass(eq=False)
+class _StepWatch:
+    """Called before the twin computes images: tells how far a step is, and ends it when the time is over."""
+
+    started: float
+    limits: MatchingLimits
+    progress: Progress
+    tell: Say
+    words: str = ""
+    number: int = 0
+    images: int = 0
+    may_end: bool = False
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.started
+
+    def begin(self, number: int, words: str, may_end: bool = True) -> None:
+        self.number, self.words, self.images, self.may_end = number, words, 0, may_end
+
+    def __call__(self) -> None:
+        left = self.limits.seconds - self.seconds
+        if self.may_end and left < 0:
+            raise _TimeOver
+        done = self.number - np.exp(-self.images / USUAL_IMAGES)
+        self.images += 1
+        steps = 1 + len(FIRST_STEPS) + 2 * len(REPEATED_STEPS)
+        self.progress(min(1.0, float(done + 1.0) / (steps + 1)))
+        self.tell(f"{self.words}, {max(left, 0.0):.0f} s left at most" if self.may_end else self.words)
+
+
 @dataclass(eq=False)
 class _State:
     at: MatchingContext
@@ -219,6 +261,7 @@ class _State:
     record: MatchingRecord
     epochs: list[MatchingEpoch]
     started: float
+    watch: _StepWatch
 
     @property
     def best(self) -> MatchingEpoch:
@@ -242,6 +285,7 @@ def match_twin(
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
+    tell: Say = ignore,
 ) -> MatchedTwin:
     """Match a twin to the reference, or continue where the record ends.
 
@@ -262,9 +306,11 @@ def match_twin(
     limits : MatchingLimits
         When to stop.
     progress : Progress
-        Told an estimated share of the steps.
+        Told an estimated share of the steps, also within them.
     observe : EpochObserver
         Given every epoch as it ends.
+    tell : callable
+        Given a few words on what is done: epoch, step, loss so far and time left.
 
     Returns
     -------
@@ -284,13 +330,17 @@ def match_twin(
     white = "paper" if reference.response is not None else "white"
     samples = _samples_of_poses(reference, begin)
     before = epochs[-1].seconds if epochs else 0.0
-    state = _State(
-        MatchingContext(reference, twin, samples, white), weights, record, epochs, time.monotonic() - before
-    )
+    started = time.monotonic() - before
+    watch = _StepWatch(started, limits, progress, tell)
+    at = MatchingContext(reference, watched_twin(twin, watch), samples, white)
+    state = _State(at, weights, record, epochs, started, watch)
+    twin = at.twin
     if not epochs:
+        watch.begin(0, "epoch 0, start", may_end=False)
         first = evaluate(reference, twin, weights)
         _record_epoch(state, "start", first, _difference(state), True, observe)
-    ended = _run(state, limits, progress, observe)
+    ended = _run(state, limits, observe)
+    watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
     final = evaluate(reference, twin, weights)
     state.at = replace(state.at, samples=_samples_of_poses(reference, twin.parameters))
@@ -340,7 +390,7 @@ def _steps() -> Iterator[MatchingStep]:
         yield from REPEATED_STEPS
 
 
-def _run(state: _State, limits: MatchingLimits, progress: Progress, observe: EpochObserver) -> str:
+def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
     """Make steps until one of the limits; return which."""
     idle = 0
     for number, step in enumerate(_steps(), 1):
@@ -349,8 +399,14 @@ def _run(state: _State, limits: MatchingLimits, progress: Progress, observe: Epo
                 return f"after {limits.epochs} epochs"
             if state.seconds > limits.seconds:
                 return f"after {state.seconds:.0f} s"
-            progress(min(1.0, number / (len(FIRST_STEPS) + 2 * len(REPEATED_STEPS))))
-            _take_step(state, step, observe)
+            state.watch.begin(
+                number,
+                f"epoch {number}, {step.name}: loss over the board {state.best.loss['loss_board']:.4f}",
+            )
+            try:
+                _take_step(state, step, observe)
+            except _TimeOver:
+                return f"after {state.seconds:.0f} s"
         if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(REPEATED_STEPS) == 0:
             before, after = (
                 _best(state.epochs[:end]).loss["loss_board"]
@@ -358,7 +414,7 @@ def _run(state: _State, limits: MatchingLimits, progress: Progress, observe: Epo
             )
             idle = idle + 1 if before - after < limits.converged else 0
             if idle >= limits.patience:
-                return "converged"
+                return CONVERGED
     raise AssertionError("the steps are endless")
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from fpplab.calibration.model import Calibration
 from fpplab.characterisation import Characterisation
 from fpplab.core.errors import ConfigError
-from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices.rig import Rig
+from fpplab.diagnosis import Diagnosis
 from fpplab.matching import plausibility
 from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
@@ -20,6 +22,7 @@ from fpplab.matching.loss import Weights
 from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
+from fpplab.matching.verdict import diagnose_matching
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
@@ -126,17 +129,24 @@ class MatchingResult:
     rows: tuple[AblationRow, ...]
     artefacts: tuple[ArtefactComparison, ...]
 
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """Whether to believe the twin; looks at the frames of the poses."""
+        return diagnose_matching(self)
+
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain data, as the command line prints them.
 
         Returns
         -------
         dict of str to Any
-            The final loss with its parts, epochs, table, explained shares, parameters, poses and artefacts.
+            The verdict, the final loss with its parts, epochs, table, explained shares, parameters, poses and
+            artefacts.
         """
         loss, found = self.matched.final.loss.summary(), self.matched.parameters
         light = {name: getattr(found, name) for name in PLAIN}
         return {
+            **self.diagnosis.summary(),
             **loss,
             "epochs": len(self.matched.epochs) - 1,
             "ended": self.matched.ended,
@@ -206,8 +216,9 @@ def match_sessions(
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
+    tell: Say = ignore,
 ) -> MatchingResult:
-    """Match the twin to recorded sessions of a board, and save it.
+    """Match the twin to recorded sessions of a board, and save it unless nobody should use it.
 
     Continues where a record in `folder` ends. The twin is left with the matched parameters.
 
@@ -227,6 +238,8 @@ def match_sessions(
         Told the share that is done.
     observe : EpochObserver
         Given every epoch as it ends.
+    tell : callable
+        Given a few words on what is done.
 
     Returns
     -------
@@ -245,6 +258,7 @@ def match_sessions(
     plausibility.check_devices(twin, sessions[0])
     plausibility.check_board(twin, target, "--target")
     nominal = twin.parameters
+    tell("characterising the bench")
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
     plausibility.check_geometry(found.calibration, nominal.calibration)
     reference = Reference.of(sessions, target, found, request.response)
@@ -263,15 +277,16 @@ def match_sessions(
         request.limits,
         progress=lambda share: progress(0.1 + 0.7 * share),
         observe=observe,
+        tell=tell,
     )
     plausibility.check_similarity(matched.final.loss, matched.unexplained)
     if matched.refined_focus:
         plausibility.check_sharpness(reference, twin)
     twin.become(nominal)
-    before = evaluate(reference, twin, request.weights)
+    tell("comparing before and after")
+    before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
     rows = _table(reference, twin, request.weights, nominal, before, matched, gamma is not None)
     twin.become(matched.parameters)
-    twin.save(folder)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
     artefacts = compare_artefacts(
@@ -281,7 +296,11 @@ def match_sessions(
         own.calibration,
         lambda share: progress(0.85 + 0.15 * share),
     )
-    return MatchingResult(reference, nominal, start, gamma, before, matched, rows, tuple(artefacts))
+    result = MatchingResult(reference, nominal, start, gamma, before, matched, rows, tuple(artefacts))
+    if not result.diagnosis.is_useless:
+        twin.become(matched.parameters)
+        twin.save(folder)
+    return result
 
 
 def with_reference_geometry(nominal: TwinParameters, found: Characterisation) -> TwinParameters:

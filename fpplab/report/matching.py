@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,8 +28,8 @@ from fpplab.report.drawing import (
     side_by_side,
 )
 from fpplab.report.figures import error_map
-from fpplab.report.page import write_page
-from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 GreyPicture = NDArray[np.float32]
@@ -40,7 +40,9 @@ SHOWN_POSES = 5
 """Poses whose images are shown, from the nearest to the farthest."""
 
 
-def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None:
+def write_matching_report(
+    path: Path, found: MatchingResult, twin: Twin, answer: Mapping[str, Any] | None = None
+) -> None:
     """Write a matching as one HTML file. The twin is left with the matched parameters.
 
     Parameters
@@ -51,6 +53,8 @@ def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None
         Result of the matching.
     twin : Twin
         Renders the images before and after the matching.
+    answer : mapping of str to object, optional
+        What the command prints with `--json`.
 
     Raises
     ------
@@ -67,7 +71,8 @@ def write_matching_report(path: Path, found: MatchingResult, twin: Twin) -> None
         "Poses": str(len(found.matched.parameters.poses)),
         "Unexplained difference": f"{found.matched.unexplained:.2f} levels RMS over the board",
     }
-    write_page(path, "Matching of a twin", _summary(found), sections, facts)
+    basis = PageBasis((PageVerdict.of(found.diagnosis),), answer=answer or {})
+    write_page(path, "Matching of a twin", _summary(found), sections, facts, basis=basis)
 
 
 def _summary(found: MatchingResult) -> list[ReportTable]:

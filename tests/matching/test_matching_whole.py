@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fpplab.diagnosis import Verdict
+from fpplab.matching import match
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
 from fpplab.matching.run import MatchingRequest, MatchingResult, match_sessions
+from fpplab.matching.verdict import diagnose_matching
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.report.matching import write_matching_report
@@ -101,10 +104,72 @@ def test_a_matching_continues_from_its_record(matching: Matching) -> None:
     assert again.matched.ended == f"after {EPOCHS + 1} epochs"
 
 
+def test_a_step_is_ended_when_the_time_is_over(
+    matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that goes on only when the twin computes images, so that the end lies within a step."""
+    clock = iter(np.arange(0.0, 1e6))
+    monkeypatch.setattr(match.time, "monotonic", lambda: float(next(clock)))
+    words: list[str] = []
+    shares: list[float] = []
+
+    def matched(seconds: float) -> MatchingResult:
+        wanted = MatchingRequest(limits=MatchingLimits(epochs=2, seconds=seconds))
+        twin = PlaneTwin(nominal(()), 7)
+        sessions, out = matching.sessions[:3], tmp_path / "out"
+        return match_sessions(twin, sessions, TARGET, out, wanted, progress=shares.append, tell=words.append)
+
+    first = matched(40.0)
+    assert first.matched.ended.startswith("after 4")
+    record = MatchingRecord(tmp_path / "out").read()
+    assert [epoch.step for epoch in record] == ["start", "points"], "the step of light was given up"
+    assert first.matched.epochs == tuple(record)
+    assert first.diagnosis.verdict is Verdict.DOUBTFUL
+    assert "ended_early" in [one.cause for one in first.diagnosis.findings]
+    told = [one for one in words if one.startswith("epoch 2, light: loss over the board ")]
+    left = [float(one.rsplit(", ", 1)[1].split()[0]) for one in told]
+    assert len(left) > 5
+    assert left == sorted(left, reverse=True)
+    assert shares == sorted(shares)
+    assert len({share for share in shares if 0.1 < share < 0.5}) > len(record) + 5, "it moves within steps"
+    again = matched(1e5)
+    assert [epoch.step for epoch in again.matched.epochs] == ["start", "points", "light"]
+    assert again.matched.epochs[:2] == first.matched.epochs
+
+
+def test_verdicts_on_a_matching(matching: Matching) -> None:
+    """The same matching with one figure changed has one finding more."""
+    found = matching.outcome
+    assert found.diagnosis.verdict is Verdict.DOUBTFUL
+    assert [one.cause for one in found.diagnosis.findings] == ["ended_early"]
+    assert found.summary()["findings"][0]["remedy"].startswith("name another --out")
+    whole = replace(found, matched=replace(found.matched, ended="converged"))
+    assert diagnose_matching(whole).verdict is Verdict.GOOD
+
+    def with_changed(**changes: object) -> MatchingResult:
+        return replace(whole, matched=replace(whole.matched, **changes))
+
+    blurred = diagnose_matching(with_changed(unexplained=12.0))
+    assert (blurred.verdict, blurred.findings[0].cause) == (Verdict.DOUBTFUL, "unlike_images")
+    unlike = diagnose_matching(with_changed(unexplained=60.0))
+    assert (unlike.verdict, unlike.findings[0].cause) == (Verdict.USELESS, "unlike_images")
+    worse = replace(whole, matched=replace(whole.matched, final=found.before), before=found.matched.final)
+    assert diagnose_matching(worse).verdict is Verdict.USELESS
+    assert diagnose_matching(worse).findings[0].cause == "no_gain"
+    at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
+    assert [one.cause for one in diagnose_matching(at_border).findings] == ["at_border"]
+    final = whole.matched.final
+    loss = replace(final.loss, epsilon_v=final.loss.epsilon_v + 0.3)
+    apart = diagnose_matching(with_changed(final=replace(final, loss=loss)))
+    assert [one.cause for one in apart.findings] == ["points_misfit"]
+
+
 def test_report_of_a_matching(matching: Matching, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     write_matching_report(page, matching.outcome, matching.twin)
     text = page.read_text()
+    assert "Doubtful" in text
+    assert "ended early" in text
     for words in ("SSIM over the board", "ambient light", "the bench less the twin", "paper", "pose_00"):
         assert words in text
     assert np.isfinite(matching.outcome.matched.unexplained)

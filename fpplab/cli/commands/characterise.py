@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,13 +12,12 @@ from fpplab.cli import console
 from fpplab.cli.app import PREPARE, DepthOption, Force, Json, PlanName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.guided import run_guided, wanted_mm
-from fpplab.core.errors import CalibrationError, ConfigError, FppError
+from fpplab.cli.pose_causes import diagnosed_poses, with_causes
+from fpplab.core.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
     from fpplab.characterisation import Characterisation, Judgement
-    from fpplab.diagnosis import Diagnosis, Finding
-    from fpplab.patterns.recording import Recording
-    from fpplab.sessions.session import Session
+    from fpplab.diagnosis import Finding
 
 
 class ModelName(StrEnum):
@@ -173,8 +171,8 @@ def characterise_command(
                     recorded, board, report, level=level, refine_board=refine_board
                 )
         except CalibrationError as error:
-            raise _with_causes(error, recorded) from error
-    diagnosis = _diagnosis(recorded, result.warnings, result.left_out, _of_lens(result))
+            raise with_causes(error, recorded) from error
+    diagnosis = diagnosed_poses(recorded, result.warnings, result.left_out, _of_lens(result))
     for reason in result.left_out.values():
         console.say(f"left out: {reason}")
     for warning in result.warnings:
@@ -188,25 +186,6 @@ def characterise_command(
     title = f"Characterisation {out.stem}"
     write_report(page, title, facts=result.facts(), characterisation=result, guided=guided, basis=basis)
     console.answer({**answer, "provenance": source.summary(), "report": str(page)}, json)
-
-
-def _diagnosis(
-    sessions: Sequence[Session],
-    warnings: Sequence[str],
-    left_out: Mapping[str, str],
-    of_fit: Sequence[Finding] = (),
-) -> Diagnosis:
-    """Judge a characterisation by the frames of its poses."""
-    from fpplab.diagnosis import diagnose_poses
-
-    with console.progress("Checking the frames") as report:
-
-        def frames() -> Iterator[tuple[str, Recording]]:
-            for k, session in enumerate(sessions):
-                yield session.path.name, session.recording(verify=False)
-                report((k + 1) / len(sessions))
-
-        return diagnose_poses(frames(), warnings, left_out, of_fit)
 
 
 def _of_lens(result: Characterisation) -> list[Finding]:
@@ -225,18 +204,6 @@ def _of_lens(result: Characterisation) -> list[Finding]:
         f"(at most {100 * lens.MOST_BREATHING:g} %, and what noise explains)"
     )
     return [Finding(FaultCause.LENS_NOT_LOCKED, words, scatter / lens.MOST_BREATHING)]
-
-
-def _with_causes(error: CalibrationError, sessions: Sequence[Session]) -> CalibrationError:
-    """Say with an error of the fit what is wrong with the frames, which may be its cause."""
-    try:
-        found = _diagnosis(sessions, [str(error)], {})
-    except FppError:  # frames that cannot be read were the error itself
-        return error
-    words = "".join(f"; {one.sentence}; {one.remedy}" for one in found.findings[:2])
-    explained = CalibrationError(f"{error}{words}")
-    explained.details = {**found.summary(), "verdict": "useless", "reason": str(error)}
-    return explained
 
 
 def _judge(

@@ -12,7 +12,8 @@ from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, Out, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
-from fpplab.core.errors import ConfigError
+from fpplab.cli.pose_causes import with_causes
+from fpplab.core.errors import CalibrationError, ConfigError
 
 
 @app.command("match", cls=TakesLists, rich_help_panel=TWIN)
@@ -47,7 +48,9 @@ def match_command(
     ] = None,
     item: Annotated[str, typer.Option("--item", help="What the twin's fixture calls the board.")] = "board",
     epochs: Annotated[int, typer.Option("--epochs", min=1, help="At most so many.")] = 25,
-    seconds: Annotated[float, typer.Option("--seconds", min=1, help="At most so long.")] = 900.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=1, help="At most so long, without the comparison at the end.")
+    ] = 900.0,
     alpha: Annotated[float, typer.Option("--alpha", min=0, help="Of log(1 + |ε_d|) in the loss.")] = 0.2,
     beta: Annotated[float, typer.Option("--beta", min=0, help="Of 1 - SSIM in the loss.")] = 0.8,
     view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
@@ -58,7 +61,8 @@ def match_command(
 
     Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`. OUT gets the
     matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
-    The same command continues an interrupted matching.
+    `verdict` says whether to believe the twin, `findings` why not; a useless one is not written, and the exit
+    code is 4. The same command continues an interrupted matching.
 
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`
@@ -102,16 +106,22 @@ def match_command(
             if viewer:
                 viewer.epoch(epoch)
 
-        with console.progress("Matching") as report:
-            found = match_sessions(known, sessions, board, out, wanted, progress=report, observe=observe)
-        write_matching_report(out / REPORT, found, known)
+        try:
+            with console.telling_progress("Matching") as (report, tell):
+                found = match_sessions(
+                    known, sessions, board, out, wanted, progress=report, observe=observe, tell=tell
+                )
+        except CalibrationError as error:
+            raise with_causes(error, sessions) from error
         result = {
             **found.summary(),
             "seconds": elapsed(),
-            "rig": str(out / "rig.yaml"),
+            "rig": None if found.diagnosis.is_useless else str(out / "rig.yaml"),
             "report": str(out / REPORT),
         }
-    console.answer(result, json, lambda: _show(result))
+        with console.progress("Drawing the report"):
+            write_matching_report(out / REPORT, found, known, result)
+    console.conclude(found.diagnosis, str(out), result, json, lambda: _show(result))
 
 
 def _make_way(out: Path, force: bool, record: str, page: str) -> None:

@@ -1,0 +1,77 @@
+"""A twin that tells when it is used, so that steps of a matching report how far they are, and can be ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import trimesh
+
+from fpplab.core.conventions import Image, PixelIndices
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices import CameraSettings
+from fpplab.patterns.fringes import Pattern
+from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
+from fpplab.targets import Target
+
+
+def watched_twin(twin: Twin, watch: Callable[[], None]) -> Twin:
+    """Give a twin that does what another does, and calls a function before it computes images of its board.
+
+    Parameters
+    ----------
+    twin : Twin
+        That does the work.
+    watch : callable
+        Called without arguments. What it raises ends the work; the twin keeps the parameters that it has.
+
+    Returns
+    -------
+    Twin
+        Its parameters are those of `twin`.
+    """
+    return _WatchedTwin(twin, watch)
+
+
+class _WatchedTwin:
+    def __init__(self, twin: Twin, watch: Callable[[], None]) -> None:
+        self._twin, self._watch = twin, watch
+
+    @property
+    def parameters(self) -> TwinParameters:
+        return self._twin.parameters
+
+    @property
+    def target(self) -> Target:
+        return self._twin.target
+
+    def become(self, parameters: TwinParameters) -> None:
+        self._twin.become(parameters)
+
+    def expected(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
+        self._watch()
+        return self._twin.expected(pose, patterns, settings)
+
+    def expected_at(
+        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, pixels: PixelIndices
+    ) -> ExpectedLevels:
+        self._watch()
+        return self._twin.expected_at(pose, patterns, settings, pixels)
+
+    def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
+        self._watch()
+        return self._twin.frames(pose, patterns, settings)
+
+    def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
+        return self._twin.expected_of(item, patterns, settings)
+
+    def scan(
+        self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
+    ) -> list[Image]:
+        return self._twin.scan(item, pose, patterns, settings)
+
+    def mesh(self, item: str) -> trimesh.Trimesh:
+        return self._twin.mesh(item)
+
+    def save(self, folder: Path) -> Path:
+        return self._twin.save(folder)
