@@ -21,6 +21,9 @@ from fpplab.core.strict_yaml import load_yaml
 
 _log = logging.getLogger(__name__)
 
+MOST_FAULTS = 5
+"""So many faults of a file are told at once."""
+
 
 class Document(BaseModel):
     """Base of everything that is read from YAML: strict, frozen, no unknown keys."""
@@ -183,19 +186,20 @@ def describe(error: ValidationError, data: Any = None) -> str:
     Returns
     -------
     str
-        All unknown keys, or else the first fault with field, value and what is allowed; and how many more
-        there are.
+        All unknown keys, and every other fault with field, value and what is allowed; of more than five
+        how many more there are.
     """
     # A misspelt key is both unknown and missing: what the operator wrote comes first.
     details: list[Any] = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     if data is not None:
         details = [_written(detail, data) for detail in details]
     unknown = [_field(d["loc"]) for d in details if d["type"] == "extra_forbidden"]
-    others = len(details) - max(len(unknown), 1)
-    more = f" (and {others} more)" if others else ""
-    if len(unknown) > 1:  # one look at the file corrects them all
-        return "unknown keys " + ", ".join(f"'{key}'" for key in unknown) + more
-    return _fault(details[0]) + more
+    said = [_fault(d) for d in details if d["type"] != "extra_forbidden" or len(unknown) == 1]
+    if len(unknown) > 1:
+        said.insert(0, "unknown keys " + ", ".join(f"'{key}'" for key in unknown))
+    shown = list(dict.fromkeys(said))  # one look at the file corrects them all
+    more = f" (and {len(shown) - MOST_FAULTS} more)" if len(shown) > MOST_FAULTS else ""
+    return "; ".join(shown[:MOST_FAULTS]) + more
 
 
 def _fault(detail: Any) -> str:

@@ -1,4 +1,4 @@
-"""A twin that tells when it is used, so that steps of a matching report how far they are, and can be ended."""
+"""A twin that tells when it is used, so that steps of a matching report how far they are and can be ended."""
 
 from __future__ import annotations
 

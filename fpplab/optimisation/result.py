@@ -67,6 +67,8 @@ class SearchResult:
         Plan files written: that of the optimum, or those of the front in its order.
     planned : tuple of MeasuredCandidate
         The candidates of `plans`.
+    ended_early : bool
+        Whether the budget ended the search, and not its method.
     """
 
     study: Study
@@ -82,6 +84,7 @@ class SearchResult:
     ended: str
     plans: tuple[Path, ...]
     planned: tuple[MeasuredCandidate, ...]
+    ended_early: bool
 
     @property
     def ranking(self) -> CandidateRanking:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -29,6 +30,7 @@ from fpplab.optimisation.scope import SearchScope
 from fpplab.optimisation.space import SearchSpace
 from fpplab.optimisation.storage import Journal
 from fpplab.optimisation.study import CalibrationAt, Study
+from fpplab.optimisation.verdict import diagnose_search
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import CALIBRATION, REPORT
 from fpplab.targets import Target
@@ -53,6 +55,8 @@ def run_search(
     progress: Progress = no_progress,
 ) -> SearchResult:
     """Search, and write the plan found to `out`, or the plans of a front to the folder `out`.
+
+    Nothing is written where the plan found is worse than the start's.
 
     An interrupted search continues from its journal, beside the plan or in the folder.
 
@@ -109,7 +113,7 @@ def run_search(
     measuring = make_workers(factory or RigEvaluatorFactory(_absolute(rig), study), count, scheduler)
     try:
         runner = CandidateRunner(space, measuring, journal, observe)
-        ended = _search(runner)
+        ended, ended_early = _search(runner)
         optimum = runner.best
         _check_acceptable(runner, optimum)
         front = tuple(runner.front)
@@ -118,7 +122,7 @@ def run_search(
     finally:
         measuring.close()
     planned = front if scope is SearchScope.PARETO else (optimum,)
-    return SearchResult(
+    found = SearchResult(
         study=study,
         rig=limits.name,
         space=space,
@@ -130,9 +134,13 @@ def run_search(
         refused=dict(runner.refused),
         rescored=rescored,
         ended=ended,
-        plans=_save(scope, out, study, limits, rig, planned),
+        plans=(),
         planned=planned,
+        ended_early=ended_early,
     )
+    if diagnose_search(found).is_useless:
+        return found
+    return replace(found, plans=_save(scope, out, study, limits, rig, planned))
 
 
 def worker_count(limits: RigLimits, wanted: int | None) -> int:
@@ -295,13 +303,13 @@ def plan_paths(scope: SearchScope, out: Path) -> list[Path]:
     return sorted(out.glob("plan_*.yaml")) if scope is SearchScope.PARETO else [out] if out.exists() else []
 
 
-def _search(runner: CandidateRunner) -> str:
-    """Run the study's method; returns why it ended."""
+def _search(runner: CandidateRunner) -> tuple[str, bool]:
+    """Run the study's method; returns why it ended, and whether that was too early."""
     runner.epoch("start", [runner.start])
     try:
-        return runner.space.study.method.search(runner)
+        return runner.space.study.method.search(runner), False
     except BudgetExhausted:
-        return f"the budget of {runner.space.study.budget} candidates is used up"
+        return f"the budget of {runner.space.study.budget} candidates is used up", True
 
 
 def _other_seeds(study: Study) -> list[int]:

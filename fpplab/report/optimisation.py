@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,10 +21,11 @@ from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.scoring import ArtefactFigures
 from fpplab.optimisation.space import Parameter
+from fpplab.optimisation.verdict import diagnose_search
 from fpplab.report.drawing import ACCENT, ALARM, FULL, HALF, INK, SECOND, as_png, side_by_side, single_axes
 from fpplab.report.figures import error_map
-from fpplab.report.page import write_page
-from fpplab.report.parts import ReportFigure, ReportSection, ReportTable
+from fpplab.report.page import PageBasis, write_page
+from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable
 
 DISTANCE = "mean distance to the surface, µm"
 """Label of the axes."""
@@ -79,7 +81,11 @@ CONFIRMED = (
 
 
 def write_optimisation_report(
-    path: Path, found: SearchResult, confirmed: Sequence[ConfirmedPlan] = (), maps: SearchMaps | None = None
+    path: Path,
+    found: SearchResult,
+    confirmed: Sequence[ConfirmedPlan] = (),
+    maps: SearchMaps | None = None,
+    answer: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a search as one HTML file.
 
@@ -93,6 +99,8 @@ def write_optimisation_report(
         Confirmations on another rig, if there are any.
     maps : SearchMaps, optional
         Without it the page has no error maps.
+    answer : mapping of str to object, optional
+        What the command prints with `--json`.
 
     Raises
     ------
@@ -108,7 +116,9 @@ def write_optimisation_report(
         _parameter_section(found, maps.angles),
         *(_map_section(name, *both) for name, both in maps.error_maps.items()),
     ]
-    write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found))
+    verdict = PageVerdict.of(diagnose_search(found, confirmed))
+    basis = PageBasis((verdict,), answer=answer or {})
+    write_page(path, f"Search: {found.study.name}", _summary(found), sections, _facts(found), basis=basis)
 
 
 def measure_search_maps(rig: str, found: SearchResult) -> SearchMaps:

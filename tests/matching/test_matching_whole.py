@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,7 +147,7 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     whole = replace(found, matched=replace(found.matched, ended="converged"))
     assert diagnose_matching(whole).verdict is Verdict.GOOD
 
-    def with_changed(**changes: object) -> MatchingResult:
+    def with_changed(**changes: Any) -> MatchingResult:
         return replace(whole, matched=replace(whole.matched, **changes))
 
     blurred = diagnose_matching(with_changed(unexplained=12.0))

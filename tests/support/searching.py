@@ -53,7 +53,8 @@ class Formula:
     """Opens an evaluator whose distance is least at `best_stripes` of the finest set and `best_stage_mm`.
 
     The phase noise of a set is 1/sqrt(steps). Coarse noise beyond `throw` of a finer period throws orders.
-    noise_um: of every seed, the same for all candidates. log: a file that counts measurements.
+    noise_um: of every seed, the same for all candidates. scatter_um: of every candidate and seed.
+    log: a file that counts measurements.
     dies_once: the first process to see a candidate of so many images is killed; the file remembers it.
     fails_at: so many images, at which nothing can be measured.
     """
@@ -62,6 +63,7 @@ class Formula:
     best_stage_mm: float = 20.0
     throw: float = 1.4
     noise_um: float = 0.0
+    scatter_um: float = 0.0
     log: Path | None = None
     dies_once: Path | None = None
     fails_at: int = 0
@@ -99,6 +101,8 @@ class Calculated:
         moved = ((candidate.stage_mm or 0.0) - formula.best_stage_mm) / 60.0
         distance = 10.0 + 30.0 * valley + 40.0 / np.sqrt(finest.steps) + 20.0 * moved**2 + 2000.0 * wrong
         distance += formula.noise_um * np.random.default_rng(seed).normal() + 5.0 * (artefact == "cube")
+        own = [seed, round(1e3 * finest.stripes), candidate.images]
+        distance += formula.scatter_um * np.random.default_rng(own).normal()
         return Score(
             artefact=artefact,
             seed=seed,

@@ -67,7 +67,8 @@ def optimise_command(
     `phases`: the fewest images that measure no worse than the start's plan. `stripes` and `baseline`: the
     least mean distance to the surface. `pareto`: that distance against images. OUT is what `fpplab scan
     --plan` takes; beside it stay a report and the journal, from which an interrupted search goes on by the
-    same command.
+    same command. `verdict` says whether to believe the optimum, `findings` why not; where it is worse than
+    the start no plan is left, and the exit code is 4.
 
     Example: `fpplab optimise stripes --rig rig_demo --out stripes.yaml --confirm rig_hidden`
     """
@@ -82,6 +83,7 @@ def optimise_command(
     _make_way(what, out, force)
 
     from fpplab.optimisation import confirm_result, run
+    from fpplab.optimisation.verdict import diagnose_search
     from fpplab.report.optimisation import measure_search_maps, write_optimisation_report
     from fpplab.report.viewer import Viewer
 
@@ -110,22 +112,28 @@ def optimise_command(
                 progress=report,
             )
         confirmed: tuple[confirm_result.ConfirmedPlan, ...] = ()
-        if confirm:
+        if confirm and found.plans:
             with console.progress("Confirming") as report:
                 confirmed = confirm_result.confirm_result(
                     confirm, found, run.work_folder(out) / "confirm", report
                 )
         page = run.report_path(what, out)
-        with console.progress("Comparing before and after"):
-            write_optimisation_report(page, found, confirmed, measure_search_maps(rig, found))
+        diagnosis = diagnose_search(found, confirmed)
+        if diagnosis.is_useless:
+            for path in found.plans:
+                path.unlink()
         result = {
+            **diagnosis.summary(),
             **found.summary(),
             "confirmed": [one.summary() for one in confirmed],
             "seconds": elapsed(),
-            "plans": [str(path) for path in found.plans],
+            "plans": [] if diagnosis.is_useless else [str(path) for path in found.plans],
             "report": str(page),
         }
-    console.answer(result, json, lambda: _show(result))
+        with console.progress("Comparing before and after"):
+            maps = measure_search_maps(rig, found)
+            write_optimisation_report(page, found, confirmed, maps, result)
+    console.conclude(diagnosis, str(out), result, json, lambda: _show(result))
 
 
 def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study:

@@ -1,0 +1,203 @@
+"""Whether to believe what a search has found: by its neighbours, its borders, its end, and other seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnosis_of
+from fpplab.optimisation.objectives import MeasuredCandidate, seed_means
+from fpplab.optimisation.space import Parameter, Point
+
+if TYPE_CHECKING:
+    from fpplab.optimisation.confirm_result import ConfirmedPlan
+    from fpplab.optimisation.result import SearchResult
+
+SURE = 2.0
+"""Standard uncertainties by which two figures must differ to be told apart."""
+NEIGHBOUR = 0.1
+"""Distance of neighbours, as a share of the ranges: whoever searches finer than that knows that they are alike.
+"""
+FAILED_SHARE = 0.5
+"""Share of candidates that may fail."""
+FEWEST_STEPS = 3
+"""Of a phase-shifted set: its bound is no border that could be widened."""
+BEYOND = 0.05
+"""How far beyond a border a rig is asked for, as a share of the range."""
+DISTANCE = "surface_smcd_um"
+RUINOUS = {FaultCause.NO_GAIN: 1.0 + 1e-9, FaultCause.NOT_CONFIRMED: 1.0 + 1e-9}
+"""What is worse than the start beyond its uncertainty has an excess of more than 1 and is of no use."""
+
+
+def diagnose_search(found: SearchResult, confirmed: Sequence[ConfirmedPlan] = ()) -> Diagnosis:
+    """Judge the result of a search.
+
+    It is useless where the plan found is worse than the start's beyond the uncertainty, with seeds that the
+    search did not use or where it was confirmed.
+
+    Parameters
+    ----------
+    found : SearchResult
+        Result of the search.
+    confirmed : sequence of ConfirmedPlan
+        Confirmations on a rig.
+
+    Returns
+    -------
+    Diagnosis
+        With a finding for each cause.
+    """
+    findings = [
+        *_gain(found),
+        *_neighbours(found),
+        *_borders(found),
+        *_end(found),
+        *_limits(found),
+        *_failed(found),
+        *_confirmed(found, confirmed),
+    ]
+    unknown = [] if confirmed else ["not_confirmed: no rig to --confirm the plan on was given"]
+    if len(found.study.seeds) < 2:
+        unknown.append("flat_optimum: one seed does not show the uncertainty; give more --seeds")
+    good = f"{found.optimum.candidate.images} images, {found.optimum.figures.surface_smcd_um:.2f} µm"
+    good += "; the optimum is within the space and better than its neighbours"
+    return diagnosis_of(findings, good, unknown, RUINOUS)
+
+
+def _seeks_distance(found: SearchResult) -> bool:
+    """Whether less distance to the surface is the aim, and not fewer images."""
+    return found.study.objectives[0] == DISTANCE
+
+
+def _gain(found: SearchResult) -> Iterator[Finding]:
+    """Whether other seeds show a gain over the start."""
+    gain = found.gain
+    if gain is None or gain.uncertainty_um is None:
+        return
+    worse = -gain.down_um / max(SURE * gain.uncertainty_um, 1e-9)
+    words = (
+        f"with other seeds the optimum is {gain.down_um:.2f} ± {gain.uncertainty_um:.2g} µm nearer to the "
+        "surface than the start"
+    )
+    if _seeks_distance(found):
+        if worse > 1.0:
+            yield Finding(FaultCause.NO_GAIN, words, worse)
+        elif worse > -1.0:
+            yield Finding(FaultCause.NO_GAIN, words, 1.0)
+    elif found.optimum.candidate == found.start.candidate:
+        yield Finding(FaultCause.NO_GAIN, "no plan is better than the start's", 1.0)
+
+
+def _neighbours(found: SearchResult) -> Iterator[Finding]:
+    """Whether candidates a tenth of the ranges away are worse than the optimum beyond the uncertainty."""
+    if not _seeks_distance(found) or len(found.study.seeds) < 2:
+        return
+    best, parameters = found.optimum, found.space.parameters
+    away = {
+        trial: distance
+        for trial in found.trials
+        if found.ranking.is_acceptable(trial)
+        and (distance := _distance(parameters, trial.point, best.point)) >= NEIGHBOUR
+    }
+    nearest = sorted(away, key=lambda trial: away[trial])[: 2 * len(parameters)]
+    alike = []
+    for trial in nearest:
+        by, sigma = _difference(trial, best)
+        if by <= SURE * sigma:
+            alike.append((trial, by, sigma))
+    if alike:
+        trial, by, sigma = alike[0]
+        words = (
+            f"{len(alike)} of {len(nearest)} neighbours cannot be told from it; "
+            f"{_differing(parameters, trial.point, best.point)} is worse by {by:.2f} ± {sigma:.2g} µm"
+        )
+        yield Finding(FaultCause.FLAT_OPTIMUM, words, 1.0)
+
+
+def _distance(parameters: Sequence[Parameter], one: Point, other: Point) -> float:
+    apart = [p.fraction(a) - p.fraction(b) for p, a, b in zip(parameters, one, other, strict=True)]
+    return float(np.linalg.norm(apart))
+
+
+def _difference(trial: MeasuredCandidate, best: MeasuredCandidate) -> tuple[float, float]:
+    """By how much a candidate is worse, seed by seed, and the standard uncertainty of that, in µm."""
+    here, there = seed_means(best.scores), seed_means(trial.scores)
+    apart = np.array([there[seed] - here[seed] for seed in here if seed in there])
+    if len(apart) < 2:
+        return float(apart.mean()) if len(apart) else 0.0, float("inf")
+    return float(apart.mean()), float(apart.std(ddof=1) / np.sqrt(len(apart)))
+
+
+def _differing(parameters: Sequence[Parameter], one: Point, other: Point) -> str:
+    changed = [f"{p.name} {a:g}" for p, a, b in zip(parameters, one, other, strict=True) if a != b]
+    return ", ".join(changed)
+
+
+def _borders(found: SearchResult) -> Iterator[Finding]:
+    """Parameters whose optimum lies at a border beyond which the rig could go."""
+    space = found.space
+    for i, parameter in enumerate(space.parameters):
+        value = found.optimum.point[i]
+        for border, outwards in ((parameter.lower, -1.0), (parameter.upper, 1.0)):
+            if value != border or parameter.name == "axis":
+                continue
+            step = 1.0 if parameter.is_integer else BEYOND * (parameter.upper - parameter.lower)
+            beyond = value + outwards * step
+            if beyond <= 0 and parameter.name != "stage_mm" and parameter.name != "convergence_deg":
+                continue
+            if parameter.name == "sets" or (parameter.name.startswith("steps") and beyond < FEWEST_STEPS):
+                continue
+            point = (*found.optimum.point[:i], beyond, *found.optimum.point[i + 1 :])
+            if space.refusal(space.candidate(point)) is None:
+                words = (
+                    f"{parameter.name} is {value:g}, at the border of its range from {parameter.lower:g} to "
+                    f"{parameter.upper:g}"
+                )
+                advice = f"widen 'space.{parameter.name}' of the study, and search again"
+                yield Finding(FaultCause.AT_BORDER, words, 1.0, advice)
+
+
+def _end(found: SearchResult) -> Iterator[Finding]:
+    if found.ended_early:
+        words = f"the search ended because {found.ended}"
+        advice = "give the study a greater 'budget', and name another --out"
+        yield Finding(FaultCause.ENDED_EARLY, words, 1.0, advice)
+
+
+def _limits(found: SearchResult) -> Iterator[Finding]:
+    """Limits of the study that the optimum exceeds when it is measured with other seeds."""
+    again = found.rescored.get(found.optimum.candidate)
+    if not again:
+        return
+    start = found.rescored.get(found.start.candidate) or found.start.scores
+    ranking = replace(found.ranking, start=replace(found.start, scores=start).figures)
+    broken = ranking.violations(replace(found.optimum, scores=again))
+    over = {name: by for name, by in broken.items() if by > 0}
+    if over:
+        words = ", ".join(f"{name} by {by:.3g}" for name, by in over.items())
+        yield Finding(FaultCause.LIMITS_BROKEN, f"measured with other seeds it exceeds {words}", 1.0)
+
+
+def _failed(found: SearchResult) -> Iterator[Finding]:
+    failed = [trial for trial in found.trials if trial.failed]
+    share = len(failed) / max(len(found.trials), 1)
+    if share > FAILED_SHARE:
+        words = f"{len(failed)} of {len(found.trials)} candidates could not be measured: {failed[-1].failed}"
+        yield Finding(FaultCause.FAILED_CANDIDATES, words, share / FAILED_SHARE)
+
+
+def _confirmed(found: SearchResult, confirmed: Sequence[ConfirmedPlan]) -> Iterator[Finding]:
+    for one in confirmed:
+        known = one.confirmation
+        worse = -known.gain / max(SURE * known.uncertainty, 1e-9)
+        gain = f"{100 * known.gain:.1f} ± {100 * known.uncertainty:.1f} %"
+        words = f"on {one.rig} {one.plan.name} is {gain} nearer to the surface than the start's plan"
+        if not _seeks_distance(found):
+            continue  # its aim is fewer images, which is sure; the study's limits say what they may cost
+        if worse > 1.0:
+            yield Finding(FaultCause.NOT_CONFIRMED, words, worse)
+        elif worse > -1.0:
+            yield Finding(FaultCause.NOT_CONFIRMED, words, 1.0)
