@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SURE = 2.0
 """Standard uncertainties by which two figures must differ to be told apart."""
 NEIGHBOUR = 0.1
-"""Distance of neighbours, as a share of the ranges: whoever searches finer than that knows that they are alike.
+"""Distance of neighbours, as a share of the ranges: a search itself takes finer steps, and they are alike.
 """
 FAILED_SHARE = 0.5
 """Share of candidates that may fail."""

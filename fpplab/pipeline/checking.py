@@ -5,7 +5,7 @@ from __future__ import annotations
 from fpplab.acquisition.synchronisation import IMPORTED_REMEDY, check_synchronisation, remedy
 from fpplab.core.errors import DataError
 from fpplab.patterns.recording import Recording
-from fpplab.plan_check import check_plan_fit
+from fpplab.plan_check import check_plan_fit, name_other_patterns
 from fpplab.sessions.session import Session
 
 
@@ -27,7 +27,11 @@ def fault_in_step(session: Session, recording: Recording) -> str | None:
     verdict = check_synchronisation(recording)
     if verdict.in_step:
         return None
-    return f"{verdict.describe()}; {IMPORTED_REMEDY if session.is_imported else remedy(recording.plan)}"
+    if not session.is_imported:
+        return f"{verdict.describe()}; {remedy(recording.plan)}"
+    sizes = [fringe.images for fringe in recording.plan.fringes]
+    other = name_other_patterns(recording.frames, recording.full_scale, sizes)
+    return other or f"{verdict.describe()}; {IMPORTED_REMEDY}"
 
 
 def require_in_step(session: Session, recording: Recording) -> None:

@@ -6,5 +6,6 @@ make in plans, `check` decides which plan fits, `guess` writes one.
 
 from fpplab.plan_check.check import PlanCheck, check_plan_fit
 from fpplab.plan_check.guess import PlanGuess, guess_plan
+from fpplab.plan_check.other_patterns import name_other_patterns
 
-__all__ = ["PlanCheck", "PlanGuess", "check_plan_fit", "guess_plan"]
+__all__ = ["PlanCheck", "PlanGuess", "check_plan_fit", "guess_plan", "name_other_patterns"]

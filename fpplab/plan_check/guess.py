@@ -21,6 +21,7 @@ from fpplab.patterns.unwrapping.heterodyne import Heterodyne
 from fpplab.patterns.unwrapping.hierarchical import Hierarchical
 from fpplab.plan_check.check import AGREES, disagreement
 from fpplab.plan_check.edits import Sets, refined_stripes, upright, with_origins
+from fpplab.plan_check.other_patterns import name_other_patterns
 from fpplab.plan_check.sample import PhaseSample, directions
 
 PIXELS = 4_000
@@ -153,9 +154,10 @@ def set_sizes(frames: Sequence[Image], full: int) -> list[int]:
     starts = np.cumsum([0, *sizes])
     left = sum(_left(moments[a : a + n, a : a + n]) for a, n in zip(starts, sizes, strict=False))
     if np.sqrt(left / max(count - 2 * len(sizes), 1)) > WORST_MISFIT:
+        named = name_other_patterns(frames, full) or "leave out white, black and other images by --skip"
         raise DataError(
             f"the {count} images are not made up of sets of phase-shifted sinusoids with equal steps, one "
-            "set after the other; leave out white, black and other images by --skip"
+            f"set after the other; {named}"
         )
     return sizes
 

@@ -14,6 +14,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 from tests.diagnosis.scenes import Bench, plan_of
+from tests.plan_check.test_other_patterns import gray, sinusoids
 from tests.support.commands import Command
 
 SIZE = ("--projector-size", "912", "1140")
@@ -72,7 +73,7 @@ def test_a_stack_with_white_and_black_images_is_guessed_and_imported(fpplab: Com
     words = stack, "--skip", "0-1", *SIZE
     without = fpplab("plan", "guess", stack, *SIZE, "--out", tmp_path / "plan.yaml")
     assert without.code == 4, without.err
-    assert "leave out white, black and other images by --skip" in without.err
+    assert "image 0 is white; image 1 is black" in without.err
     guessed = fpplab("plan", "guess", *words, "--out", tmp_path / "plan.yaml", "--json")
     assert guessed.code == 0, guessed.err
     assert [s["stripes"] for s in guessed.json["fringes"]] == [1.0, 8.0, 48.0]
@@ -117,6 +118,38 @@ def test_images_out_of_step_are_told_at_import_and_can_be_taken_as_they_are(
     taken = fpplab("reconstruct", tmp_path / "s", *cloud, "--as-recorded", "--json")
     assert "out of step" not in taken.err
     assert "show each other's pattern" not in taken.err
+
+
+def test_gray_code_behind_phase_images_is_named_at_import_and_left_out(
+    fpplab: Command, tmp_path: Path
+) -> None:
+    plan = plan_of("x", (4, 4, 6), (1, 8, 48))
+    frames = [*sinusoids(74, plan), *gray(74)]
+    more = plan_of("x", (4, 4, 6, 5), (1, 8, 48, 60))
+    words = images(Recording(frames, more, (912, 1140)), tmp_path / "images")
+    wrong = written(more, tmp_path / "more.yaml")
+    imported = fpplab("import", *words, *SIZE, *SQUARE, "--plan", wrong, "--out", tmp_path / "s", "--json")
+    assert imported.code == 0, imported.err
+    assert "images 14-18 have black and white stripes, as of Gray code" in imported.json["warnings"][0]
+    refused = fpplab("decode", tmp_path / "s", "--out", tmp_path / "s.npz")
+    assert refused.code == 4
+    assert "'--skip 14-18'" in refused.err
+    right = written(plan, tmp_path / "plan.yaml")
+    skipped = fpplab(
+        "import",
+        *words,
+        *SIZE,
+        *SQUARE,
+        "--plan",
+        right,
+        "--skip",
+        "14-18",
+        "--out",
+        tmp_path / "r",
+        "--json",
+    )
+    assert skipped.code == 0, skipped.err
+    assert skipped.json["warnings"] == []
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,175 @@
+"""Name images that no set of sinusoids with equal steps has: white and black ones, Gray code, unequal steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from fpplab.core.conventions import Floats, Image, phase_steps
+
+PIXELS = 4_000
+"""About as many pixels decide."""
+NEAR = 0.2
+"""Distance from a pixel's darkest or brightest level, as a share of its range, within which it is either."""
+BINARY_SHARE = 0.85
+"""Share of the pixels that are dark or bright in an image of two levels; of a sinusoid 59 % are."""
+UNIFORM_SHARE = 0.97
+"""Share of the pixels that are bright in a white image, or dark in a black one."""
+LEAST_RANGE = 0.05
+"""Range of a pixel, as a share of full scale, that tells something."""
+RANK_MISFIT = 0.1
+"""What two waves may leave of sinusoids of any steps, as a share of their mean square."""
+WORST_STEP_DEG = 15.0
+"""Greatest error of a phase step that counts as equal."""
+FEWEST = 4
+"""Of sinusoids whose steps can be told: three images fit any steps."""
+
+
+def name_other_patterns(frames: Sequence[Image], full: int, sizes: Sequence[int] = ()) -> str | None:
+    """Say which images are no sinusoids with equal steps, and what they are.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, (height, width) each
+        Raw frames in the order shown.
+    full : int
+        Raw value of a saturated pixel.
+    sizes : sequence of int
+        How many images each set of a plan has; without, unequal steps are not looked for.
+
+    Returns
+    -------
+    str or None
+        A clause with a remedy; None where nothing of the kind is seen. Images count from 0.
+    """
+    levels = _lit_levels(frames, full)
+    if levels is None:
+        return None
+    kinds = _kinds(levels)
+    found = [f"{_listed(numbers)} {words}" for words, numbers in _by_words(kinds).items()]
+    if found:
+        others = [k for k, kind in enumerate(kinds) if kind is not None]
+        ranges = ",".join(_range(run) for run in _runs(others))
+        return (
+            f"{'; '.join(found)}: only phase-shifted sinusoids are decoded; leave these images out with "
+            f"'--skip {ranges}', where the sinusoids alone suffice, and count them from 0"
+        )
+    return _unequal(levels, sizes)
+
+
+def _lit_levels(frames: Sequence[Image], full: int) -> Floats | None:
+    """Levels (K, P) of pixels that change, 0 at the darkest and 1 at the brightest of each."""
+    height, width = frames[0].shape
+    step = max(1, int(np.sqrt(height * width / PIXELS)))
+    levels = np.stack([frame[::step, ::step].ravel() for frame in frames]).astype(np.float64)
+    low, high = levels.min(axis=0), levels.max(axis=0)
+    span = high - low
+    lit = (span > LEAST_RANGE * full) & (span > 0.3 * np.quantile(span, 0.95)) & (high < full)
+    if lit.sum() < PIXELS // 50:
+        return None
+    return np.asarray((levels[:, lit] - low[lit]) / span[lit])
+
+
+WORDS = {
+    "white": ("is white", "are white"),
+    "black": ("is black", "are black"),
+    "binary": (
+        "has black and white stripes, as of Gray code",
+        "have black and white stripes, as of Gray code",
+    ),
+}
+
+
+def _kinds(levels: Floats) -> list[str | None]:
+    kinds: list[str | None] = []
+    for image in levels:
+        bright, dark = float(np.mean(image > 1.0 - NEAR)), float(np.mean(image < NEAR))
+        if bright > UNIFORM_SHARE:
+            kinds.append("white")
+        elif dark > UNIFORM_SHARE:
+            kinds.append("black")
+        else:
+            kinds.append("binary" if bright + dark > BINARY_SHARE else None)
+    return kinds
+
+
+def _by_words(kinds: Sequence[str | None]) -> dict[str, list[int]]:
+    found = {}
+    for kind, (one, several) in WORDS.items():
+        numbers = [k for k, own in enumerate(kinds) if own == kind]
+        if numbers:
+            found[one if len(numbers) == 1 else several] = numbers
+    return found
+
+
+def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each run of successive numbers."""
+    runs = [list(run) for _, run in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])]
+    return [(run[0][1], run[-1][1]) for run in runs]
+
+
+def _range(run: tuple[int, int]) -> str:
+    return f"{run[0]}" if run[0] == run[1] else f"{run[0]}-{run[1]}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    runs = ", ".join(map(_range, _runs(numbers)))
+    return f"image {runs}" if len(numbers) == 1 else f"images {runs}"
+
+
+def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
+    """Sets of sinusoids whose steps are not equal."""
+    said = []
+    for k, (start, count) in enumerate(zip(np.cumsum([0, *sizes]), sizes, strict=False)):
+        shifts = phase_shifts_seen(levels[start : start + count]) if count >= FEWEST else None
+        if shifts is None:
+            continue
+        wanted = np.degrees(phase_steps(count))
+        turned = min((shifts, -shifts % 360.0), key=lambda one: _worst(one, wanted))
+        if _worst(turned, wanted) <= WORST_STEP_DEG:
+            continue
+        if _worst(np.sort(turned), wanted) <= WORST_STEP_DEG:
+            continue  # equal steps in another order, of which others tell which images were exchanged
+        degrees = ", ".join(f"{shift:.0f}" for shift in turned)
+        said.append(f"the images of 'fringes[{k}]' have unequal phase steps, at {degrees} degrees")
+    if not said:
+        return None
+    return (
+        f"{'; '.join(said)}: only sets with equal steps are decoded; leave images out by '--skip', so that "
+        "equal steps remain, or record the set anew"
+    )
+
+
+def _worst(shifts: Floats, wanted: Floats) -> float:
+    return float(np.max(np.abs((shifts - wanted + 180.0) % 360.0 - 180.0)))
+
+
+def phase_shifts_seen(levels: Floats) -> Floats | None:
+    """Find the phase shifts of images that are sinusoids of one number of stripes.
+
+    Parameters
+    ----------
+    levels : ndarray of float64, (N, P)
+        Levels of P pixels, of N images, in any unit.
+
+    Returns
+    -------
+    ndarray of float64, (N,), or None
+        Degrees after the first image, of any sign; None where the images are no such set.
+    """
+    # Offset, cosine and sine span all levels of a pixel, whatever the steps are.
+    directions, strength, _ = np.linalg.svd(levels - levels.mean(axis=0), full_matrices=False)
+    if np.sum(strength[2:] ** 2) > RANK_MISFIT * np.sum(strength**2):
+        return None
+    basis = np.column_stack([np.ones(len(levels)), directions[:, :2] * strength[:2]])
+    # The shifts lie on an ellipse in this plane; pixels of all phases tell its axes.
+    inverse = np.linalg.pinv(basis) @ levels
+    second = np.cov(inverse[1:])
+    x, y = np.linalg.cholesky(second).T @ basis[:, 1:].T
+    (across, down, _), *_ = np.linalg.lstsq(
+        np.column_stack([2.0 * x, 2.0 * y, np.ones_like(x)]), x**2 + y**2, rcond=None
+    )  # steps that are not balanced leave the circle beside the images' mean
+    angles = np.degrees(np.arctan2(y - down, x - across))
+    return np.asarray((angles - angles[0]) % 360.0)
