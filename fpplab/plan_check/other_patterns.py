@@ -1,4 +1,4 @@
-"""Name images that no set of sinusoids with equal steps has: white and black ones, Gray code, unequal steps."""
+"""Name images that no set of sinusoids with equal steps has: white, black, Gray code, unequal steps."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ LEAST_RANGE = 0.05
 """Range of a pixel, as a share of full scale, that tells something."""
 RANK_MISFIT = 0.1
 """What two waves may leave of sinusoids of any steps, as a share of their mean square."""
+EQUAL_MISFIT, WORSE = 0.03, 3.0
+"""What equal steps leave of unequal ones, at least: as a share of all, and times what free steps leave."""
 WORST_STEP_DEG = 15.0
-"""Greatest error of a phase step that counts as equal."""
+"""Greatest error of steps that are taken for equal ones in another order."""
 FEWEST = 4
 """Of sinusoids whose steps can be told: three images fit any steps."""
 
@@ -72,13 +74,11 @@ def _lit_levels(frames: Sequence[Image], full: int) -> Floats | None:
     return np.asarray((levels[:, lit] - low[lit]) / span[lit])
 
 
+STRIPES = "black and white stripes, as of Gray code"
 WORDS = {
     "white": ("is white", "are white"),
     "black": ("is black", "are black"),
-    "binary": (
-        "has black and white stripes, as of Gray code",
-        "have black and white stripes, as of Gray code",
-    ),
+    "binary": (f"has {STRIPES}", f"have {STRIPES}"),
 }
 
 
@@ -92,7 +92,13 @@ def _kinds(levels: Floats) -> list[str | None]:
             kinds.append("black")
         else:
             kinds.append("binary" if bright + dark > BINARY_SHARE else None)
-    return kinds
+    return [kind if kind == "binary" or _beside_another(kinds, k) else None for k, kind in enumerate(kinds)]
+
+
+def _beside_another(kinds: Sequence[str | None], k: int) -> bool:
+    """Whether a neighbour is of another kind."""
+    # Of wide fringes on a small part one image may be all dark or bright, but never two neighbours.
+    return any(kinds[n] not in (None, kinds[k]) for n in (k - 1, k + 1) if 0 <= n < len(kinds))
 
 
 def _by_words(kinds: Sequence[str | None]) -> dict[str, list[int]]:
@@ -126,10 +132,10 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
         shifts = phase_shifts_seen(levels[start : start + count]) if count >= FEWEST else None
         if shifts is None:
             continue
+        if not _fits_badly(levels[start : start + count]):
+            continue
         wanted = np.degrees(phase_steps(count))
         turned = min((shifts, -shifts % 360.0), key=lambda one: _worst(one, wanted))
-        if _worst(turned, wanted) <= WORST_STEP_DEG:
-            continue
         if _worst(np.sort(turned), wanted) <= WORST_STEP_DEG:
             continue  # equal steps in another order, of which others tell which images were exchanged
         degrees = ", ".join(f"{shift:.0f}" for shift in turned)
@@ -140,6 +146,17 @@ def _unequal(levels: Floats, sizes: Sequence[int]) -> str | None:
         f"{'; '.join(said)}: only sets with equal steps are decoded; leave images out by '--skip', so that "
         "equal steps remain, or record the set anew"
     )
+
+
+def _fits_badly(levels: Floats) -> bool:
+    """Whether sinusoids with equal steps leave much more of a set than those with any steps."""
+    changes = levels - levels.mean(axis=0)
+    total = float(np.sum(changes**2))
+    free = total - float(np.sum(np.linalg.svd(changes, compute_uv=False)[:2] ** 2))
+    shift = phase_steps(len(levels))
+    waves = np.stack([np.cos(shift), np.sin(shift)]) * np.sqrt(2.0 / len(levels))
+    equal = total - float(np.sum((waves @ changes) ** 2))
+    return equal > max(EQUAL_MISFIT * total, WORSE * free)
 
 
 def _worst(shifts: Floats, wanted: Floats) -> float:

@@ -135,19 +135,8 @@ def test_gray_code_behind_phase_images_is_named_at_import_and_left_out(
     assert refused.code == 4
     assert "'--skip 14-18'" in refused.err
     right = written(plan, tmp_path / "plan.yaml")
-    skipped = fpplab(
-        "import",
-        *words,
-        *SIZE,
-        *SQUARE,
-        "--plan",
-        right,
-        "--skip",
-        "14-18",
-        "--out",
-        tmp_path / "r",
-        "--json",
-    )
+    words = *words, *SIZE, *SQUARE, "--skip", "14-18"
+    skipped = fpplab("import", *words, "--plan", right, "--out", tmp_path / "r", "--json")
     assert skipped.code == 0, skipped.err
     assert skipped.json["warnings"] == []
 

@@ -81,10 +81,14 @@ def test_gray_code_is_named_wherever_it_stands() -> None:
 def test_white_and_black_images_are_named() -> None:
     waves = sinusoids(32)
     white, black = np.max(waves, axis=0), np.min(waves, axis=0)
-    said = name_other_patterns([white, *waves, black], 255)
+    said = name_other_patterns([white, black, *waves], 255)
     assert said is not None
-    assert "image 0 is white; image 15 is black" in said
-    assert "'--skip 0,15'" in said
+    assert "image 0 is white; image 1 is black" in said
+    assert "'--skip 0-1'" in said
+    behind = name_other_patterns([*waves, *gray(32), white], 255)
+    assert behind is not None
+    assert "image 19 is white; images 14-18 have" in behind
+    assert "'--skip 14-19'" in behind
 
 
 @pytest.mark.parametrize(
