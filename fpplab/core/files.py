@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
 import shutil
 import tempfile
@@ -15,6 +16,11 @@ from typing import Any, BinaryIO, cast
 
 from fpplab.core.direct import DirectWriter
 from fpplab.core.errors import ConfigError, DataError
+
+MUCH = 1 << 30
+"""Bytes from which on the space that work needs is said without being asked."""
+
+_log = logging.getLogger(__name__)
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
@@ -328,7 +334,9 @@ def refuse_existing(path: Path, force: bool) -> None:
 
 
 def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
-    """Refuse work whose files do not fit on the disk, before any of them is written.
+    """Say how much space work needs, before any of it is written, and refuse what does not fit on the disk.
+
+    `MUCH` and more is logged as a warning, which is printed in any case, less as information.
 
     Parameters
     ----------
@@ -354,6 +362,14 @@ def need_space(folder: Path, needed: int, what: str, freed: int = 0) -> None:
             f"{folder}: {what} need {readable_bytes(needed)}, but only {readable_bytes(free)} are free "
             "there; free some space, or name an output on another disk"
         )
+    _log.log(
+        logging.WARNING if needed >= MUCH else logging.INFO,
+        "%s: %s take %s; %s are free there",
+        folder,
+        what,
+        readable_bytes(needed),
+        readable_bytes(free),
+    )
 
 
 def disk_bytes(folder: Path) -> int:

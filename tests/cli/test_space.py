@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections import namedtuple
 from pathlib import Path
@@ -162,3 +163,20 @@ def test_the_disk_of_the_nearest_folder_is_asked(tmp_path: Path, monkeypatch: py
 )  # fmt: skip
 def test_bytes_are_readable(count: int, said: str) -> None:
     assert readable_bytes(count) == said
+
+
+@pytest.mark.parametrize(("needed", "level"), [(1 << 20, logging.INFO), (2 << 30, logging.WARNING)])
+def test_what_work_takes_is_said_before(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    needed: int,
+    level: int,
+) -> None:
+    usage = Usage(9 << 30, 1 << 30, 8 << 30)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    with caplog.at_level(logging.INFO):
+        need_space(tmp_path, needed, "1000 samples")
+    [said] = [record for record in caplog.records if record.name == "fpplab.core.files"]
+    assert said.levelno == level
+    assert f"1000 samples take {readable_bytes(needed)}; 8.59 GB are free there" in said.getMessage()

@@ -162,7 +162,7 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     final = whole.matched.final
     loss = replace(final.loss, epsilon_v=final.loss.epsilon_v + 0.3)
     apart = diagnose_matching(with_changed(final=replace(final, loss=loss)))
-    assert [one.cause for one in apart.findings] == ["points_misfit"]
+    assert "points_misfit" in [one.cause for one in apart.findings]
 
 
 def test_report_of_a_matching(matching: Matching, tmp_path: Path) -> None:
