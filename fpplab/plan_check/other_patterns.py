@@ -21,7 +21,7 @@ LEAST_RANGE = 0.05
 """Range of a pixel, as a share of full scale, that tells something."""
 RANK_MISFIT = 0.1
 """What two waves may leave of sinusoids of any steps, as a share of their mean square."""
-EQUAL_MISFIT, WORSE = 0.03, 3.0
+EQUAL_MISFIT, WORSE = 0.05, 3.0
 """What equal steps leave of unequal ones, at least: as a share of all, and times what free steps leave."""
 WORST_STEP_DEG = 15.0
 """Greatest error of steps that are taken for equal ones in another order."""
