@@ -1,16 +1,17 @@
 """The gain of a camera in dB, also where the camera knows only the integer `GainRaw`.
 
-How `GainRaw` relates to dB depends on the model, and the camera does not tell: for most models of the ace
-classic GigE series Basler's manual gives 0.0359 dB for each step, for others 20 log10(GainRaw / 32). So the
-rig file states it; without it only the least gain can be used, and it counts as 0 dB.
+How `GainRaw` relates to dB depends on the model, and the camera does not tell: a driver knows it for some
+models, and the rig file states it for others. Without either only the least gain can be used, and it counts
+as 0 dB.
 """
 
 from __future__ import annotations
 
 import math
 
-from drivers.basler.features import GAIN_DB, GAIN_RAW, Features
-from drivers.basler.options import RawGain
+from drivers.genicam.features import Features
+from drivers.genicam.names import GAIN_DB, GAIN_RAW
+from drivers.genicam.options import RawGain
 
 
 class CameraGain:
@@ -41,7 +42,7 @@ class CameraGain:
             return 0.0, 0.0
         least, most = self._features.limits(GAIN_RAW)
         # Where a factor is proportional to it, 0 would be no gain in dB.
-        return self._db(max(least, 1.0), self._conversion), self._db(most, self._conversion)
+        return to_db(max(least, 1.0), self._conversion), to_db(most, self._conversion)
 
     def set_db(self, gain_db: float) -> float:
         """Set the gain.
@@ -68,19 +69,47 @@ class CameraGain:
         if self._conversion is None:
             self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")
             return 0.0
-        raw = round(self._raw(gain_db, self._conversion))
-        return self._db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)
+        raw = round(to_raw(gain_db, self._conversion))
+        return to_db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)
 
-    @staticmethod
-    def _db(raw: float, conversion: RawGain) -> float:
-        if conversion.unity is not None:
-            return 20.0 * math.log10(raw / conversion.unity)
-        assert conversion.db_per_step is not None
-        return raw * conversion.db_per_step
 
-    @staticmethod
-    def _raw(gain_db: float, conversion: RawGain) -> float:
-        if conversion.unity is not None:
-            return float(conversion.unity * 10.0 ** (gain_db / 20.0))
-        assert conversion.db_per_step is not None
-        return gain_db / conversion.db_per_step
+def to_db(raw: float, conversion: RawGain) -> float:
+    """Convert a raw gain to dB.
+
+    Parameters
+    ----------
+    raw : float
+        The camera's own number, greater than 0 where the factor is proportional to it.
+    conversion : RawGain
+        How the camera's numbers are meant.
+
+    Returns
+    -------
+    float
+        Gain in dB.
+    """
+    if conversion.unity is not None:
+        return 20.0 * math.log10(raw / conversion.unity)
+    assert conversion.db_per_step is not None
+    return raw * conversion.db_per_step
+
+
+def to_raw(gain_db: float, conversion: RawGain) -> float:
+    """Convert a gain in dB to the camera's own number, not rounded: the inverse of `to_db`.
+
+    Parameters
+    ----------
+    gain_db : float
+        Gain in dB.
+    conversion : RawGain
+        How the camera's numbers are meant.
+
+    Returns
+    -------
+    float
+        The camera's own number.
+    """
+    if conversion.unity is not None:
+        return float(conversion.unity * 10.0 ** (gain_db / 20.0))
+    assert conversion.db_per_step is not None
+    return gain_db / conversion.db_per_step
