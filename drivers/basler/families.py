@@ -94,8 +94,8 @@ BASLER_RAW: RawSettings = (
     (("StackedZoneImagingEnable",), False),
     (("BslMultipleROIRowsEnable",), False),
     (("BslMultipleROIColumnsEnable",), False),
-    (("CenterX", "BslCenterX"), False),
-    (("CenterY", "BslCenterY"), False),
+    (("CenterX",), False),
+    (("CenterY",), False),
     (("TestImageSelector",), "Off"),
 )
 """Basler's own features and the values at which frames are the sensor's."""

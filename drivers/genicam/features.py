@@ -195,6 +195,42 @@ class Features:
         if node.IsWritable() and not _refusal(node, value):
             node.SetValue(value)
 
+    def unit(self, feature: FeatureNames) -> str | None:
+        """Read the unit of a numeric feature.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        str or None
+            The unit; None where the camera does not have the feature.
+        """
+        node = self._node(feature)
+        return str(node.GetUnit()) if node.IsValid() else None
+
+    def execute(self, feature: FeatureNames, operation: str) -> None:
+        """Carry out a command.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the command, in order of preference.
+        operation : str
+            What the device is doing, for errors.
+
+        Raises
+        ------
+        CapabilityError
+            The camera does not have the command, or does not take it at present.
+        """
+        name, node = self._found(feature)
+        if not node.IsWritable():
+            raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")
+        node.Execute()
+
     def _node(self, feature: FeatureNames) -> Any:
         return self._found(feature)[1]
 

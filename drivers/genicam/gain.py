@@ -22,11 +22,15 @@ class CameraGain:
     features : Features
         The camera's features.
     conversion : RawGain or None
-        How GainRaw is converted, where it is known.
+        How a gain that is not in dB is converted, where it is known.
+    in_db : bool
+        Whether `Gain` is in dB, as with most makers; otherwise it is converted as `GainRaw` is.
     """
 
-    def __init__(self, features: Features, conversion: RawGain | None) -> None:
+    def __init__(self, features: Features, conversion: RawGain | None, in_db: bool = True) -> None:
         self._features, self._conversion = features, conversion
+        self._in_db = in_db and features.has(GAIN_DB)
+        self._own = GAIN_RAW if in_db else GAIN_DB
 
     def limits_db(self) -> tuple[float, float]:
         """Read the range of gains at present.
@@ -36,13 +40,14 @@ class CameraGain:
         tuple of float
             Least and greatest gain in dB; both 0 for a camera without gain, or whose conversion is unknown.
         """
-        if self._features.has(GAIN_DB):
+        if self._in_db:
             return self._features.limits(GAIN_DB)
-        if self._conversion is None or not self._features.has(GAIN_RAW):
+        if self._conversion is None or not self._features.has(self._own):
             return 0.0, 0.0
-        least, most = self._features.limits(GAIN_RAW)
-        # Where a factor is proportional to it, 0 would be no gain in dB.
-        return to_db(max(least, 1.0), self._conversion), to_db(most, self._conversion)
+        least, most = self._features.limits(self._own)
+        if self._own == GAIN_RAW:
+            least = max(least, 1.0)  # where a factor is proportional to it, 0 would be no gain in dB
+        return to_db(least, self._conversion), to_db(most, self._conversion)
 
     def set_db(self, gain_db: float) -> float:
         """Set the gain.
@@ -62,15 +67,18 @@ class CameraGain:
         SettingError
             The camera does not take it, or another one is read back.
         """
-        if self._features.has(GAIN_DB):
+        if self._in_db:
             return float(self._features.write(GAIN_DB, gain_db, "configure", tolerance=1.0))
-        if not self._features.has(GAIN_RAW):
+        if not self._features.has(self._own):
             return 0.0
         if self._conversion is None:
-            self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")
+            self._features.write(self._own, self._features.limits(self._own)[0], "configure")
             return 0.0
-        raw = round(to_raw(gain_db, self._conversion))
-        return to_db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)
+        raw = to_raw(gain_db, self._conversion)
+        if self._own == GAIN_RAW:
+            return to_db(self._features.write(GAIN_RAW, round(raw), "configure"), self._conversion)
+        back = self._features.write(GAIN_DB, raw, "configure", tolerance=0.1 * abs(raw))
+        return to_db(back, self._conversion)
 
 
 def to_db(raw: float, conversion: RawGain) -> float:

@@ -182,14 +182,14 @@ DRIVER_OF_BASLER = [
         "basler: a raw gain stays as it is",
         GENICAM_GAIN,
         "CameraGain.set_db",
-        'self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")',
+        'self._features.write(self._own, self._features.limits(self._own)[0], "configure")',
         "",
     ),
     Fault(
         "basler: a raw gain is reported as asked for",
         GENICAM_GAIN,
         "CameraGain.set_db",
-        'return to_db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)',
+        'return to_db(self._features.write(GAIN_RAW, round(raw), "configure"), self._conversion)',
         "return gain_db",
     ),
     Fault(

@@ -206,7 +206,6 @@ KINDS = {
                 "BslContrast": zero("BslContrast", 0.3),
                 "BslDefectPixelCorrectionMode": off("BslDefectPixelCorrectionMode", "On"),
                 "BslMultipleROIRowsEnable": enabled("BslMultipleROIRowsEnable"),
-                "BslCenterX": enabled("BslCenterX"),
                 "BlackLevelAuto": off("BlackLevelAuto", "Continuous"),
                 "SequencerMode": off("SequencerMode", "On"),
                 "TestPattern": off("TestPattern", "GreyHorizontalRamp"),
