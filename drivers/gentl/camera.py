@@ -1,7 +1,7 @@
 """Any GenICam camera behind the interface of `fpplab.devices`, through a GenTL producer.
 
-`drivers.gentl.options` describes its section in a rig file. What the camera must have: an exposure and a gain that
-can be set, `TriggerSelector` with `FrameStart`, and unpacked monochrome pixels.
+`drivers.gentl.options` describes its section in a rig file. What the camera must have: an exposure that can
+be set, `TriggerSelector` with `FrameStart`, and unpacked monochrome pixels.
 """
 
 from __future__ import annotations
@@ -99,10 +99,11 @@ class GentlCamera(GenicamCamera):
     def _read_caps(self) -> CameraCaps:
         caps = super()._read_caps()
         if not caps.bits:
+            formats = ", ".join(self._features.choices(named.PIXEL_FORMAT)) or "not told"
             raise CapabilityError(
                 self.name,
                 "open",
-                f"its pixel formats are {', '.join(self._features.choices(named.PIXEL_FORMAT)) or 'not told'}",
+                f"its pixel formats are {formats}",
                 "a camera that delivers Mono8, Mono10, Mono12 or Mono16 is needed",
             )
         return caps

@@ -1,7 +1,7 @@
-"""Nodes of the `genicam` package with the methods of pylon's parameters, as `drivers.genicam.features` uses them.
+"""Nodes of the `genicam` package with the methods of pylon's parameters.
 
-A node that the camera does not implement is not valid; one that it does not offer in its present mode is neither
-readable nor writable.
+So `drivers.genicam.features` uses either. A node that the camera does not implement is not valid; one that it
+does not offer in its present mode is neither readable nor writable.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class SwitchNode:
 
     def IsValid(self) -> bool:
         """Return whether the camera implements the feature."""
-        return self._mode() != genapi.EAccessMode.NI
+        return bool(self._mode() != genapi.EAccessMode.NI)
 
     def IsReadable(self) -> bool:
         """Return whether the value can be read at present."""

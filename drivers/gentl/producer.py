@@ -1,7 +1,7 @@
 """GenTL producers and their cameras through `harvesters`; an emulated bench substitutes its own.
 
-Producers differ in what they tell: a serial number, a time stamp, when a camera is unplugged. What is not told is
-None here.
+Producers differ in what they tell: a serial number, a time stamp, when a camera is unplugged. What is not
+told is None here.
 """
 
 from __future__ import annotations

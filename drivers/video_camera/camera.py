@@ -1,8 +1,8 @@
 """A video camera behind the interface of `fpplab.devices`.
 
-`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: a frame is one that
-began to be exposed after it was asked for, whatever the camera had under way is dropped. It is refused where its
-frames would not be the sensor's own integers, or where it chooses the exposure itself.
+`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: a frame is one
+that began to be exposed after it was asked for, whatever the camera had under way is dropped. It is refused
+where its frames would not be the sensor's own integers, or where it chooses the exposure itself.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from drivers.genicam.gain import to_db, to_raw
-from drivers.video_camera.controls import EXPOSURE_100_US, EXPOSURE_MODE, GAIN, RAW
+from drivers.video_camera.controls import EXPOSURE_100_US, GAIN, RAW
 from drivers.video_camera.device import Control, VideoDevice, VideoFrame
 from drivers.video_camera.options import VideoOptions
 from fpplab.core import config
@@ -160,6 +160,8 @@ class VideoCamera(Camera):
             try:
                 yield
             except OSError as error:
+                if error.errno is None:  # not the kernel's
+                    raise
                 raise self._described(operation, error) from error
 
     def _described(self, operation: str, error: OSError) -> DeviceError:
@@ -179,8 +181,8 @@ class VideoCamera(Camera):
             if control is None:
                 continue
             value = control.default if raw is None else raw
-            if self._device.get(number) != value and self._takes(control, value):
-                self._device.set(number, value)
+            if self._device.get(number) != value:
+                self._set_if_possible(number, value, control)
             if (found := self._device.get(number)) != value:
                 raise SettingError(
                     self.name,
@@ -192,19 +194,22 @@ class VideoCamera(Camera):
     def _own_exposure(self) -> Control:
         control = self._device.control(EXPOSURE_100_US)
         if control is None or not control.is_settable:
-            mode = self._device.control(EXPOSURE_MODE)
             why = "it has no such control" if control is None else "its automatic exposure stays on"
             raise CapabilityError(
                 self.name,
                 "open",
-                f"the exposure of {self._card} cannot be set: {why if mode or not control else 'it is fixed'}",
+                f"the exposure of {self._card} cannot be set: {why}",
                 "use a camera whose exposure can be set",
             )
         return Control(control.name, max(control.least, 1), control.most, control.step, control.default, True)
 
-    @staticmethod
-    def _takes(control: Control, value: int) -> bool:
-        return control.is_settable and control.least <= value <= control.most
+    def _set_if_possible(self, number: int, value: int, control: Control) -> None:
+        if control.is_settable and control.least <= value <= control.most:
+            try:
+                self._device.set(number, value)
+            except OSError as error:
+                if error.errno != errno.EINVAL:  # which means that its menu has no such entry
+                    raise
 
     def _set(self, number: int, value: int, control: Control) -> int:
         """Set a control to the nearest of its steps, and read it back."""
