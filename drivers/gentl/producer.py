@@ -65,15 +65,9 @@ class GentlProducer:
     def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise ConfigError(f"{path}: there is no such GenTL producer; it comes with the maker's software")
+        _try_to_load(path)
         self._harvester = Harvester()
         self._harvester.add_file(str(path))
-        try:
-            self._harvester.update()
-        except gentl.GenericException as error:
-            self._harvester.reset()
-            raise ConfigError(f"{path}: cannot be loaded as a GenTL producer: {error}") from error
-        if not self._harvester.files:
-            raise ConfigError(f"{path}: cannot be loaded as a GenTL producer")
 
     def cameras(self) -> dict[str, Any]:
         """List the cameras that the producer sees now.
@@ -182,6 +176,16 @@ class GentlEnd:
     def close(self) -> None:
         """Release the camera."""
         self._acquirer.destroy()
+
+
+def _try_to_load(path: Path) -> None:
+    """Raise `ConfigError` where a file is no producer, which harvesters only notes in the log."""
+    producer = gentl.GenTLProducer.create_producer()
+    try:
+        producer.open(str(path))
+    except gentl.GenericException as error:
+        raise ConfigError(f"{path}: cannot be loaded as a GenTL producer: {error}") from error
+    producer.close()
 
 
 @contextmanager

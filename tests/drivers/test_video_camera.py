@@ -142,7 +142,7 @@ def test_the_exposure_is_in_steps_of_100_us(opened: Open) -> None:
     camera, end, _ = opened()
     assert camera.configure(CameraSettings(0.00312)).exposure_s == pytest.approx(0.0031)
     assert end.values[EXPOSURE_100_US] == 31
-    with pytest.raises(SettingError, match="exposure_s is 0.3 s"):
+    with pytest.raises(SettingError, match=r"exposure_s is 0\.3 s"):
         camera.configure(CameraSettings(0.3))
 
 
@@ -164,9 +164,7 @@ def test_the_shutter_is_as_stated(opened: Open, shutter: str, readout_s: float) 
 
 
 def test_a_size_that_the_camera_lacks_is_refused(opened: Open) -> None:
-    with pytest.raises(
-        SettingError, match="GREY of 640 x 480 px was asked for; the camera has GREY of 48 x 32"
-    ):
+    with pytest.raises(SettingError, match="GREY of 640 x 480 px was asked for; the camera has GREY of 48"):
         opened(size=[640, 480])
 
 
