@@ -1,8 +1,8 @@
 """A video camera that runs freely, in place of the kernel: late, buffered, and found with all automatic.
 
 Frames that nobody takes fill four buffers, and stay there while newer ones are lost, as in the kernel. A
-frame shows what was lit when it began, so that a driver that takes a stale one sees the pattern from before. It is
-stamped at the end of its readout, and later by what the camera holds it back.
+frame shows what was lit when it began, so that a driver that takes a stale one sees the pattern from before. It
+is stamped at the end of its readout, and later by what the camera holds it back.
 """
 
 from __future__ import annotations

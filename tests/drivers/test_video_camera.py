@@ -41,9 +41,8 @@ def opened() -> Iterator[Open]:
         bench.open()
         end = ScriptedVideo(bench)
         prepare(end)
-        camera = VideoCamera(
-            "camera", {"device": "/dev/video9", **options}, SimpleNamespace(video=lambda _: end)
-        )
+        shared = SimpleNamespace(video=lambda _: end)
+        camera = VideoCamera("camera", {"device": "/dev/video9", **options}, shared)
         cameras.append(camera)
         camera.open()
         return camera, end, bench

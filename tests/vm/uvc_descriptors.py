@@ -2,7 +2,7 @@
 
 References
 ----------
-USB Device Class Definition for Video Devices 1.1, chapters 3 and 4; its payload format for uncompressed video.
+USB Device Class Definition for Video Devices 1.1, chapters 3 and 4; its payload format for raw video.
 """
 
 from __future__ import annotations
