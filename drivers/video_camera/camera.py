@@ -34,6 +34,8 @@ from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame
 
 UNIT_S = 1e-4
 """Unit of the exposure in s."""
+CLOCK_S = 1e-3
+"""By how much in s a frame's time may lie ahead; some drivers extrapolate it, and no stale frame shows then."""
 FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 """Bit depth of each pixel format whose values are right-justified integers."""
 
@@ -111,12 +113,12 @@ class VideoCamera(Camera):
                     f"no frame that began after it was asked for came within {timeout_s:g} s",
                     "check the cable, or allow more time",
                 )
-            if frame.time_s is None:
+            if frame.time_s is None or frame.time_s > time.monotonic() + CLOCK_S:
                 raise CapabilityError(
                     self.name,
                     "read",
                     "its frames do not tell when they were exposed",
-                    "use a camera whose driver stamps frames with the monotonic clock",
+                    "use a camera whose driver stamps frames with the monotonic clock, and not ahead of it",
                 )
             if frame.time_s >= fresh_s:
                 return Frame(self._image(frame), self._taken, settings, time.time(), frame.time_s)

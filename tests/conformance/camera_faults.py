@@ -157,6 +157,10 @@ GENTL_AND_VIDEO = [
         *(VIDEO, "VideoCamera._read", "if frame.time_s >= fresh_s:", "if frame.time_s:"),
     ),
     Fault(
+        "video: times to come pass",
+        *(VIDEO, "VideoCamera._read", "frame.time_s > time.monotonic() + CLOCK_S", "not frame.time_s"),
+    ),
+    Fault(
         "video: frames under way pass",
         *(VIDEO, "VideoCamera._read", "begin_s + settings.exposure_s + self._period_s", "begin_s"),
     ),

@@ -1,8 +1,8 @@
 """A video camera that runs freely, in place of the kernel: late, buffered, and found with all automatic.
 
 Frames that nobody takes fill four buffers, and stay there while newer ones are lost, as in the kernel. A
-frame shows what was lit when it began, so that a driver that takes a stale one sees the pattern from before. It
-is stamped at the end of its readout, and later by what the camera holds it back.
+frame shows what was lit when it began, so that a driver that takes a stale one sees the pattern from before.
+It is stamped at the end of its readout, and later by what the camera holds it back.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ScriptedVideo:
         self.known = dict(FORMATS)
         self.now: tuple[str, int, int, int] = ("YUYV", *CAMERA_SIZE, 2 * CAMERA_SIZE[0])
         self.margin, self.captures, self.stamps, self.damaged, self.gone = 0, True, True, False, False
-        self.running, self.latency_s = False, 0.0
+        self.running, self.latency_s, self.ahead_s = False, 0.0, 0.0
 
     def close(self) -> None:
         self.running = False
@@ -104,10 +104,9 @@ class ScriptedVideo:
         return self.values[EXPOSURE_100_US] * 1e-4
 
     def _fill(self) -> None:
-        step = max(PERIOD_S, self._exposure_s)
-        while self._end_s + step <= time.monotonic():
+        step, later_s = max(PERIOD_S, self._exposure_s), PERIOD_S + self.latency_s
+        while self._end_s + step + later_s <= time.monotonic():
             self._end_s += step
-            # It is taken as soon as it is exposed; only its stamp is late.
             if len(self._waiting) < BUFFERS:
                 self._waiting.append(self._end_s)
 
@@ -129,7 +128,7 @@ class ScriptedVideo:
         image = sensor_image(self._bench, self._bench.lit_at(end_s - self._exposure_s), settings)
         rows = np.full((height, pitch), 255, np.uint8)
         rows[:, : width * image.itemsize] = image.view(np.uint8).reshape(height, -1)
-        stamp_s = end_s + PERIOD_S + self.latency_s
+        stamp_s = end_s + PERIOD_S + self.latency_s + self.ahead_s
         return VideoFrame(rows.reshape(-1), stamp_s if self.stamps else None, self.damaged)
 
 

@@ -130,8 +130,9 @@ def test_a_device_that_is_no_camera_is_refused(opened: Open) -> None:
         opened(lambda end: setattr(end, "captures", False))
 
 
-def test_frames_without_a_time_are_refused(opened: Open) -> None:
-    camera, _, _ = opened(lambda end: setattr(end, "stamps", False))
+@pytest.mark.parametrize(("what", "value"), [("stamps", False), ("ahead_s", 0.1)])
+def test_frames_without_a_time_are_refused(opened: Open, what: str, value: Any) -> None:
+    camera, _, _ = opened(lambda end: setattr(end, what, value))
     camera.configure(SHORT)
     with pytest.raises(CapabilityError, match="do not tell when they were exposed"):
         camera.snap()

@@ -1,7 +1,7 @@
 """A USB camera on the guest's USB, in a process of its own: the kernel's UVC driver makes /dev/video… of it.
 
-It runs freely, and is found with automatic exposure, a gamma and some gain, as a webcam is. A frame shows what
-was lit when its exposure began; one for which the kernel has no room is lost.
+It runs freely, and is found with automatic exposure, a gamma and some gain, as a webcam is. A frame shows
+what was lit when its exposure began; one for which the kernel has no room is lost.
 """
 
 from __future__ import annotations
