@@ -35,7 +35,7 @@ from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame
 UNIT_S = 1e-4
 """Unit of the exposure in s."""
 CLOCK_S = 1e-3
-"""By how much in s a frame's time may lie ahead; some drivers extrapolate it, and no stale frame shows then."""
+"""By how much in s a frame's time may lie ahead; of a driver that extrapolates it stale frames look fresh."""
 FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
 """Bit depth of each pixel format whose values are right-justified integers."""
 
