@@ -18,15 +18,33 @@ class MissingNode:
     """A feature that the camera does not have."""
 
     def IsValid(self) -> bool:
-        """Return False."""
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
         return False
 
     def IsReadable(self) -> bool:
-        """Return False."""
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
         return False
 
     def IsWritable(self) -> bool:
-        """Return False."""
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
         return False
 
 
@@ -43,19 +61,43 @@ class SwitchNode:
         self._node = node
 
     def IsValid(self) -> bool:
-        """Return whether the camera implements the feature."""
+        """Return whether the camera implements the feature.
+
+        Returns
+        -------
+        bool
+            False for one that it only names.
+        """
         return bool(self._mode() != genapi.EAccessMode.NI)
 
     def IsReadable(self) -> bool:
-        """Return whether the value can be read at present."""
+        """Return whether the value can be read at present.
+
+        Returns
+        -------
+        bool
+            True if so.
+        """
         return self._mode() in READABLE
 
     def IsWritable(self) -> bool:
-        """Return whether the value can be set at present."""
+        """Return whether the value can be set at present.
+
+        Returns
+        -------
+        bool
+            True if so.
+        """
         return self._mode() in WRITABLE
 
     def GetValue(self) -> Any:
-        """Return the value."""
+        """Return the value.
+
+        Returns
+        -------
+        int or float or bool or str
+            Of the node's own type.
+        """
         return self._node.value
 
     def SetValue(self, value: Any) -> None:
@@ -76,19 +118,43 @@ class NumberNode(SwitchNode):
     """An integer or a float."""
 
     def GetMin(self) -> Any:
-        """Return the least value at present."""
+        """Return the least value at present.
+
+        Returns
+        -------
+        int or float
+            In the node's own unit.
+        """
         return self._node.min
 
     def GetMax(self) -> Any:
-        """Return the greatest value at present."""
+        """Return the greatest value at present.
+
+        Returns
+        -------
+        int or float
+            In the node's own unit.
+        """
         return self._node.max
 
     def GetInc(self) -> Any:
-        """Return the step of an integer."""
+        """Return the step of an integer.
+
+        Returns
+        -------
+        int
+            In the node's own unit.
+        """
         return self._node.inc
 
     def GetUnit(self) -> str:
-        """Return the unit, empty where the camera states none."""
+        """Return the unit, empty where the camera states none.
+
+        Returns
+        -------
+        str
+            Such as dB.
+        """
         return str(self._node.unit)
 
 
@@ -96,7 +162,13 @@ class ChoiceNode(SwitchNode):
     """An enumeration."""
 
     def GetSettableValues(self) -> tuple[str, ...]:
-        """Return the names that it can be set to at present."""
+        """Return the names that it can be set to at present.
+
+        Returns
+        -------
+        tuple of str
+            Those that the camera offers.
+        """
         return tuple(entry.symbolic for entry in self._node.entries if entry.get_access_mode() in READABLE)
 
 

@@ -131,7 +131,13 @@ class GentlEnd:
         self.first_number = FIRST_FRAME.get(_told(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
-        """Return the camera's node map."""
+        """Return the camera's node map.
+
+        Returns
+        -------
+        GentlNodeMap
+            Its nodes answer for the camera as it is at the time.
+        """
         return GentlNodeMap(self._acquirer.remote_device.node_map)
 
     def start(self, frames: int) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.genicam.gain import to_db, to_raw
 from drivers.video_camera.controls import EXPOSURE_100_US, GAIN, RAW
-from drivers.video_camera.device import Control, VideoDevice, VideoFrame
+from drivers.video_camera.device import Control, StampedFrame, VideoDevice
 from drivers.video_camera.options import VideoOptions
 from fpplab.core import config
 from fpplab.core.conventions import Image, raw_dtype
@@ -123,7 +123,7 @@ class VideoCamera(Camera):
             if frame.time_s >= fresh_s:
                 return Frame(self._image(frame), self._taken, settings, time.time(), frame.time_s)
 
-    def _image(self, frame: VideoFrame) -> Image:
+    def _image(self, frame: StampedFrame) -> Image:
         _, width, height, pitch = self._device.format()
         bits = self._configured("read").bits
         dtype = np.dtype(raw_dtype(bits))

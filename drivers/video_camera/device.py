@@ -47,7 +47,7 @@ class Control:
 
 
 @dataclass(frozen=True, eq=False)
-class VideoFrame:
+class StampedFrame:
     """One frame as the kernel delivers it.
 
     Attributes
@@ -84,7 +84,13 @@ class VideoDevice:
         os.close(self._file)
 
     def identity(self) -> tuple[str, str, bool]:
-        """Return the camera's name, where it is connected, and whether it captures frames into buffers."""
+        """Return the camera's name, where it is connected, and whether it captures frames into buffers.
+
+        Returns
+        -------
+        tuple of (str, str, bool)
+            Name, connection, and whether frames can be had.
+        """
         found = v4l2.Capability()
         fcntl.ioctl(self._file, v4l2.QUERY_CAPABILITY, found)
         own = found.capabilities & v4l2.HAS_OWN_CAPS
@@ -93,12 +99,24 @@ class VideoDevice:
         return found.card.decode(), found.bus.decode(), caps & wanted == wanted
 
     def formats(self) -> tuple[str, ...]:
-        """Return the four letters of each pixel format."""
+        """Return the four letters of each pixel format.
+
+        Returns
+        -------
+        tuple of str
+            In the order in which the driver lists them.
+        """
         return tuple(self._formats())
 
     def format(self) -> tuple[str, int, int, int]:
-        """Return the present pixel format, width and height in px, and bytes from row to row."""
-        now = v4l2.Format(kind=v4l2.CAPTURE)
+        """Return the present pixel format, width and height in px, and bytes from row to row.
+
+        Returns
+        -------
+        tuple of (str, int, int, int)
+            Format, width, height and pitch.
+        """
+        now = v4l2.PixelLayout(kind=v4l2.CAPTURE)
         fcntl.ioctl(self._file, v4l2.GET_FORMAT, now)
         letters = now.pixel_format.to_bytes(4, "little").decode("ascii")
         return letters, now.width, now.height, now.bytes_per_line
@@ -113,13 +131,19 @@ class VideoDevice:
         width, height : int
             Size in px.
         """
-        wanted = v4l2.Format(
+        wanted = v4l2.PixelLayout(
             kind=v4l2.CAPTURE, width=width, height=height, pixel_format=v4l2.fourcc(letters), field=1
         )
         fcntl.ioctl(self._file, v4l2.SET_FORMAT, wanted)
 
     def period_s(self) -> float | None:
-        """Return the time in s from frame to frame; None where the driver does not tell."""
+        """Return the time in s from frame to frame; None where the driver does not tell.
+
+        Returns
+        -------
+        float or None
+            Time in s.
+        """
         now = v4l2.Period(kind=v4l2.CAPTURE)
         with suppress(OSError):
             fcntl.ioctl(self._file, v4l2.GET_PERIOD, now)
@@ -191,7 +215,7 @@ class VideoDevice:
             fcntl.ioctl(self._file, v4l2.QUEUE_BUFFER, buffer)
         self._stream(v4l2.STREAM_ON)
 
-    def read(self, timeout_s: float) -> VideoFrame | None:
+    def read(self, timeout_s: float) -> StampedFrame | None:
         """Wait for a frame.
 
         Parameters
@@ -201,7 +225,7 @@ class VideoDevice:
 
         Returns
         -------
-        VideoFrame or None
+        StampedFrame or None
             None where none came in time.
         """
         ready, _, _ = select.select([self._file], [], [], max(timeout_s, 0.0))
@@ -214,7 +238,7 @@ class VideoDevice:
         time_s = buffer.seconds + 1e-6 * buffer.microseconds if stamped else None
         damaged = bool(buffer.flags & v4l2.DAMAGED)
         fcntl.ioctl(self._file, v4l2.QUEUE_BUFFER, buffer)
-        return VideoFrame(pixels, time_s, damaged)
+        return StampedFrame(pixels, time_s, damaged)
 
     def stop(self) -> None:
         """Let no more frames come, and drop those that wait."""

@@ -38,7 +38,7 @@ class FormatDescription(Structure):
     )
 
 
-class Format(Structure):
+class PixelLayout(Structure):
     """The format of frames; of the union only the part for single planes."""
 
     _fields_ = (
@@ -100,7 +100,7 @@ def _request(direction: int, number: int, kind: type) -> int:
 _WRITE, _READ, _BOTH = 1, 2, 3
 QUERY_CAPABILITY = _request(_READ, 0, Capability)
 ENUMERATE_FORMATS = _request(_BOTH, 2, FormatDescription)
-GET_FORMAT, SET_FORMAT = _request(_BOTH, 4, Format), _request(_BOTH, 5, Format)
+GET_FORMAT, SET_FORMAT = _request(_BOTH, 4, PixelLayout), _request(_BOTH, 5, PixelLayout)
 REQUEST_BUFFERS = _request(_BOTH, 8, BufferRequest)
 QUERY_BUFFER, QUEUE_BUFFER, DEQUEUE_BUFFER = (_request(_BOTH, number, Buffer) for number in (9, 15, 17))
 STREAM_ON, STREAM_OFF = _request(_WRITE, 18, c_int32), _request(_WRITE, 19, c_int32)

@@ -159,8 +159,8 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: a test image is measured",
-        GENICAM_NAMES,
-        "RAW",
+        "drivers/basler/families.py",
+        "BASLER_RAW",
         '(("TestImageSelector",), "Off")',
         '(("TestPattern",), "Off")',
     ),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from drivers.video_camera.controls import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
-from drivers.video_camera.device import BUFFERS, Control, VideoFrame
+from drivers.video_camera.device import BUFFERS, Control, StampedFrame
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE, ReferenceBench, sensor_image
@@ -110,7 +110,7 @@ class ScriptedVideo:
             if len(self._waiting) < BUFFERS:
                 self._waiting.append(self._end_s)
 
-    def read(self, timeout_s: float) -> VideoFrame | None:
+    def read(self, timeout_s: float) -> StampedFrame | None:
         self._check()
         assert self.running
         deadline = time.monotonic() + timeout_s
@@ -122,14 +122,14 @@ class ScriptedVideo:
             self._fill()
         return self._frame(self._waiting.popleft())
 
-    def _frame(self, end_s: float) -> VideoFrame:
+    def _frame(self, end_s: float) -> StampedFrame:
         letters, width, height, pitch = self.now
         settings = CameraSettings(self._exposure_s, 0.1 * self.values[GAIN], self.known[letters])
         image = sensor_image(self._bench, self._bench.lit_at(end_s - self._exposure_s), settings)
         rows = np.full((height, pitch), 255, np.uint8)
         rows[:, : width * image.itemsize] = image.view(np.uint8).reshape(height, -1)
         stamp_s = end_s + PERIOD_S + self.latency_s + self.ahead_s
-        return VideoFrame(rows.reshape(-1), stamp_s if self.stamps else None, self.damaged)
+        return StampedFrame(rows.reshape(-1), stamp_s if self.stamps else None, self.damaged)
 
 
 class VideoBench(ReferenceBench):
