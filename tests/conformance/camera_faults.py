@@ -10,6 +10,10 @@ GENTL, PRODUCER = (f"drivers/gentl/{name}.py" for name in ("camera", "producer")
 VIDEO, CONTROLS = (f"drivers/video_camera/{name}.py" for name in ("camera", "controls"))
 
 
+FRESH = "begin_s + settings.exposure_s + self._period_s + self._options.latency_s"
+ROWS = "frame.pixels[: height * pitch].reshape(height, pitch)"
+
+
 def in_table(name: str, file: str, table: str, old: str, new: str) -> Fault:
     return Fault(f"nodes: {name}", file, table, old, new)
 
