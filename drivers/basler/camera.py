@@ -6,23 +6,26 @@ camera's GenICam node map is queried for the features that it has.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pypylon import genicam, pylon
 
-from drivers.basler import features as named
-from drivers.basler.features import US_PER_S, Features
+from drivers.basler.families import BASLER_RAW, family_of, raw_gain_of
 from drivers.basler.frames import SPARE, BufferPool
-from drivers.basler.gain import CameraGain
-from drivers.basler.options import EDGES, SHUTTERS, BaslerOptions, TriggerLine
+from drivers.basler.link import lost_on_link
+from drivers.basler.options import BaslerOptions
 from drivers.basler.transport import Pylon
+from drivers.genicam import names as named
+from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.features import Features
+from drivers.genicam.gain import CameraGain
 from fpplab.core import config
 from fpplab.core.errors import (
-    CapabilityError,
     ConfigError,
     DeviceError,
     DeviceTimeoutError,
@@ -32,9 +35,13 @@ from fpplab.core.errors import (
     StateError,
 )
 from fpplab.core.files import write_text
-from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, State, Trigger
+from fpplab.devices import DeviceInfo, Frame, State, Trigger
+
+_log = logging.getLogger(__name__)
 
 NS_PER_S = 1e9
+GENTLER = "use a better cable or network card, or a larger packet_delay_ticks"
+"""Remedy for packets that are lost again and again."""
 READY_S = 5.0
 """Time limit in s for a camera to become ready for its first trigger."""
 SLICE_S = 0.2
@@ -53,11 +60,8 @@ USB_SPEEDS = {
 IN_USE = ("exclusively opened", "controlled by another application")
 """Phrases in pylon's error messages for a camera that another program has open, over USB and Ethernet."""
 
-FORMATS: dict[int, tuple[str, ...]] = {8: ("Mono8",), 12: ("Mono12", "Mono12p"), 16: ("Mono16",)}
-"""GenICam pixel formats by bit depth, the preferred one first."""
 
-
-class BaslerCamera(Camera):
+class BaslerCamera(GenicamCamera):
     """A camera that pylon lists.
 
     An emulated bench may replace pylon's transport layers by its attribute `pylon`. Frames are delivered
@@ -66,7 +70,11 @@ class BaslerCamera(Camera):
     global reset.
     """
 
+    FORMATS: ClassVar = {8: ("Mono8",), 12: ("Mono12", "Mono12p"), 16: ("Mono16",)}
+    RAW: ClassVar = named.RAW + BASLER_RAW
+
     _camera: Any = None
+    _options: BaslerOptions
 
     def _setup(self, options: dict[str, Any], bench: Any) -> None:
         self._options = config.validate(options, BaslerOptions, self.name)
@@ -75,7 +83,7 @@ class BaslerCamera(Camera):
     def load_features(self, path: Path) -> None:
         """Load all settings of a .pfs file; the camera must be configured again afterwards.
 
-        Settings that would alter the raw sensor values (`drivers.basler.features.RAW`) are reset after
+        Settings that would alter the raw sensor values (`RAW`) are reset after
         loading. A file that is refused may have been applied in part.
 
         Parameters
@@ -132,15 +140,16 @@ class BaslerCamera(Camera):
         self._camera = self._transport.attach(connected[serial])
         self._camera.Open()
         self._features = Features(self.name, self._camera)
-        self._gain = CameraGain(self._features, self._options.raw_gain)
-        self._first_block = FIRST_BLOCK.get(self._camera.GetDeviceInfo().GetDeviceClass(), 0)
+        info = self._camera.GetDeviceInfo()
+        conversion = self._options.raw_gain or raw_gain_of(info.GetModelName())
+        self._gain = CameraGain(self._features, conversion)
+        self._first_block = FIRST_BLOCK.get(info.GetDeviceClass(), 0)
         self._ticks_per_s = float(self._features.read(named.TICKS_PER_S) or NS_PER_S)
         if self._options.features is not None:
             path = Path(self._options.features)
             self._load(config.read_text(path), path)
-        self._make_raw()
-        self._apply_options()
-        self._known = self._read_caps()
+        self._warn_of_missing_nodes(info.GetModelName())
+        self._set_up()
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
@@ -158,18 +167,6 @@ class BaslerCamera(Camera):
         speed = USB_SPEEDS.get(str(self._features.read(named.USB_SPEED)))
         link = ", ".join(filter(None, (info.GetDeviceClass(), speed)))
         return DeviceInfo("camera", info.GetModelName(), info.GetSerialNumber(), link)
-
-    def _caps(self) -> CameraCaps:
-        return self._known
-
-    def _configure(self, settings: CameraSettings) -> CameraSettings:
-        self._forget()  # settings that are refused may have been applied in part
-        exposure_us = round(settings.exposure_s * US_PER_S, 6)
-        self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
-        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
-        gain_db = self._gain.set_db(settings.gain_db)
-        self._known = self._read_caps()
-        return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
 
     def _arm(self, n: int, trigger: Trigger) -> None:
         self._choose_trigger(trigger)
@@ -191,12 +188,12 @@ class BaslerCamera(Camera):
         host_time_s = time.time()
         if not result.GrabSucceeded():
             self._check_connected("read")
-            said = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x})"
+            said = f"{result.GetErrorDescription()} ({result.GetErrorCode():#x}){self._lost()}"
             raise FrameLossError(
                 self.name,
                 "read",
                 f"frame {self._taken} is damaged: {said}",
-                "check the cable and the USB controller, and take the frames again",
+                "check the cable, and the USB controller or network; take the frames again",
             )
         index, ticks = self._index(result.GetBlockID()), result.GetTimeStamp()
         device_time_s = ticks / self._ticks_per_s if ticks else None
@@ -204,7 +201,14 @@ class BaslerCamera(Camera):
         return Frame(self._pool.image(result), index, settings, host_time_s, device_time_s)
 
     def _stop(self) -> None:
+        if self._camera.IsGrabbing() and (lost := self._lost()):
+            _log.warning("%s: frames arrived, but not without repeats%s; %s", self.name, lost, GENTLER)
         self._camera.StopGrabbing()
+
+    def _lost(self) -> str:
+        """Describe what the link lost since `arm`, or return an empty string."""
+        lost = lost_on_link(self._camera.GetStreamGrabberNodeMap())
+        return "".join(f", {count} {what}" for what, count in lost.items())
 
     def _fault(self) -> None:
         """Disarm the camera at once, so that a late frame is not taken for the next one."""
@@ -237,118 +241,33 @@ class BaslerCamera(Camera):
             self._check_connected("load_features")
             raise ConfigError(f"{path}: does not fit the camera '{self.name}': {_words(error)}") from error
 
-    def _make_raw(self) -> None:
-        features = self._features
-        for channels in named.ALL_CHANNELS:
-            features.write_if_possible(channels, "All")
-        for feature, value in named.RAW:
-            if feature != named.GAMMA or features.read(named.GAMMA_ENABLE) is not False:
-                features.ensure(feature, value, "open")
-        for selector in self._features.choices(named.TRIGGER_SELECTOR):
-            self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
-            self._features.write_if_possible(named.TRIGGER_MODE, "Off")
-
     def _apply_options(self) -> None:
-        options, write = self._options, self._features.write
-        self._set_roi(options.roi)
-        if options.black_level is not None:
-            write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
-        if options.shutter is not None and self._features.has(named.SHUTTER):
-            names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
-            write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
+        super()._apply_options()
+        options = self._options
+        for feature, value in (
+            (named.PACKET_BYTES, options.packet_bytes),
+            (named.PACKET_DELAY_TICKS, options.packet_delay_ticks),
+        ):
+            if value is not None:
+                self._features.write(feature, value, "open")
 
-    def _set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
-        write = self._features.write
-        write(named.OFFSET_X, 0, "open")
-        write(named.OFFSET_Y, 0, "open")
-        whole = (int(self._features.limits(named.WIDTH)[1]), int(self._features.limits(named.HEIGHT)[1]))
-        left, top, width, height = roi or (0, 0, *whole)
-        write(named.WIDTH, width, "open")
-        write(named.HEIGHT, height, "open")
-        write(named.OFFSET_X, left, "open")
-        write(named.OFFSET_Y, top, "open")
+    def _warn_of_missing_nodes(self, model: str) -> None:
+        """Warn where a camera lacks what its family has: what such a feature does is not known then."""
+        family = family_of(model)
+        missing = [name for name in family.nodes if not self._features.has((name,))] if family else []
+        if family and missing:
+            text = "%s: %s has no %s, which other cameras of its family (%s) have; is its firmware current?"
+            _log.warning(text, self.name, model, " and no ".join(missing), family.name)
 
-    def _read_caps(self) -> CameraCaps:
-        features = self._features
-        shortest, longest = features.limits(named.EXPOSURE_US)
-        return CameraCaps(
-            (features.read(named.WIDTH), features.read(named.HEIGHT)),
-            tuple(bits for bits in FORMATS if self._formats(bits)),
-            (shortest / US_PER_S, longest / US_PER_S),
-            self._gain.limits_db(),
-            self._triggers(),
-            *self._row_times_s(),
-            self._period_s(),
-        )
-
-    def _period_s(self) -> float | None:
-        """Return the least time in s between triggers: the reciprocal of the resulting frame rate.
-
-        Basler documents that this is how long to wait after each trigger, and that an earlier one is ignored.
-        """
-        rate_hz = self._features.read(named.RESULTING_HZ)
-        return 1.0 / rate_hz if rate_hz else None
-
-    def _triggers(self) -> tuple[Trigger, ...]:
-        """List the supported triggers: none if the camera cannot tell when it is ready for its first one."""
-        if not self._camera.CanWaitForFrameTriggerReady():
-            return ()
-        sources = self._features.choices(named.TRIGGER_SOURCE)
-        names: dict[Trigger, str] = {"software": "Software", "hardware": self._options.trigger.line}
-        return tuple(trigger for trigger, source in names.items() if source in sources)
-
-    def _row_times_s(self) -> tuple[float, float]:
-        """Return the delay in s from the first to the last row's exposure, and that of their ends alone."""
-        shutter = self._features.read(named.SHUTTER) or self._options.shutter
-        if shutter in ("Global", "global"):
-            return 0.0, 0.0
-        readout_us = self._features.read(named.READOUT_US)
-        if readout_us is None and shutter is not None:
-            raise CapabilityError(
-                self.name,
-                "open",
-                f"the shutter is {shutter}, but the camera does not tell its readout time",
-                "use a camera with a global shutter",
-            )
-        readout_s = float(readout_us or 0.0) / US_PER_S
-        resets = shutter in ("global_reset", *SHUTTERS["global_reset"])
-        return (0.0, readout_s) if resets else (readout_s, 0.0)
-
-    def _formats(self, bits: int) -> list[str]:
-        known = self._features.choices(named.PIXEL_FORMAT)
-        return [name for name in FORMATS[bits] if name in known]
+    def _can_be_triggered(self) -> bool:
+        return bool(self._camera.CanWaitForFrameTriggerReady())
 
     def _format(self, bits: int) -> str:
-        formats = self._formats(bits)
         if not self._options.packed or bits != 12:
-            return formats[0]
-        if "Mono12p" not in formats:
+            return super()._format(bits)
+        if "Mono12p" not in self._formats(bits):
             raise SettingError(self.name, "configure", "packed is true", "this camera has no Mono12p")
         return "Mono12p"
-
-    def _choose_trigger(self, trigger: Trigger) -> None:
-        features, line = self._features, self._options.trigger
-        hardware = trigger == "hardware"
-        features.write(named.TRIGGER_SELECTOR, "FrameStart", "arm")
-        features.write(named.TRIGGER_MODE, "On", "arm")
-        features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
-        if hardware:
-            features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
-            self._set_up_line(line)
-        delay_us = line.delay_us if hardware else 0.0
-        if delay_us or features.has(named.TRIGGER_DELAY_US):
-            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
-
-    def _set_up_line(self, line: TriggerLine) -> None:
-        """Make the line an input that is neither inverted nor slower than stated."""
-        features = self._features
-        if not features.has(named.LINE_SELECTOR):
-            return
-        features.write(named.LINE_SELECTOR, line.line, "arm")
-        features.ensure(named.LINE_MODE, "Input", "arm")
-        features.ensure(named.LINE_INVERTER, False, "arm")
-        if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):
-            features.write(named.LINE_DEBOUNCER_US, line.debounce_us, "arm", tolerance=1.0)
 
     def _await_ready(self, deadline: float, operation: str) -> None:
         """Wait until the camera is ready for a trigger; it drops an earlier one without an error."""
@@ -376,7 +295,8 @@ class BaslerCamera(Camera):
         self._check_connected("read")
         cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
         remedy = cable if self._trigger == "hardware" else "allow more time"
-        raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
+        reason = f"no frame came within {timeout_s:g} s{self._lost()}"
+        raise DeviceTimeoutError(self.name, "read", reason, remedy)
 
     def _index(self, block_id: int) -> int:
         """Return the frame's number since `arm`, by the camera's own count where it has one."""

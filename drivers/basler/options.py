@@ -9,78 +9,29 @@ camera:
   packed: true                                      # 12 bits as Mono12p: three quarters of the data
   shutter: rolling                                  # or global_reset, global
   raw_gain: {db_per_step: 0.0359}                   # of a camera with GainRaw only, see its manual
+  packet_bytes: 8192                                # of Ethernet cameras
+  packet_delay_ticks: 1000
   trigger: {line: Line1, edge: rising, delay_us: 0, debounce_us: 0}
   features: camera.pfs                              # loaded first, as pylon's viewer saves it
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from fpplab.core.config import Document
-
-EDGES = {"rising": "RisingEdge", "falling": "FallingEdge"}
-SHUTTERS = {
-    "rolling": ("Rolling",),
-    "global_reset": ("GlobalReset", "GlobalResetRelease"),
-    "global": ("Global",),
-}
-"""The names of a choice in GenICam, those of SFNC 2 first."""
-
-NotNegativeCount = Annotated[int, Field(ge=0)]
+from drivers.genicam.options import GenicamOptions
 
 
-class TriggerLine(Document):
-    """Input line that receives the hardware trigger."""
-
-    line: str = "Line1"
-    """GenICam name of the line, such as Line1."""
-    edge: Literal["rising", "falling"] = "rising"
-    """Edge of the pulse that starts an exposure."""
-    delay_us: Annotated[float, Field(ge=0)] = 0.0
-    """Delay from the edge to the start of the exposure, in µs."""
-    debounce_us: Annotated[float, Field(ge=0)] = 0.0
-    """Time in µs for which the line must keep its level to count; it delays the exposure by as much."""
-
-
-class RawGain(Document):
-    """How the integer `GainRaw` of a camera without gain in dB is converted: one of both, by its manual."""
-
-    db_per_step: Annotated[float, Field(gt=0)] | None = None
-    """dB for each step of GainRaw, where the gain in dB is proportional to it; 0.0359 for many models."""
-    unity: Annotated[float, Field(gt=0)] | None = None
-    """GainRaw at 0 dB, where the gain as a factor is proportional to it; 32 for some models."""
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if (self.db_per_step is None) == (self.unity is None):
-            raise ValueError("'raw_gain' needs either 'db_per_step' or 'unity'")
-        return self
-
-
-class BaslerOptions(Document):
+class BaslerOptions(GenicamOptions):
     """The camera's section in a rig file; the module shows an example."""
 
-    serial: str
-    """Serial number, as `fpplab devices` shows it."""
-    roi: (
-        tuple[NotNegativeCount, NotNegativeCount, Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
-        | None
-    ) = None
-    """Region of interest: offset x, offset y, width and height in px; the whole sensor without it."""
-    black_level: float | None = None
-    """Black level in the camera's own units; left as it is without it."""
-    raw_gain: RawGain | None = None
-    """Conversion of GainRaw, for a camera that has no gain in dB; without it such a camera has its least gain
-    only, which counts as 0 dB.
-    """
     packed: bool = False
     """Whether 12-bit frames are transferred as Mono12p, three quarters of the data of Mono12."""
-    shutter: Literal["rolling", "global_reset", "global"] | None = None
-    """Shutter mode to set; for a camera whose shutter cannot be switched, the one that it has."""
-    trigger: TriggerLine = TriggerLine()
-    """Line that receives the hardware trigger."""
+    packet_bytes: Annotated[int, Field(ge=1)] | None = None
+    """Size of an Ethernet camera's packets in bytes; left as it is without it."""
+    packet_delay_ticks: Annotated[int, Field(ge=0)] | None = None
+    """Pause between two packets of an Ethernet camera, in ticks of its clock; left as it is without it."""
     features: str | None = None
     """.pfs file with the camera's settings, loaded before all others, as saved by pylon Viewer."""

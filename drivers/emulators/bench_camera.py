@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from pypylon import genicam, pylon
 
-from drivers.basler.features import (
+from drivers.emulators.exposure import CollectedLight, EmulatedShutter
+from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
+from drivers.genicam.names import (
     LINE_INVERTER,
     TRIGGER_DELAY_US,
     TRIGGER_EDGE,
@@ -17,10 +20,7 @@ from drivers.basler.features import (
     TRIGGER_SOURCE,
     US_PER_S,
 )
-from drivers.basler.options import EDGES
-from drivers.emulators.exposure import CollectedLight, EmulatedShutter
-from drivers.emulators.pylon import READY_MS, EmulatedCamera, EmulatedPylon, PylonPolicy
-from drivers.emulators.sensor_timing import STRICT, SensorTiming
+from drivers.genicam.options import EDGES
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 

@@ -24,17 +24,17 @@ import numpy as np
 import tifffile
 from pypylon import genicam, pylon
 
-from drivers.basler.features import (
+from drivers.basler.transport import Pylon
+from drivers.emulators.sensor_timing import STRICT, SensorTiming
+from drivers.genicam.features import Features
+from drivers.genicam.names import (
     EXPOSURE_US,
     GAIN_DB,
     PIXEL_FORMAT,
     TRIGGER_MODE,
     TRIGGER_SOURCE,
     US_PER_S,
-    Features,
 )
-from drivers.basler.transport import Pylon
-from drivers.emulators.sensor_timing import STRICT, SensorTiming
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.devices import CameraSettings
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from tests.conformance.fault import Fault
 
-BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS, BASLER_GAIN = (
-    f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options", "gain")
+BASLER, BASLER_FRAMES = (f"drivers/basler/{name}.py" for name in ("camera", "frames"))
+GENICAM, GENICAM_FEATURES, GENICAM_NAMES, GENICAM_GAIN, GENICAM_OPTIONS = (
+    f"drivers/genicam/{name}.py" for name in ("camera", "features", "names", "gain", "options")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
 DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO, DLP_DISPLAY, DLP_SCREEN = (
@@ -73,29 +74,29 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: the readout takes no time",
-        BASLER,
-        "BaslerCamera._row_times_s",
+        GENICAM,
+        "GenicamCamera._row_times_s",
         "float(readout_us or 0.0) / US_PER_S",
         "0.0",
     ),
     Fault(
         "basler: ready at once",
-        BASLER,
-        "BaslerCamera._period_s",
+        GENICAM,
+        "GenicamCamera._period_s",
         "1.0 / rate_hz if rate_hz else None",
         "0.0",
     ),
     Fault(
         "basler: a rate that is not told is none",
-        BASLER,
-        "BaslerCamera._period_s",
+        GENICAM,
+        "GenicamCamera._period_s",
         "1.0 / rate_hz if rate_hz else None",
         "1.0 / rate_hz if rate_hz else 0.0",
     ),
     Fault(
         "basler: a global reset rolls",
-        BASLER,
-        "BaslerCamera._row_times_s",
+        GENICAM,
+        "GenicamCamera._row_times_s",
         "return (0.0, readout_s) if resets else (readout_s, 0.0)",
         "return readout_s, 0.0",
     ),
@@ -115,14 +116,14 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: the line's delay for every trigger",
-        BASLER,
-        "BaslerCamera._choose_trigger",
+        GENICAM,
+        "GenicamCamera._choose_trigger",
         "line.delay_us if hardware else 0.0",
         "line.delay_us",
     ),
     Fault(
         "basler: what is out of range is clamped",
-        BASLER_FEATURES,
+        GENICAM_FEATURES,
         "Features.write",
         "if refusal := _refusal(node, value):",
         "if refusal := _refusal(node, value := value if isinstance(value, str)"
@@ -130,77 +131,77 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: the exposure stays automatic",
-        BASLER_FEATURES,
+        GENICAM_NAMES,
         "RAW",
         '(("ExposureAuto",), "Off")',
         '(("GainAuto",), "Off")',
     ),
     Fault(
         "basler: raw is hoped for",
-        BASLER_FEATURES,
+        GENICAM_FEATURES,
         "Features.ensure",
         "if found is not None and found != value:",
         "if found is None:",
     ),
     Fault(
         "basler: pixels stay binned",
-        BASLER_FEATURES,
+        GENICAM_NAMES,
         "RAW",
         '(("BinningVertical",), 1)',
         '(("BinningHorizontal",), 1)',
     ),
     Fault(
         "basler: the image stays mirrored",
-        BASLER_FEATURES,
+        GENICAM_NAMES,
         "RAW",
         '(("ReverseY",), False)',
         '(("ReverseX",), False)',
     ),
     Fault(
         "basler: a test image is measured",
-        BASLER_FEATURES,
-        "RAW",
+        "drivers/basler/families.py",
+        "BASLER_RAW",
         '(("TestImageSelector",), "Off")',
         '(("TestPattern",), "Off")',
     ),
     Fault(
         "basler: the line stays inverted",
-        BASLER,
-        "BaslerCamera._set_up_line",
+        GENICAM,
+        "GenicamCamera._set_up_line",
         'features.ensure(named.LINE_INVERTER, False, "arm")',
         "",
     ),
     Fault(
         "basler: the line stays debounced",
-        BASLER,
-        "BaslerCamera._set_up_line",
+        GENICAM,
+        "GenicamCamera._set_up_line",
         "if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):",
         "if line.debounce_us:",
     ),
     Fault(
         "basler: a raw gain stays as it is",
-        BASLER_GAIN,
+        GENICAM_GAIN,
         "CameraGain.set_db",
-        'self._features.write(GAIN_RAW, self._features.limits(GAIN_RAW)[0], "configure")',
+        'self._features.write(self._own, self._features.limits(self._own)[0], "configure")',
         "",
     ),
     Fault(
         "basler: a raw gain is reported as asked for",
-        BASLER_GAIN,
+        GENICAM_GAIN,
         "CameraGain.set_db",
-        'return self._db(self._features.write(GAIN_RAW, raw, "configure"), self._conversion)',
+        'return to_db(self._features.write(GAIN_RAW, round(raw), "configure"), self._conversion)',
         "return gain_db",
     ),
     Fault(
         "basler: every raw gain is in steps of dB",
-        BASLER_GAIN,
-        "CameraGain._db",
+        GENICAM_GAIN,
+        "to_db",
         "20.0 * math.log10(raw / conversion.unity)",
         "raw / conversion.unity",
     ),
     Fault(
         "basler: old names first",
-        BASLER_FEATURES,
+        GENICAM_NAMES,
         "EXPOSURE_US",
         '("ExposureTime", "ExposureTimeAbs")',
         '("ExposureTimeAbs", "ExposureTime")',
@@ -235,7 +236,7 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: the other edge",
-        BASLER_OPTIONS,
+        GENICAM_OPTIONS,
         "EDGES",
         '{"rising": "RisingEdge", "falling": "FallingEdge"}',
         '{"rising": "FallingEdge", "falling": "RisingEdge"}',

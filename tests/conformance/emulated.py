@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import threading
 
-import numpy as np
-
 from drivers.emulators.pylon import EmulatedPylon
-from fpplab.core.conventions import Image, full_scale, raw_dtype
+from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
-from tests.conformance.reference import REFERENCE_EXPOSURE_S, ReferenceBench, ReferenceProjector
+from tests.conformance.reference import ReferenceBench, ReferenceProjector, sensor_image
 
 
 class PylonBench(ReferenceBench):
@@ -25,10 +23,7 @@ class PylonBench(ReferenceBench):
         super().close()
 
     def _seen(self, settings: CameraSettings) -> Image:
-        gain = settings.exposure_s / REFERENCE_EXPOSURE_S * 10 ** (settings.gain_db / 20)
-        share = np.clip(self.light(self.on_show) * gain, 0.0, 1.0)
-        image: Image = np.rint(share * full_scale(settings.bits)).astype(raw_dtype(settings.bits))
-        return image
+        return sensor_image(self, self.on_show, settings)
 
 
 class PulsingProjector(ReferenceProjector):

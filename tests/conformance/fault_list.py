@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.conformance.camera_faults import GENTL_AND_VIDEO, NODE_TABLES
 from tests.conformance.driver_faults import (
     DRIVER_OF_BASLER,
     DRIVER_OF_DLP4500,
@@ -26,6 +27,8 @@ FAULTS: list[Fault] = (
     + IN_STEP
     + SIMULATED
     + DRIVER_OF_BASLER
+    + NODE_TABLES
+    + GENTL_AND_VIDEO
     + DRIVER_OF_DLP4500
     + VIDEO_PORT_OF_DLP4500
     + DRIVER_OF_GRBL

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fpplab.core.conventions import Floats, Image, Lattice
+from fpplab.core.conventions import Floats, Image, Lattice, full_scale, raw_dtype
 from fpplab.core.errors import DeviceTimeoutError
 from fpplab.devices import (
     Camera,
@@ -65,6 +65,13 @@ class ReferenceBench:
             light += self.reflectance * WHITE * pattern.image[np.ix_(rows, columns)] / 255.0
         light += self.random.normal(0.0, NOISE, light.shape)
         return light
+
+
+def sensor_image(bench: ReferenceBench, pattern: Pattern | None, settings: CameraSettings) -> Image:
+    """What a camera without any noise of its own sees of a pattern, in raw integers."""
+    gain = settings.exposure_s / REFERENCE_EXPOSURE_S * 10 ** (settings.gain_db / 20)
+    share = np.clip(bench.light(pattern) * gain, 0.0, 1.0)
+    return np.rint(share * full_scale(settings.bits)).astype(raw_dtype(settings.bits))
 
 
 class ReferenceCamera(Camera):

@@ -62,12 +62,17 @@ class Suite:
     tests: tuple[str, ...] = ()
 
 
+NODE_MAPS = Suite(
+    ("rig_pylon.yaml",),
+    ("test_basler_families.py", "test_basler_features.py", "test_basler.py", "test_basler_faults.py"),
+)
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py", "test_dlp4500_display.py"))
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
-    "drivers/basler/": Suite(
-        ("rig_pylon.yaml",), ("test_basler.py", "test_basler_faults.py", "test_basler_features.py")
-    ),
+    "drivers/basler/": NODE_MAPS,
+    "drivers/genicam/": NODE_MAPS,
+    "drivers/gentl/": Suite(("rig_gentl.yaml",), ("test_gentl.py",)),
+    "drivers/video_camera/": Suite(("rig_video.yaml",), ("test_video_camera.py",)),
     "drivers/dlp4500/on_video.py": VIDEO_PORT,
     "drivers/dlp4500/display.py": VIDEO_PORT,
     "drivers/dlp4500/screen.py": VIDEO_PORT,

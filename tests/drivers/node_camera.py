@@ -140,11 +140,14 @@ class NodeMap:
 class NodeCamera:
     """An `InstantCamera` and the `pylon` that creates it, in one class."""
 
-    def __init__(self, nodes: dict[str, Node] = ACE, device_class: str = "BaslerUsb") -> None:
+    def __init__(
+        self, nodes: dict[str, Node] = ACE, device_class: str = "BaslerUsb", model: str = "ace"
+    ) -> None:
         self.map, self.results = NodeMap(nodes), deque[Result]()
         self.ready_is_known, self.triggers, self.grabbing = True, 0, False
         self.MaxNumBuffer = SimpleNamespace(SetValue=lambda n: None)
-        self._class = device_class
+        self._class, self._model = device_class, model
+        self.link = NodeMap({})
 
     def cameras(self) -> dict[str, Any]:
         return {SERIAL: None}
@@ -157,7 +160,9 @@ class NodeCamera:
 
     def GetDeviceInfo(self) -> Any:
         return SimpleNamespace(
-            GetDeviceClass=lambda: self._class, GetModelName=lambda: "ace", GetSerialNumber=lambda: SERIAL
+            GetDeviceClass=lambda: self._class,
+            GetModelName=lambda: self._model,
+            GetSerialNumber=lambda: SERIAL,
         )
 
     def CanWaitForFrameTriggerReady(self) -> bool:
@@ -174,6 +179,12 @@ class NodeCamera:
 
     def IsCameraDeviceRemoved(self) -> bool:
         return False
+
+    def GetStreamGrabberNodeMap(self) -> NodeMap:
+        return self.link
+
+    def IsGrabbing(self) -> bool:
+        return self.grabbing
 
     def StartGrabbing(self, strategy: Any) -> None:
         self.grabbing = True

@@ -1,4 +1,4 @@
-"""`python -m tests.vm [WORDS FOR PYTEST]`: the projector's driver through the kernel of a virtual machine."""
+"""`python -m tests.vm [WORDS FOR PYTEST]`: drivers of USB devices through the kernel of a virtual machine."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from tests.vm.machine import Machine, NotHere
 
 SUITE = (
     *("tests/vm", "tests/conformance/test_life.py", "tests/conformance/test_projector.py"),
-    *("--rig", "tests/vm/rig_usb.yaml", "-k", "not rig_usb-camera"),
+    *("tests/conformance/test_camera.py", "--rig", "tests/vm/rig_usb.yaml", "--rig", "tests/vm/rig_uvc.yaml"),
+    "-k",
+    "not (rig_usb-camera or rig_uvc-projector or (test_camera and rig_usb) or (test_projector and rig_uvc))",
 )
+"""Each driver on its own rig; the other device of either is not meant."""
 
 
 def main(words: list[str]) -> int:

@@ -21,6 +21,7 @@ $b ln -s "$UNPACKED/bin/udevadm" /run/systemd-udevd
 cd "$CHECKOUT" || end 1
 $b mkdir -p /dev/shm && $b mount -t tmpfs shm /dev/shm
 "$PYTHON" -m tests.vm.projector &
+"$PYTHON" -m tests.vm.uvc &
 status=0
 "$PYTHON" -m pytest -p no:cacheprovider --color=no "$@" || status=1
 end $status

@@ -24,7 +24,17 @@ FOLDER = ROOT / "build" / "vm"
 
 QEMU, KERNEL = "qemu-system-x86", "linux-image-amd64"
 IN_GUEST = ("busybox-static", "udev", "libkmod2", "libusb-1.0-0")
-MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "vhci_hcd", "usbhid", "hid_generic")
+MODULES = (
+    "virtio_pci",
+    "9pnet_virtio",
+    "9p",
+    "overlay",
+    "vhci_hcd",
+    "usbhid",
+    "hid_generic",
+    "uvcvideo",
+    "vivid",
+)
 LIBRARIES = ("usr/lib/x86_64-linux-gnu", "lib/x86_64-linux-gnu")
 MEMORY_MB = 1536
 LONGEST_S = 900

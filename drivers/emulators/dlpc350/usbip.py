@@ -203,13 +203,15 @@ class UsbIpAttachment:
                 self._connection.deliver_reports()
 
 
-def attach(cable: socket.socket) -> None:
+def attach(cable: socket.socket, speed: int = FULL_SPEED) -> None:
     """Attach one end of a socket pair to the kernel's hub.
 
     Parameters
     ----------
     cable : socket.socket
         The kernel's end.
+    speed : int
+        The kernel's number of the device's speed.
 
     Raises
     ------
@@ -223,7 +225,7 @@ def attach(cable: socket.socket) -> None:
             f"the kernel has no USB/IP hub ({HUB} is missing)",
             "on Linux: sudo modprobe vhci-hcd; other systems have none",
         )
-    order = f"{free_port()} {cable.fileno()} {_DEVICE_ID} {FULL_SPEED}"
+    order = f"{free_port()} {cable.fileno()} {_DEVICE_ID} {speed}"
     try:
         with open(HUB / "attach", "w", encoding="ascii") as file:
             file.write(order)
@@ -236,7 +238,7 @@ def attach(cable: socket.socket) -> None:
 
 
 def free_port() -> int:
-    """Find a free port of the hub for a device of full speed.
+    """Find a free port of the hub for a device of full or high speed.
 
     Returns
     -------

@@ -1,80 +1,19 @@
 """Camera features by their GenICam names, resolved in the camera's node map.
 
 Cameras differ by model and by the version of the Standard Features Naming Convention (SFNC). A feature is
-therefore a tuple of names, those of SFNC 2 first; the first that the camera has is used.
+therefore a tuple of names, see `drivers.genicam.names`; the first that the camera has is used. Which library
+the node map comes from does not matter here: a node is anything with the methods of pylon's parameters. An
+enumeration has `GetSettableValues`, a switch has no `GetMin`, and integers are told by the type of theirs.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from pypylon import pylon
-
 from fpplab.core.errors import CapabilityError, SettingError
 
 FeatureNames = tuple[str, ...]
-US_PER_S = 1e6
-
-WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = ("Width",), ("Height",), ("OffsetX",), ("OffsetY",)
-PIXEL_FORMAT: FeatureNames = ("PixelFormat",)
-PAYLOAD_BYTES: FeatureNames = ("PayloadSize",)
-EXPOSURE_US: FeatureNames = ("ExposureTime", "ExposureTimeAbs")
-GAIN_DB: FeatureNames = ("Gain",)
-GAIN_RAW: FeatureNames = ("GainRaw",)
-BLACK_LEVEL: FeatureNames = ("BlackLevel", "BlackLevelRaw")
-SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
-READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
-RESULTING_HZ: FeatureNames = (
-    "ResultingFrameRate",
-    "BslResultingAcquisitionFrameRate",
-    "ResultingFrameRateAbs",
-)
-USB_SPEED: FeatureNames = ("BslUSBSpeedMode",)
-TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
-TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
-TRIGGER_MODE: FeatureNames = ("TriggerMode",)
-TRIGGER_SOURCE: FeatureNames = ("TriggerSource",)
-TRIGGER_EDGE: FeatureNames = ("TriggerActivation",)
-TRIGGER_DELAY_US: FeatureNames = ("TriggerDelay", "TriggerDelayAbs")
-LINE_SELECTOR: FeatureNames = ("LineSelector",)
-LINE_MODE: FeatureNames = ("LineMode",)
-LINE_INVERTER: FeatureNames = ("LineInverter",)
-LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
-GAMMA: FeatureNames = ("Gamma",)
-GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
-
-ALL_CHANNELS: tuple[FeatureNames, ...] = (("GainSelector",), ("BlackLevelSelector",))
-"""Selectors of what gain and black level apply to; "All" where the camera has it."""
-
-RAW: tuple[tuple[FeatureNames, object], ...] = (
-    (("AcquisitionMode",), "Continuous"),
-    (("AcquisitionFrameRateEnable",), False),
-    (("ExposureMode",), "Timed"),
-    (("ExposureAuto",), "Off"),
-    (("GainAuto",), "Off"),
-    (GAMMA_ENABLE, False),
-    (GAMMA, 1.0),
-    (("LUTEnable",), False),
-    (("DigitalShift",), 0),
-    (("PgiMode",), "Off"),
-    (("BslBrightness",), 0.0),
-    (("BslContrast",), 0.0),
-    (("BslSharpnessEnhancement",), 0.0),
-    (("BslNoiseReduction",), 0.0),
-    (("BinningHorizontal",), 1),
-    (("BinningVertical",), 1),
-    (("DecimationHorizontal",), 1),
-    (("DecimationVertical",), 1),
-    (("ReverseX",), False),
-    (("ReverseY",), False),
-    (("TestImageSelector",), "Off"),
-    (("TestPattern",), "Off"),
-    (("ChunkModeActive",), False),
-)
-"""Settings for raw values of every sensor pixel, exposed at the times of their triggers.
-
-A camera may lack any of them; those that it has must have these values.
-"""
+"""Names of one feature, in order of preference."""
 
 
 class Features:
@@ -87,7 +26,7 @@ class Features:
     ----------
     device : str
         Name of the camera in the rig file, for errors.
-    camera : pylon.InstantCamera
+    camera : object with `GetNodeMap`
         The camera, open.
     """
 
@@ -190,29 +129,27 @@ class Features:
         SettingError
             The camera does not take the value, or another value is read back.
         """
-        node = self._node(feature)
-        if isinstance(node, pylon.IntegerParameter) and float(value).is_integer():
-            value = int(value)
+        name, node = self._found(feature)
         if not node.IsWritable():
             if node.IsReadable() and node.GetValue() == value:
                 return value
             raise CapabilityError(
                 self._device,
                 operation,
-                f"{feature[0]} cannot be set to {value}",
+                f"{name} cannot be set to {value}",
                 "this camera has no such setting",
             )
         if refusal := _refusal(node, value):
             raise SettingError(
-                self._device, operation, f"{feature[0]} is {_shown(value)}", f"the camera takes {refusal}"
+                self._device, operation, f"{name} is {_shown(value)}", f"the camera takes {refusal}"
             )
-        node.SetValue(value)
+        node.SetValue(int(value) if _is_integer(node) else value)
         back = node.GetValue()
         if back != value and not (tolerance and abs(back - value) <= tolerance):
             raise SettingError(
                 self._device,
                 operation,
-                f"{feature[0]} is {_shown(value)}",
+                f"{name} is {_shown(value)}",
                 f"the camera reads {_shown(back)}",
             )
         return back
@@ -235,12 +172,12 @@ class Features:
             The camera has the feature with another value, and keeps it.
         """
         self.write_if_possible(feature, value)
-        found = self.read(feature)
+        name, found = self._found(feature)[0], self.read(feature)
         if found is not None and found != value:
             raise SettingError(
                 self._device,
                 operation,
-                f"{feature[0]} is {_shown(found)} and cannot be set to {_shown(value)}",
+                f"{name} is {_shown(found)} and cannot be set to {_shown(value)}",
                 "frames would not be the sensor's own values; correct it in pylon Viewer",
             )
 
@@ -258,21 +195,65 @@ class Features:
         if node.IsWritable() and not _refusal(node, value):
             node.SetValue(value)
 
+    def unit(self, feature: FeatureNames) -> str | None:
+        """Read the unit of a numeric feature.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the feature, in order of preference.
+
+        Returns
+        -------
+        str or None
+            The unit; None where the camera does not have the feature.
+        """
+        node = self._node(feature)
+        return str(node.GetUnit()) if node.IsValid() else None
+
+    def execute(self, feature: FeatureNames, operation: str) -> None:
+        """Carry out a command.
+
+        Parameters
+        ----------
+        feature : tuple of str
+            Names of the command, in order of preference.
+        operation : str
+            What the device is doing, for errors.
+
+        Raises
+        ------
+        CapabilityError
+            The camera does not have the command, or does not take it at present.
+        """
+        name, node = self._found(feature)
+        if not node.IsWritable():
+            raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")
+        node.Execute()
+
     def _node(self, feature: FeatureNames) -> Any:
+        return self._found(feature)[1]
+
+    def _found(self, feature: FeatureNames) -> tuple[str, Any]:
+        """Return the name by which the camera has a feature, and its node; else the first name."""
         node_map = self._camera.GetNodeMap()
-        nodes = [node_map.GetNode(name) for name in feature]
-        return next((node for node in nodes if node.IsValid()), nodes[0])
+        nodes = [(name, node_map.GetNode(name)) for name in feature]
+        return next(((name, node) for name, node in nodes if node.IsValid()), nodes[0])
+
+
+def _is_integer(node: Any) -> bool:
+    return hasattr(node, "GetMin") and isinstance(node.GetMin(), int)
 
 
 def _refusal(node: Any, value: Any) -> str:
     """Describe what the node accepts, if it does not take the value; otherwise return an empty string."""
-    if isinstance(node, pylon.EnumParameter):
+    if hasattr(node, "GetSettableValues"):
         choices = node.GetSettableValues()
         return "" if value in choices else f"one of {', '.join(choices)}"
-    if isinstance(node, pylon.BooleanParameter):
+    if not hasattr(node, "GetMin"):
         return ""
     least, most = node.GetMin(), node.GetMax()
-    step = node.GetInc() if isinstance(node, pylon.IntegerParameter) else 0
+    step = node.GetInc() if _is_integer(node) else 0
     if step and value != int(value):
         return f"whole numbers from {least:g} to {most:g}"
     if least <= value <= most and not (step and (value - least) % step):

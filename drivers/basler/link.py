@@ -1,0 +1,39 @@
+"""What a camera's link lost, by the statistics of pylon's stream grabber."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+from pypylon import genicam
+
+LOST = {
+    "packets lost": "Statistic_Failed_Packet_Count",
+    "packets sent again": "Statistic_Resend_Packet_Count",
+    "frames damaged": "Statistic_Failed_Buffer_Count",
+    "frames without a buffer": "Statistic_Buffer_Underrun_Count",
+    "frames missed": "Statistic_Missed_Frame_Count",
+}
+"""Nodes by what they count since frames were last awaited; each link has some of them."""
+
+
+def lost_on_link(nodes: Any) -> dict[str, int]:
+    """Read what the link has lost.
+
+    Parameters
+    ----------
+    nodes : pylon.NodeMap
+        Of the stream grabber.
+
+    Returns
+    -------
+    dict of str to int
+        What was lost, and how often; empty where nothing was, or where the link does not count.
+    """
+    found: dict[str, int] = {}
+    with suppress(genicam.GenericException):  # an unplugged camera; that is reported by its own error
+        for what, name in LOST.items():
+            node = nodes.GetNode(name)
+            if node.IsValid() and node.IsReadable() and (count := node.GetValue()) > 0:
+                found[what] = count
+    return found

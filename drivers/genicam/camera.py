@@ -1,0 +1,160 @@
+"""A camera with a GenICam node map behind the interface of `fpplab.devices`: all but its frames.
+
+It is not specific to a model: the node map is queried for the features that it has. A driver opens the
+camera, sets `_features`, `_gain` and `_options`, calls `_set_up`, and takes the frames.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from drivers.genicam import names as named
+from drivers.genicam.features import Features
+from drivers.genicam.gain import CameraGain
+from drivers.genicam.names import US_PER_S
+from drivers.genicam.options import EDGES, SHUTTERS, GenicamOptions, TriggerLine
+from fpplab.core.errors import CapabilityError
+from fpplab.devices import Camera, CameraCaps, CameraSettings, Trigger
+
+
+class GenicamCamera(Camera):
+    """What GenICam cameras have in common; see the module."""
+
+    FORMATS: ClassVar[dict[int, tuple[str, ...]]]
+    """GenICam pixel formats by bit depth, the preferred one first; a driver states those that it decodes."""
+    RAW: ClassVar[named.RawSettings] = named.RAW
+    """Settings for raw frames; a maker's driver adds its own."""
+
+    _features: Features
+    _gain: CameraGain
+    _options: GenicamOptions
+
+    def _set_up(self) -> None:
+        """Make the camera raw, apply the rig file's options, and read what it can do."""
+        self._make_raw()
+        self._apply_options()
+        self._known = self._read_caps()
+
+    def _caps(self) -> CameraCaps:
+        return self._known
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        self._forget()  # settings that are refused may have been applied in part
+        exposure_us = round(settings.exposure_s * US_PER_S, 6)
+        self._features.write(named.PIXEL_FORMAT, self._format(settings.bits), "configure")
+        back_us = self._features.write(named.EXPOSURE_US, exposure_us, "configure", tolerance=exposure_us)
+        gain_db = self._gain.set_db(settings.gain_db)
+        self._known = self._read_caps()
+        return CameraSettings(back_us / US_PER_S, gain_db, settings.bits)
+
+    def _make_raw(self) -> None:
+        features = self._features
+        for channels in named.ALL_CHANNELS:
+            features.write_if_possible(channels, "All")
+        for feature, value in self.RAW:
+            if feature != named.GAMMA or features.read(named.GAMMA_ENABLE) is not False:
+                features.ensure(feature, value, "open")
+        for selector in self._features.choices(named.TRIGGER_SELECTOR):
+            self._features.write_if_possible(named.TRIGGER_SELECTOR, selector)
+            self._features.write_if_possible(named.TRIGGER_MODE, "Off")
+
+    def _apply_options(self) -> None:
+        options, write = self._options, self._features.write
+        self._set_roi(options.roi)
+        if options.black_level is not None:
+            write(named.BLACK_LEVEL, options.black_level, "open", tolerance=0.5)
+        if options.shutter is not None and self._features.has(named.SHUTTER):
+            names, known = SHUTTERS[options.shutter], self._features.choices(named.SHUTTER)
+            write(named.SHUTTER, next((name for name in names if name in known), names[0]), "open")
+
+    def _set_roi(self, roi: tuple[int, int, int, int] | None) -> None:
+        write = self._features.write
+        write(named.OFFSET_X, 0, "open")
+        write(named.OFFSET_Y, 0, "open")
+        whole = (int(self._features.limits(named.WIDTH)[1]), int(self._features.limits(named.HEIGHT)[1]))
+        left, top, width, height = roi or (0, 0, *whole)
+        write(named.WIDTH, width, "open")
+        write(named.HEIGHT, height, "open")
+        write(named.OFFSET_X, left, "open")
+        write(named.OFFSET_Y, top, "open")
+
+    def _read_caps(self) -> CameraCaps:
+        features = self._features
+        shortest, longest = features.limits(named.EXPOSURE_US)
+        return CameraCaps(
+            (features.read(named.WIDTH), features.read(named.HEIGHT)),
+            tuple(bits for bits in self.FORMATS if self._formats(bits)),
+            (shortest / US_PER_S, longest / US_PER_S),
+            self._gain.limits_db(),
+            self._triggers(),
+            *self._row_times_s(),
+            self._period_s(),
+        )
+
+    def _period_s(self) -> float | None:
+        """Return the least time in s between triggers: the reciprocal of the resulting frame rate.
+
+        Basler documents that this is how long to wait after each trigger, and that an earlier one is ignored.
+        """
+        rate_hz = self._features.read(named.RESULTING_HZ)
+        return 1.0 / rate_hz if rate_hz else None
+
+    def _triggers(self) -> tuple[Trigger, ...]:
+        """List the supported triggers: none if the camera cannot tell when it is ready for its first one."""
+        if not self._can_be_triggered():
+            return ()
+        sources = self._features.choices(named.TRIGGER_SOURCE)
+        names: dict[Trigger, str] = {"software": "Software", "hardware": self._options.trigger.line}
+        return tuple(trigger for trigger, source in names.items() if source in sources)
+
+    def _row_times_s(self) -> tuple[float, float]:
+        """Return the delay in s from the first to the last row's exposure, and that of their ends alone."""
+        shutter = self._features.read(named.SHUTTER) or self._options.shutter
+        if shutter in ("Global", "global"):
+            return 0.0, 0.0
+        readout_us = self._features.read(named.READOUT_US)
+        if readout_us is None and shutter is not None:
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"the shutter is {shutter}, but the camera does not tell its readout time",
+                "use a camera with a global shutter",
+            )
+        readout_s = float(readout_us or 0.0) / US_PER_S
+        resets = shutter in ("global_reset", *SHUTTERS["global_reset"])
+        return (0.0, readout_s) if resets else (readout_s, 0.0)
+
+    def _formats(self, bits: int) -> list[str]:
+        known = self._features.choices(named.PIXEL_FORMAT)
+        return [name for name in self.FORMATS[bits] if name in known]
+
+    def _format(self, bits: int) -> str:
+        return self._formats(bits)[0]
+
+    def _can_be_triggered(self) -> bool:
+        """Whether it can be known when the camera is ready for its first trigger."""
+        return True
+
+    def _choose_trigger(self, trigger: Trigger) -> None:
+        features, line = self._features, self._options.trigger
+        hardware = trigger == "hardware"
+        features.write(named.TRIGGER_SELECTOR, "FrameStart", "arm")
+        features.write(named.TRIGGER_MODE, "On", "arm")
+        features.write(named.TRIGGER_SOURCE, line.line if hardware else "Software", "arm")
+        if hardware:
+            features.write(named.TRIGGER_EDGE, EDGES[line.edge], "arm")
+            self._set_up_line(line)
+        delay_us = line.delay_us if hardware else 0.0
+        if delay_us or features.has(named.TRIGGER_DELAY_US):
+            features.write(named.TRIGGER_DELAY_US, delay_us, "arm", tolerance=1.0)
+
+    def _set_up_line(self, line: TriggerLine) -> None:
+        """Make the line an input that is neither inverted nor slower than stated."""
+        features = self._features
+        if not features.has(named.LINE_SELECTOR):
+            return
+        features.write(named.LINE_SELECTOR, line.line, "arm")
+        features.ensure(named.LINE_MODE, "Input", "arm")
+        features.ensure(named.LINE_INVERTER, False, "arm")
+        if line.debounce_us or features.has(named.LINE_DEBOUNCER_US):
+            features.write(named.LINE_DEBOUNCER_US, line.debounce_us, "arm", tolerance=1.0)

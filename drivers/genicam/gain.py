@@ -1,0 +1,123 @@
+"""The gain of a camera in dB, also where the camera knows only the integer `GainRaw`.
+
+How `GainRaw` relates to dB depends on the model, and the camera does not tell: a driver knows it for some
+models, and the rig file states it for others. Without either only the least gain can be used, and it counts
+as 0 dB.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.genicam.features import Features
+from drivers.genicam.names import GAIN_DB, GAIN_RAW
+from drivers.genicam.options import RawGain
+
+
+class CameraGain:
+    """The gain of one open camera.
+
+    Parameters
+    ----------
+    features : Features
+        The camera's features.
+    conversion : RawGain or None
+        How a gain that is not in dB is converted, where it is known.
+    in_db : bool
+        Whether `Gain` is in dB, as with most makers; otherwise it is converted as `GainRaw` is.
+    """
+
+    def __init__(self, features: Features, conversion: RawGain | None, in_db: bool = True) -> None:
+        self._features, self._conversion = features, conversion
+        self._in_db = in_db and features.has(GAIN_DB)
+        self._own = GAIN_RAW if in_db else GAIN_DB
+
+    def limits_db(self) -> tuple[float, float]:
+        """Read the range of gains at present.
+
+        Returns
+        -------
+        tuple of float
+            Least and greatest gain in dB; both 0 for a camera without gain, or whose conversion is unknown.
+        """
+        if self._in_db:
+            return self._features.limits(GAIN_DB)
+        if self._conversion is None or not self._features.has(self._own):
+            return 0.0, 0.0
+        least, most = self._features.limits(self._own)
+        if self._own == GAIN_RAW:
+            least = max(least, 1.0)  # where a factor is proportional to it, 0 would be no gain in dB
+        return to_db(least, self._conversion), to_db(most, self._conversion)
+
+    def set_db(self, gain_db: float) -> float:
+        """Set the gain.
+
+        Parameters
+        ----------
+        gain_db : float
+            Gain in dB, within `limits_db`.
+
+        Returns
+        -------
+        float
+            The gain that is read back, in dB.
+
+        Raises
+        ------
+        SettingError
+            The camera does not take it, or another one is read back.
+        """
+        if self._in_db:
+            return float(self._features.write(GAIN_DB, gain_db, "configure", tolerance=1.0))
+        if not self._features.has(self._own):
+            return 0.0
+        if self._conversion is None:
+            self._features.write(self._own, self._features.limits(self._own)[0], "configure")
+            return 0.0
+        raw = to_raw(gain_db, self._conversion)
+        if self._own == GAIN_RAW:
+            return to_db(self._features.write(GAIN_RAW, round(raw), "configure"), self._conversion)
+        back = self._features.write(GAIN_DB, raw, "configure", tolerance=0.1 * abs(raw))
+        return to_db(back, self._conversion)
+
+
+def to_db(raw: float, conversion: RawGain) -> float:
+    """Convert a raw gain to dB.
+
+    Parameters
+    ----------
+    raw : float
+        The camera's own number, greater than 0 where the factor is proportional to it.
+    conversion : RawGain
+        How the camera's numbers are meant.
+
+    Returns
+    -------
+    float
+        Gain in dB.
+    """
+    if conversion.unity is not None:
+        return 20.0 * math.log10(raw / conversion.unity)
+    assert conversion.db_per_step is not None
+    return raw * conversion.db_per_step
+
+
+def to_raw(gain_db: float, conversion: RawGain) -> float:
+    """Convert a gain in dB to the camera's own number, not rounded: the inverse of `to_db`.
+
+    Parameters
+    ----------
+    gain_db : float
+        Gain in dB.
+    conversion : RawGain
+        How the camera's numbers are meant.
+
+    Returns
+    -------
+    float
+        The camera's own number.
+    """
+    if conversion.unity is not None:
+        return float(conversion.unity * 10.0 ** (gain_db / 20.0))
+    assert conversion.db_per_step is not None
+    return gain_db / conversion.db_per_step

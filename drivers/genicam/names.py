@@ -1,0 +1,76 @@
+"""Names of camera features: those of SFNC 2 first, then those that cameras had before.
+
+References
+----------
+GenICam Standard Features Naming Convention (SFNC) 2.7; Basler's parameter reference for SFNC 1 names.
+"""
+
+from __future__ import annotations
+
+from drivers.genicam.features import FeatureNames
+
+US_PER_S = 1e6
+
+WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = ("Width",), ("Height",), ("OffsetX",), ("OffsetY",)
+PIXEL_FORMAT: FeatureNames = ("PixelFormat",)
+PAYLOAD_BYTES: FeatureNames = ("PayloadSize",)
+EXPOSURE_US: FeatureNames = ("ExposureTime", "ExposureTimeAbs")
+GAIN_DB: FeatureNames = ("Gain",)
+GAIN_RAW: FeatureNames = ("GainRaw",)
+BLACK_LEVEL: FeatureNames = ("BlackLevel", "BlackLevelRaw")
+SHUTTER: FeatureNames = ("SensorShutterMode", "ShutterMode")
+READOUT_US: FeatureNames = ("SensorReadoutTime", "ReadoutTimeAbs")
+RESULTING_HZ: FeatureNames = (
+    "ResultingFrameRate",
+    "BslResultingAcquisitionFrameRate",
+    "ResultingFrameRateAbs",
+)
+USB_SPEED: FeatureNames = ("BslUSBSpeedMode",)
+PACKET_BYTES: FeatureNames = ("GevSCPSPacketSize",)
+PACKET_DELAY_TICKS: FeatureNames = ("GevSCPD",)
+STATUS_SELECTOR: FeatureNames = ("AcquisitionStatusSelector",)
+STATUS: FeatureNames = ("AcquisitionStatus",)
+SOFTWARE_TRIGGER: FeatureNames = ("TriggerSoftware",)
+TICKS_PER_S: FeatureNames = ("GevTimestampTickFrequency",)
+TRIGGER_SELECTOR: FeatureNames = ("TriggerSelector",)
+TRIGGER_MODE: FeatureNames = ("TriggerMode",)
+TRIGGER_SOURCE: FeatureNames = ("TriggerSource",)
+TRIGGER_EDGE: FeatureNames = ("TriggerActivation",)
+TRIGGER_DELAY_US: FeatureNames = ("TriggerDelay", "TriggerDelayAbs")
+LINE_SELECTOR: FeatureNames = ("LineSelector",)
+LINE_MODE: FeatureNames = ("LineMode",)
+LINE_INVERTER: FeatureNames = ("LineInverter",)
+LINE_DEBOUNCER_US: FeatureNames = ("LineDebouncerTime", "LineDebouncerTimeAbs")
+GAMMA: FeatureNames = ("Gamma",)
+GAMMA_ENABLE: FeatureNames = ("GammaEnable",)
+
+ALL_CHANNELS: tuple[FeatureNames, ...] = (("GainSelector",), ("BlackLevelSelector",))
+"""Selectors of what gain and black level apply to; "All" where the camera has it."""
+
+RawSettings = tuple[tuple[FeatureNames, object], ...]
+"""Features and the values that they must have."""
+
+RAW: RawSettings = (
+    (("SequencerMode",), "Off"),
+    (("AcquisitionMode",), "Continuous"),
+    (("AcquisitionFrameRateEnable",), False),
+    (("ExposureMode",), "Timed"),
+    (("ExposureAuto",), "Off"),
+    (("GainAuto",), "Off"),
+    (("BlackLevelAuto",), "Off"),
+    (GAMMA_ENABLE, False),
+    (GAMMA, 1.0),
+    (("LUTEnable",), False),
+    (("BinningHorizontal",), 1),
+    (("BinningVertical",), 1),
+    (("DecimationHorizontal",), 1),
+    (("DecimationVertical",), 1),
+    (("ReverseX",), False),
+    (("ReverseY",), False),
+    (("TestPattern",), "Off"),
+    (("ChunkModeActive",), False),
+)
+"""Settings of SFNC for raw values of every sensor pixel, exposed at the times of their triggers.
+
+A camera may lack any of them; those that it has must have these values. Makers add their own.
+"""

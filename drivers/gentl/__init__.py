@@ -1,0 +1,28 @@
+"""Driver of any GenICam camera through a GenTL producer, the .cti file of the maker's software.
+
+It has been tested on a producer without a sensor and on GenICam node maps, not on a real camera;
+docs/hardware.md lists what to check when one is first connected.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.gentl.camera import GentlCamera
+
+__all__ = ["GentlCamera"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the camera class when it is first accessed; its library is an optional package."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        from drivers.gentl import camera
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"{error.name} is not installed; install it with: pip install harvesters", name=error.name
+        ) from error
+
+    return getattr(camera, name)

@@ -1,0 +1,200 @@
+"""Any GenICam camera behind the interface of `fpplab.devices`, through a GenTL producer.
+
+`drivers.gentl.options` describes its section in a rig file. What the camera must have: an exposure that can
+be set, `TriggerSelector` with `FrameStart`, and unpacked monochrome pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, ClassVar
+
+from genicam import genapi, gentl
+
+from drivers.genicam import names as named
+from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.features import Features
+from drivers.genicam.gain import CameraGain
+from drivers.gentl.options import GentlOptions
+from drivers.gentl.producer import SPARE, GentlFrame, GentlProducer
+from fpplab.core import config
+from fpplab.core.errors import (
+    CapabilityError,
+    DeviceError,
+    DeviceTimeoutError,
+    DisconnectedError,
+    FrameLossError,
+    StateError,
+)
+from fpplab.devices import CameraCaps, DeviceInfo, Frame, Trigger
+
+READY_S = 0.1
+"""Time in s after which a camera that does not tell counts as ready for its first trigger."""
+LONGEST_READY_S = 5.0
+"""Time limit in s for a camera that tells to become ready."""
+POLL_S = 0.001
+WAITING = "FrameTriggerWait"
+"""What `AcquisitionStatus` is asked for."""
+GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
+
+
+class GentlCamera(GenicamCamera):
+    """A camera that a GenTL producer lists.
+
+    An emulated bench may replace the producer by its attribute `gentl`.
+    """
+
+    FORMATS: ClassVar = {8: ("Mono8",), 10: ("Mono10",), 12: ("Mono12",), 16: ("Mono16",)}
+
+    _options: GentlOptions
+    _producer: Any = None
+    _end: Any = None
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._options = config.validate(options, GentlOptions, self.name)
+        self._load = getattr(bench, "gentl", None) or GentlProducer
+
+    def _open(self) -> None:
+        self._producer = self._load(self._options.producer)
+        serial, connected = self._options.serial, self._producer.cameras()
+        if serial not in connected:
+            raise DisconnectedError(
+                self.name,
+                "open",
+                f"the GenTL producer lists no camera with the serial number {serial}",
+                f"there is {', '.join(connected) or 'none'}",
+            )
+        self._end = self._producer.attach(connected[serial])
+        self._features = Features(self.name, self._end)
+        self._need_exposure()
+        in_db = self._features.unit(named.GAIN_DB) in (None, "dB")
+        self._gain = CameraGain(self._features, self._options.raw_gain, in_db)
+        self._set_up()
+
+    def _need_exposure(self) -> None:
+        """Refuse a camera whose exposure is its own affair."""
+        if not self._features.has(named.EXPOSURE_US):
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"{self._end.model} has neither ExposureTime nor ExposureTimeAbs: its exposure cannot be set",
+                "use a camera whose exposure can be set",
+            )
+
+    def _close(self) -> None:
+        producer, end, self._producer, self._end = self._producer, self._end, None, None
+        try:
+            if end is not None:
+                end.stop()
+                end.close()
+        finally:
+            if producer is not None:
+                producer.close()
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("camera", self._end.model, self._options.serial, self._end.link)
+
+    def _read_caps(self) -> CameraCaps:
+        caps = super()._read_caps()
+        if not caps.bits:
+            formats = ", ".join(self._features.choices(named.PIXEL_FORMAT)) or "not told"
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"its pixel formats are {formats}",
+                "a camera that delivers Mono8, Mono10, Mono12 or Mono16 is needed",
+            )
+        return caps
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        self._choose_trigger(trigger)
+        self._trigger, self._first = trigger, self._end.first_number
+        self._end.start(n if trigger == "hardware" else SPARE)
+        self._ready_s = time.monotonic() + READY_S
+        self._await_ready("arm")
+
+    def _read(self, timeout_s: float) -> Frame:
+        if self._trigger == "software":
+            self._await_ready("read")
+            self._features.execute(named.SOFTWARE_TRIGGER, "read")
+            self._ready_s = time.monotonic() + (self._known.period_s or 0.0)
+        frame: GentlFrame | None = self._end.fetch(timeout_s)
+        host_time_s = time.time()
+        if frame is None:
+            self._check_connected("read")
+            cable = "check the trigger cable; 'fpplab check' tells whether the camera was not ready yet"
+            remedy = cable if self._trigger == "hardware" else "allow more time"
+            raise DeviceTimeoutError(self.name, "read", f"no frame came within {timeout_s:g} s", remedy)
+        if self._first is None:
+            self._first = frame.number
+        settings = self._configured("read")
+        if frame.image.size and frame.image.max() >> settings.bits:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {frame.number} has levels of more than {settings.bits} bits",
+                "the camera's pixels are not right-justified; use 8 or 16 bits",
+            )
+        return Frame(frame.image, frame.number - self._first, settings, host_time_s, frame.time_s)
+
+    def _stop(self) -> None:
+        self._end.stop()
+
+    def _fault(self) -> None:
+        """Disarm the camera at once, so that a late frame is not taken for the next one."""
+        super()._fault()
+        if self._end is not None:
+            with suppress(*GENICAM_ERRORS):  # the original fault is the one to report
+                self._end.stop()
+
+    def _await_ready(self, operation: str) -> None:
+        """Wait until the camera takes a trigger, by its own word or for as long as it may need."""
+        features = self._features
+        if WAITING not in features.choices(named.STATUS_SELECTOR):
+            time.sleep(max(0.0, self._ready_s - time.monotonic()))
+            return
+        features.write(named.STATUS_SELECTOR, WAITING, operation)
+        deadline = time.monotonic() + LONGEST_READY_S
+        while not features.read(named.STATUS):
+            if time.monotonic() >= deadline:
+                raise DeviceTimeoutError(
+                    self.name,
+                    operation,
+                    "the camera does not become ready for a trigger",
+                    "close it and open it again",
+                )
+            time.sleep(POLL_S)
+
+    @contextmanager
+    def _guard(self, operation: str) -> Iterator[None]:
+        """Translate GenICam's exceptions into the device errors of fpplab."""
+        with super()._guard(operation):
+            try:
+                yield
+            except GENICAM_ERRORS as error:
+                raise self._described(operation, error) from error
+
+    def _described(self, operation: str, error: Exception) -> DeviceError:
+        if isinstance(error, gentl.ResourceInUseException | gentl.AccessDeniedException):
+            return StateError(self.name, operation, "another program has the camera open", "close it there")
+        if self._end is not None and self._is_gone():
+            return self._disconnected(operation)
+        said = str(error).split(" : ")[0].strip()
+        return DeviceError(self.name, operation, f"GenICam says: {said}", "close it and open it again")
+
+    def _check_connected(self, operation: str) -> None:
+        if self._is_gone():
+            raise self._disconnected(operation)
+
+    def _is_gone(self) -> bool:
+        try:
+            return self._options.serial not in self._producer.cameras()
+        except GENICAM_ERRORS:
+            return True
+
+    def _disconnected(self, operation: str) -> DisconnectedError:
+        return DisconnectedError(
+            self.name, operation, "the camera was unplugged or switched off", "plug it in and open it again"
+        )

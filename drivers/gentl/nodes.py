@@ -1,0 +1,221 @@
+"""Nodes of the `genicam` package with the methods of pylon's parameters.
+
+So `drivers.genicam.features` uses either. A node that the camera does not implement is not valid; one that it
+does not offer in its present mode is neither readable nor writable.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from genicam import genapi
+
+READABLE = (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
+WRITABLE = (genapi.EAccessMode.WO, genapi.EAccessMode.RW)
+
+
+class MissingNode:
+    """A feature that the camera does not have."""
+
+    def IsValid(self) -> bool:
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
+        return False
+
+    def IsReadable(self) -> bool:
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
+        return False
+
+    def IsWritable(self) -> bool:
+        """Say no: the feature is missing.
+
+        Returns
+        -------
+        bool
+            False.
+        """
+        return False
+
+
+class SwitchNode:
+    """A node with a value; a boolean one has nothing else.
+
+    Parameters
+    ----------
+    node : genapi.IValue
+        The node.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    def IsValid(self) -> bool:
+        """Return whether the camera implements the feature.
+
+        Returns
+        -------
+        bool
+            False for one that it only names.
+        """
+        return bool(self._mode() != genapi.EAccessMode.NI)
+
+    def IsReadable(self) -> bool:
+        """Return whether the value can be read at present.
+
+        Returns
+        -------
+        bool
+            True if so.
+        """
+        return self._mode() in READABLE
+
+    def IsWritable(self) -> bool:
+        """Return whether the value can be set at present.
+
+        Returns
+        -------
+        bool
+            True if so.
+        """
+        return self._mode() in WRITABLE
+
+    def GetValue(self) -> Any:
+        """Return the value.
+
+        Returns
+        -------
+        int or float or bool or str
+            Of the node's own type.
+        """
+        return self._node.value
+
+    def SetValue(self, value: Any) -> None:
+        """Set the value.
+
+        Parameters
+        ----------
+        value : int or float or bool or str
+            The value, of the node's own type.
+        """
+        self._node.value = value
+
+    def _mode(self) -> Any:
+        return self._node.get_access_mode()
+
+
+class NumberNode(SwitchNode):
+    """An integer or a float."""
+
+    def GetMin(self) -> Any:
+        """Return the least value at present.
+
+        Returns
+        -------
+        int or float
+            In the node's own unit.
+        """
+        return self._node.min
+
+    def GetMax(self) -> Any:
+        """Return the greatest value at present.
+
+        Returns
+        -------
+        int or float
+            In the node's own unit.
+        """
+        return self._node.max
+
+    def GetInc(self) -> Any:
+        """Return the step of an integer.
+
+        Returns
+        -------
+        int
+            In the node's own unit.
+        """
+        return self._node.inc
+
+    def GetUnit(self) -> str:
+        """Return the unit, empty where the camera states none.
+
+        Returns
+        -------
+        str
+            Such as dB.
+        """
+        return str(self._node.unit)
+
+
+class ChoiceNode(SwitchNode):
+    """An enumeration."""
+
+    def GetSettableValues(self) -> tuple[str, ...]:
+        """Return the names that it can be set to at present.
+
+        Returns
+        -------
+        tuple of str
+            Those that the camera offers.
+        """
+        return tuple(entry.symbolic for entry in self._node.entries if entry.get_access_mode() in READABLE)
+
+
+class CommandNode(SwitchNode):
+    """A command."""
+
+    def Execute(self) -> None:
+        """Carry it out."""
+        self._node.execute()
+
+
+KINDS: dict[type, type[SwitchNode]] = {
+    genapi.IInteger: NumberNode,
+    genapi.IFloat: NumberNode,
+    genapi.IEnumeration: ChoiceNode,
+    genapi.ICommand: CommandNode,
+}
+"""By the interface of GenApi; any other node has a value only."""
+
+
+class GentlNodeMap:
+    """A node map that answers as pylon's does.
+
+    Parameters
+    ----------
+    nodes : genapi.NodeMap
+        The camera's.
+    """
+
+    def __init__(self, nodes: Any) -> None:
+        self._nodes = nodes
+
+    def GetNode(self, name: str) -> Any:
+        """Look a feature up.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        SwitchNode or MissingNode
+            Of the kind that the feature has.
+        """
+        try:
+            node = self._nodes.get_node(name)
+        except genapi.LogicalErrorException:
+            return MissingNode()
+        return KINDS.get(type(node), SwitchNode)(node)

@@ -1,0 +1,226 @@
+"""GenTL producers and their cameras through `harvesters`; an emulated bench substitutes its own.
+
+Producers differ in what they tell: a serial number, a time stamp, when a camera is unplugged. What is not
+told is None here.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import current_thread, main_thread
+from typing import Any
+
+import numpy as np
+from genicam import gentl
+from harvesters.core import Harvester
+
+from drivers.gentl.nodes import GentlNodeMap
+from fpplab.core.conventions import Image
+from fpplab.core.errors import ConfigError
+
+NS_PER_S = 1e9
+SPARE = 4
+"""Buffers more than the frames that may wait."""
+FIRST_FRAME = {"U3V": 0, "GEV": 1}
+"""Number of the first frame after a start, by the transport layer; others begin as they like."""
+
+
+@dataclass(frozen=True, eq=False)
+class GentlFrame:
+    """One frame as the producer delivers it.
+
+    Attributes
+    ----------
+    image : ndarray of uint8 or uint16, (height, width)
+        The pixels, a copy.
+    number : int
+        The camera's own count.
+    time_s : float or None
+        By the camera's clock, in s; None where it has none.
+    """
+
+    image: Image
+    number: int
+    time_s: float | None
+
+
+class GentlProducer:
+    """A loaded GenTL producer.
+
+    Parameters
+    ----------
+    path : Path
+        The .cti file.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, or it is no producer for this computer.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise ConfigError(f"{path}: there is no such GenTL producer; it comes with the maker's software")
+        _try_to_load(path)
+        self._harvester = Harvester()
+        self._harvester.add_file(str(path))
+
+    def cameras(self) -> dict[str, Any]:
+        """List the cameras that the producer sees now.
+
+        Returns
+        -------
+        dict of str to harvesters.core.DeviceInfo
+            By serial number, or by the producer's own name where a camera has no serial number.
+        """
+        self._harvester.update()
+        return {_told(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list}
+
+    def attach(self, info: Any) -> GentlEnd:
+        """Open a camera.
+
+        Parameters
+        ----------
+        info : harvesters.core.DeviceInfo
+            One of the values of `cameras`.
+
+        Returns
+        -------
+        GentlEnd
+            The camera, open.
+
+        Raises
+        ------
+        genicam.gentl.GenericException
+            It cannot be reached, or another program has it open.
+        """
+        with _own_ctrl_c():
+            return GentlEnd(self._harvester.create({"id_": info.id_}), info)
+
+    def close(self) -> None:
+        """Unload the producer."""
+        self._harvester.reset()
+
+
+class GentlEnd:
+    """An open camera.
+
+    Parameters
+    ----------
+    acquirer : harvesters.core.ImageAcquirer
+        The camera as harvesters opens it.
+    info : harvesters.core.DeviceInfo
+        What the producer tells of it.
+
+    Attributes
+    ----------
+    model, link : str
+        Maker and model, and transport layer, as the producer tells them.
+    first_number : int or None
+        Number of the first frame after a start; None where it is not laid down.
+    """
+
+    def __init__(self, acquirer: Any, info: Any) -> None:
+        self._acquirer = acquirer
+        self.model = " ".join(filter(None, (_told(info, "vendor"), _told(info, "model"))))
+        self.link = f"GenTL {_told(info, 'tl_type')}"
+        self.first_number = FIRST_FRAME.get(_told(info, "tl_type"))
+
+    def GetNodeMap(self) -> GentlNodeMap:
+        """Return the camera's node map.
+
+        Returns
+        -------
+        GentlNodeMap
+            Its nodes answer for the camera as it is at the time.
+        """
+        return GentlNodeMap(self._acquirer.remote_device.node_map)
+
+    def start(self, frames: int) -> None:
+        """Start the transfer of frames.
+
+        Parameters
+        ----------
+        frames : int
+            How many may wait for the host.
+        """
+        self._acquirer.num_buffers = frames + SPARE
+        self._acquirer.start()
+
+    def fetch(self, timeout_s: float) -> GentlFrame | None:
+        """Wait for the next complete frame; incomplete ones are dropped, and missing from the count.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait in s.
+
+        Returns
+        -------
+        GentlFrame or None
+            The frame; None where none came in time.
+        """
+        try:
+            buffer = self._acquirer.fetch(timeout=max(timeout_s, 1e-3))
+        except gentl.TimeoutException:
+            return None
+        if buffer is None:
+            return None
+        with _returned(buffer):
+            part = buffer.payload.components[0]
+            image = np.array(part.data).reshape(part.height, -1)[:, : part.width]
+            return GentlFrame(image, buffer.module.frame_id, _time_s(buffer.module))
+
+    def stop(self) -> None:
+        """End the transfer, and drop the frames that wait."""
+        self._acquirer.stop()
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._acquirer.destroy()
+
+
+def _try_to_load(path: Path) -> None:
+    """Raise `ConfigError` where a file is no producer, which harvesters only notes in the log."""
+    producer = gentl.GenTLProducer.create_producer()
+    try:
+        producer.open(str(path))
+    except gentl.GenericException as error:
+        raise ConfigError(f"{path}: cannot be loaded as a GenTL producer: {error}") from error
+    producer.close()
+
+
+@contextmanager
+def _own_ctrl_c() -> Iterator[None]:
+    """Take back what happens on Ctrl-C, which harvesters makes its own when it opens a camera."""
+    own = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if current_thread() is main_thread():
+            signal.signal(signal.SIGINT, own)
+
+
+@contextmanager
+def _returned(buffer: Any) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        buffer.queue()
+
+
+def _time_s(buffer: Any) -> float | None:
+    with suppress(gentl.GenericException):
+        return float(buffer.timestamp_ns) / NS_PER_S or None
+    return None
+
+
+def _told(info: Any, name: str) -> str:
+    """Return what the producer tells; empty where it refuses to."""
+    with suppress(gentl.GenericException, AttributeError):
+        return str(getattr(info, name) or "")
+    return ""

@@ -1,0 +1,273 @@
+"""A video camera behind the interface of `fpplab.devices`.
+
+`drivers.video_camera.options` describes its section in a rig file. Such a camera runs freely: a frame is one
+that began to be exposed after it was asked for, whatever the camera had under way is dropped. It is refused
+where its frames would not be the sensor's own integers, or where it chooses the exposure itself.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+
+from drivers.genicam.gain import to_db, to_raw
+from drivers.video_camera.controls import EXPOSURE_100_US, GAIN, RAW
+from drivers.video_camera.device import Control, StampedFrame, VideoDevice
+from drivers.video_camera.options import VideoOptions
+from fpplab.core import config
+from fpplab.core.conventions import Image, raw_dtype
+from fpplab.core.errors import (
+    CapabilityError,
+    DeviceError,
+    DeviceTimeoutError,
+    DisconnectedError,
+    FrameLossError,
+    SettingError,
+    StateError,
+)
+from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
+
+UNIT_S = 1e-4
+"""Unit of the exposure in s."""
+CLOCK_S = 1e-3
+"""By how much in s a frame's time may lie ahead; of a driver that extrapolates it stale frames look fresh."""
+FORMATS = {"GREY": 8, "Y10 ": 10, "Y12 ": 12, "Y14 ": 14, "Y16 ": 16}
+"""Bit depth of each pixel format whose values are right-justified integers."""
+
+
+class VideoCamera(Camera):
+    """A camera by its device file.
+
+    An emulated bench may replace the kernel by its attribute `video`.
+    """
+
+    _device: Any = None
+
+    def _setup(self, options: dict[str, Any], bench: Any) -> None:
+        self._options = config.validate(options, VideoOptions, self.name)
+        self._connect = getattr(bench, "video", None) or VideoDevice
+
+    def _open(self) -> None:
+        try:
+            self._device = self._connect(self._options.device)
+        except FileNotFoundError as error:
+            raise self._disconnected("open") from error
+        self._card, self._bus, captures = self._device.identity()
+        if not captures:
+            raise CapabilityError(
+                self.name, "open", f"{self._options.device} delivers no frames", "name another /dev/video…"
+            )
+        self._bits = {FORMATS[letters]: letters for letters in self._device.formats() if letters in FORMATS}
+        if not self._bits:
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"{self._card} has only {', '.join(self._device.formats()) or 'no format'}: its frames are "
+                "converted or compressed, not the sensor's integers",
+                f"use a camera that delivers {', '.join(letters.strip() for letters in FORMATS)}",
+            )
+        self._make_raw()
+        self._exposure, self._gain = self._own_exposure(), self._device.control(GAIN)
+        self._set_format(next(iter(self._bits.values())))
+        self._known = self._read_caps()
+
+    def _close(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()
+
+    def _info(self) -> DeviceInfo:
+        return DeviceInfo("camera", self._card, self._options.device, f"video, {self._bus}")
+
+    def _caps(self) -> CameraCaps:
+        return self._known
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        self._forget()  # settings that are refused may have been applied in part
+        self._set_format(self._bits[settings.bits])
+        wanted = round(settings.exposure_s / UNIT_S)
+        exposure_s = self._set(EXPOSURE_100_US, wanted, self._exposure) * UNIT_S
+        gain_db = self._set_gain(settings.gain_db)
+        self._known = self._read_caps()
+        return CameraSettings(exposure_s, gain_db, settings.bits)
+
+    def _arm(self, n: int, trigger: Trigger) -> None:
+        self._device.start()
+
+    def _read(self, timeout_s: float) -> Frame:
+        settings, begin_s = self._configured("read"), time.monotonic()
+        deadline_s = begin_s + timeout_s
+        # Whichever moment of a frame its time is of, from here on it was exposed after `begin_s`.
+        fresh_s = begin_s + settings.exposure_s + self._period_s + self._options.latency_s
+        while True:
+            frame = self._device.read(deadline_s - time.monotonic())
+            if frame is None:
+                raise DeviceTimeoutError(
+                    self.name,
+                    "read",
+                    f"no frame that began after it was asked for came within {timeout_s:g} s",
+                    "check the cable, or allow more time",
+                )
+            if frame.time_s is None or frame.time_s > time.monotonic() + CLOCK_S:
+                raise CapabilityError(
+                    self.name,
+                    "read",
+                    "its frames do not tell when they were exposed",
+                    "use a camera whose driver stamps frames with the monotonic clock, and not ahead of it",
+                )
+            if frame.time_s >= fresh_s:
+                return Frame(self._image(frame), self._taken, settings, time.time(), frame.time_s)
+
+    def _image(self, frame: StampedFrame) -> Image:
+        _, width, height, pitch = self._device.format()
+        bits = self._configured("read").bits
+        dtype = np.dtype(raw_dtype(bits))
+        if frame.is_damaged or frame.pixels.size < height * pitch or pitch < width * dtype.itemsize:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {self._taken} is damaged: {frame.pixels.size} of {height * pitch} bytes came",
+                "check the cable and the USB controller; take the frames again",
+            )
+        rows = frame.pixels[: height * pitch].reshape(height, pitch)[:, : width * dtype.itemsize]
+        image: Image = np.ascontiguousarray(rows).view(dtype)
+        if image.max() >> bits:
+            raise FrameLossError(
+                self.name,
+                "read",
+                f"frame {self._taken} has levels of more than {bits} bits",
+                "its pixels are not right-justified; use 8 or 16 bits",
+            )
+        return image
+
+    def _stop(self) -> None:
+        self._device.stop()
+
+    def _fault(self) -> None:
+        """Stop the camera at once, so that a late frame is not taken for the next one."""
+        super()._fault()
+        if self._device is not None:
+            with suppress(OSError):  # the original fault is the one to report
+                self._device.stop()
+
+    @contextmanager
+    def _guard(self, operation: str) -> Iterator[None]:
+        """Translate the kernel's errors into the device errors of fpplab."""
+        with super()._guard(operation):
+            try:
+                yield
+            except OSError as error:
+                if error.errno is None:  # not the kernel's
+                    raise
+                raise self._described(operation, error) from error
+
+    def _described(self, operation: str, error: OSError) -> DeviceError:
+        if error.errno in (errno.ENODEV, errno.ENXIO):
+            return self._disconnected(operation)
+        if error.errno == errno.EBUSY:
+            return StateError(self.name, operation, "another program has the camera open", "close it there")
+        if error.errno in (errno.EACCES, errno.EPERM):
+            remedy = "add yourself to the group video (sudo usermod -aG video $USER), and log in again"
+            return DeviceError(self.name, operation, f"this user may not open {self._options.device}", remedy)
+        said = error.strerror or str(error)
+        return DeviceError(self.name, operation, f"the kernel says: {said}", "unplug it and plug it in again")
+
+    def _make_raw(self) -> None:
+        for number, raw in RAW.items():
+            control = self._device.control(number)
+            if control is None:
+                continue
+            value = control.default if raw is None else raw
+            if self._device.get(number) != value:
+                self._set_if_possible(number, value, control)
+            if (found := self._device.get(number)) != value:
+                raise SettingError(
+                    self.name,
+                    "open",
+                    f"{control.name} is {found} and cannot be set to {value}",
+                    "frames would not be the sensor's own values at a known exposure; use another camera",
+                )
+
+    def _own_exposure(self) -> Control:
+        control = self._device.control(EXPOSURE_100_US)
+        if control is None or not control.is_settable:
+            why = "it has no such control" if control is None else "its automatic exposure stays on"
+            raise CapabilityError(
+                self.name,
+                "open",
+                f"the exposure of {self._card} cannot be set: {why}",
+                "use a camera whose exposure can be set",
+            )
+        return Control(control.name, max(control.least, 1), control.most, control.step, control.default, True)
+
+    def _set_if_possible(self, number: int, value: int, control: Control) -> None:
+        if control.is_settable and control.least <= value <= control.most:
+            try:
+                self._device.set(number, value)
+            except OSError as error:
+                if error.errno != errno.EINVAL:  # which means that its menu has no such entry
+                    raise
+
+    def _set(self, number: int, value: int, control: Control) -> int:
+        """Set a control to the nearest of its steps, and read it back."""
+        steps = round((value - control.least) / max(control.step, 1))
+        self._device.set(number, min(control.least + steps * max(control.step, 1), control.most))
+        return int(self._device.get(number))
+
+    def _set_gain(self, gain_db: float) -> float:
+        conversion = self._options.raw_gain
+        if self._gain is None:
+            return 0.0
+        if conversion is None:
+            self._set(GAIN, self._gain.least, self._gain)
+            return 0.0
+        return to_db(self._set(GAIN, round(to_raw(gain_db, conversion)), self._gain), conversion)
+
+    def _gain_limits_db(self) -> tuple[float, float]:
+        conversion = self._options.raw_gain
+        if self._gain is None or conversion is None:
+            return 0.0, 0.0
+        least = self._gain.least if conversion.unity is None else max(self._gain.least, 1)
+        return to_db(least, conversion), to_db(self._gain.most, conversion)
+
+    def _set_format(self, letters: str) -> None:
+        size = self._options.size or self._device.format()[1:3]
+        self._device.set_format(letters, *size)
+        found, width, height, _ = self._device.format()
+        if (found, width, height) != (letters, *size):
+            raise SettingError(
+                self.name,
+                "configure",
+                f"{letters.strip()} of {size[0]} x {size[1]} px was asked for",
+                f"the camera has {found.strip()} of {width} x {height} px",
+            )
+
+    def _read_caps(self) -> CameraCaps:
+        _, width, height, _ = self._device.format()
+        period_s = self._device.period_s()
+        if period_s is None:
+            raise CapabilityError(
+                self.name, "open", "it does not tell its frame rate", "use a camera whose driver tells it"
+            )
+        self._period_s = period_s
+        return CameraCaps(
+            (width, height),
+            tuple(sorted(self._bits)),
+            (self._exposure.least * UNIT_S, self._exposure.most * UNIT_S),
+            self._gain_limits_db(),
+            ("software",),
+            0.0 if self._options.shutter == "global" else period_s,
+        )
+
+    def _disconnected(self, operation: str) -> DisconnectedError:
+        return DisconnectedError(
+            self.name,
+            operation,
+            f"there is no camera at {self._options.device}",
+            "plug it in and open it again",
+        )

@@ -1,0 +1,267 @@
+"""A device file of the kernel's video interface; an emulated bench substitutes its own object.
+
+Methods raise `OSError` as the kernel does.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+import select
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.video_camera import structures as v4l2
+
+BUFFERS = 4
+"""Frames that the kernel may fill before one is taken."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control of the camera.
+
+    Attributes
+    ----------
+    name : str
+        As the kernel names it.
+    least, most, step, default : int
+        Its range.
+    is_settable : bool
+        False where it can be read only, or not set in the present mode.
+    """
+
+    name: str
+    least: int
+    most: int
+    step: int
+    default: int
+    is_settable: bool
+
+
+@dataclass(frozen=True, eq=False)
+class StampedFrame:
+    """One frame as the kernel delivers it.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8
+        The bytes of all rows, a copy.
+    time_s : float or None
+        By the computer's monotonic clock; None where the driver stamps frames otherwise.
+    is_damaged : bool
+        Whether the kernel says that it may not be whole.
+    """
+
+    pixels: NDArray[np.uint8]
+    time_s: float | None
+    is_damaged: bool
+
+
+class VideoDevice:
+    """An open device file.
+
+    Parameters
+    ----------
+    path : str
+        Such as /dev/video0.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+        self._memory: list[mmap.mmap] = []
+
+    def close(self) -> None:
+        """Close the file; the kernel stops the camera."""
+        self._unmap()
+        os.close(self._file)
+
+    def identity(self) -> tuple[str, str, bool]:
+        """Return the camera's name, where it is connected, and whether it captures frames into buffers.
+
+        Returns
+        -------
+        tuple of (str, str, bool)
+            Name, connection, and whether frames can be had.
+        """
+        found = v4l2.Capability()
+        fcntl.ioctl(self._file, v4l2.QUERY_CAPABILITY, found)
+        own = found.capabilities & v4l2.HAS_OWN_CAPS
+        caps = found.device_caps if own else found.capabilities
+        wanted = v4l2.IS_CAPTURE | v4l2.CAN_STREAM
+        return found.card.decode(), found.bus.decode(), caps & wanted == wanted
+
+    def formats(self) -> tuple[str, ...]:
+        """Return the four letters of each pixel format.
+
+        Returns
+        -------
+        tuple of str
+            In the order in which the driver lists them.
+        """
+        return tuple(self._formats())
+
+    def format(self) -> tuple[str, int, int, int]:
+        """Return the present pixel format, width and height in px, and bytes from row to row.
+
+        Returns
+        -------
+        tuple of (str, int, int, int)
+            Format, width, height and pitch.
+        """
+        now = v4l2.PixelLayout(kind=v4l2.CAPTURE)
+        fcntl.ioctl(self._file, v4l2.GET_FORMAT, now)
+        letters = now.pixel_format.to_bytes(4, "little").decode("ascii")
+        return letters, now.width, now.height, now.bytes_per_line
+
+    def set_format(self, letters: str, width: int, height: int) -> None:
+        """Set the format; the kernel takes the nearest one that the camera has.
+
+        Parameters
+        ----------
+        letters : str
+            Pixel format.
+        width, height : int
+            Size in px.
+        """
+        wanted = v4l2.PixelLayout(
+            kind=v4l2.CAPTURE, width=width, height=height, pixel_format=v4l2.fourcc(letters), field=1
+        )
+        fcntl.ioctl(self._file, v4l2.SET_FORMAT, wanted)
+
+    def period_s(self) -> float | None:
+        """Return the time in s from frame to frame; None where the driver does not tell.
+
+        Returns
+        -------
+        float or None
+            Time in s.
+        """
+        now = v4l2.Period(kind=v4l2.CAPTURE)
+        with suppress(OSError):
+            fcntl.ioctl(self._file, v4l2.GET_PERIOD, now)
+        return now.numerator / now.denominator if now.numerator and now.denominator else None
+
+    def control(self, number: int) -> Control | None:
+        """Look a control up.
+
+        Parameters
+        ----------
+        number : int
+            The kernel's number of it.
+
+        Returns
+        -------
+        Control or None
+            None where the camera does not have it.
+        """
+        found = v4l2.ControlDescription(id=number)
+        try:
+            fcntl.ioctl(self._file, v4l2.QUERY_CONTROL, found)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):
+                return None
+            raise
+        if found.flags & v4l2.DISABLED:
+            return None
+        settable = not found.flags & (v4l2.READ_ONLY | v4l2.INACTIVE)
+        return Control(found.name.decode(), found.least, found.most, found.step, found.default, settable)
+
+    def get(self, number: int) -> int:
+        """Read a control.
+
+        Parameters
+        ----------
+        number : int
+            The kernel's number of it.
+
+        Returns
+        -------
+        int
+            Its value.
+        """
+        found = v4l2.ControlValue(id=number)
+        fcntl.ioctl(self._file, v4l2.GET_CONTROL, found)
+        return int(found.value)
+
+    def set(self, number: int, value: int) -> None:
+        """Set a control; the kernel may take the nearest value.
+
+        Parameters
+        ----------
+        number : int
+            The kernel's number of it.
+        value : int
+            The value.
+        """
+        fcntl.ioctl(self._file, v4l2.SET_CONTROL, v4l2.ControlValue(id=number, value=value))
+
+    def start(self) -> None:
+        """Let frames come."""
+        request = v4l2.BufferRequest(count=BUFFERS, kind=v4l2.CAPTURE, memory=v4l2.MMAP)
+        fcntl.ioctl(self._file, v4l2.REQUEST_BUFFERS, request)
+        for index in range(request.count):
+            buffer = v4l2.Buffer(index=index, kind=v4l2.CAPTURE, memory=v4l2.MMAP)
+            fcntl.ioctl(self._file, v4l2.QUERY_BUFFER, buffer)
+            offset = buffer.offset & 0xFFFF_FFFF
+            self._memory.append(mmap.mmap(self._file, buffer.length, offset=offset))
+            fcntl.ioctl(self._file, v4l2.QUEUE_BUFFER, buffer)
+        self._stream(v4l2.STREAM_ON)
+
+    def read(self, timeout_s: float) -> StampedFrame | None:
+        """Wait for a frame.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait in s.
+
+        Returns
+        -------
+        StampedFrame or None
+            None where none came in time.
+        """
+        ready, _, _ = select.select([self._file], [], [], max(timeout_s, 0.0))
+        if not ready:
+            return None
+        buffer = v4l2.Buffer(kind=v4l2.CAPTURE, memory=v4l2.MMAP)
+        fcntl.ioctl(self._file, v4l2.DEQUEUE_BUFFER, buffer)
+        pixels = np.frombuffer(self._memory[buffer.index][: buffer.bytes_used], np.uint8)
+        stamped = buffer.flags & v4l2.CLOCK == v4l2.MONOTONIC
+        time_s = buffer.seconds + 1e-6 * buffer.microseconds if stamped else None
+        damaged = bool(buffer.flags & v4l2.DAMAGED)
+        fcntl.ioctl(self._file, v4l2.QUEUE_BUFFER, buffer)
+        return StampedFrame(pixels, time_s, damaged)
+
+    def stop(self) -> None:
+        """Let no more frames come, and drop those that wait."""
+        if self._memory:
+            self._stream(v4l2.STREAM_OFF)
+            self._unmap()
+            none = v4l2.BufferRequest(count=0, kind=v4l2.CAPTURE, memory=v4l2.MMAP)
+            fcntl.ioctl(self._file, v4l2.REQUEST_BUFFERS, none)
+
+    def _stream(self, order: int) -> None:
+        fcntl.ioctl(self._file, order, v4l2.CAPTURE.to_bytes(4, "little"))
+
+    def _unmap(self) -> None:
+        while self._memory:
+            self._memory.pop().close()
+
+    def _formats(self) -> Iterator[str]:
+        for index in range(64):
+            found: Any = v4l2.FormatDescription(index=index, kind=v4l2.CAPTURE)
+            try:
+                fcntl.ioctl(self._file, v4l2.ENUMERATE_FORMATS, found)
+            except OSError as error:
+                if error.errno == errno.EINVAL:
+                    return
+                raise
+            yield found.pixel_format.to_bytes(4, "little").decode("ascii", "replace")

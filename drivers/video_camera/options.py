@@ -1,0 +1,37 @@
+"""The section of a video camera in a rig file.
+
+camera:
+  backend: "drivers.video_camera:VideoCamera"
+  device: /dev/v4l/by-id/usb-Maker_Camera-video-index0
+  bits: 12
+  size: [1920, 1080]                                # as it was left without it
+  shutter: global                                   # rolling without it
+  raw_gain: {db_per_step: 0.1}                      # how its gain is meant, see its manual
+  latency_s: 0.0                                    # for which it holds frames back
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.genicam.options import RawGain
+from fpplab.core.config import Document
+
+PositiveCount = Annotated[int, Field(ge=1)]
+
+
+class VideoOptions(Document):
+    """The camera's section in a rig file; the module shows an example."""
+
+    device: str
+    """Device file; a link of /dev/v4l/by-id does not change when other cameras are plugged in."""
+    size: tuple[PositiveCount, PositiveCount] | None = None
+    """Width and height of frames in px; as the camera was left without it."""
+    shutter: Literal["rolling", "global"] = "rolling"
+    """The shutter that the camera has; the device does not tell."""
+    raw_gain: RawGain | None = None
+    """What the numbers of its gain mean; without it only the least gain is used, which counts as 0 dB."""
+    latency_s: Annotated[float, Field(ge=0)] = 0.0
+    """Longest time in s for which the camera holds a frame back before it is stamped."""
