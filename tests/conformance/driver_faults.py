@@ -550,7 +550,7 @@ DRIVER_OF_DLP4500 = [
         DLP_SEQUENCE,
         "flash_program",
         "max(exposure_us + dark_us, period_us, ...)",
-        "max(exposure_us + dark_us, _least_period_us(slots, load_us or {}, repeat))",
+        "max(exposure_us + dark_us, least_period_us(slots, load_us or {}, repeat))",
     ),
     Fault(
         "dlp4500: a brief run is ordered once",
@@ -562,7 +562,7 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: images are not waited for",
         DLP_SEQUENCE,
-        "_least_period_us",
+        "least_period_us",
         "return max(waits)",
         "return 0",
     ),

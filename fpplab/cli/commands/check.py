@@ -80,6 +80,11 @@ def _show_check(found: RigCheck) -> None:
         console.say(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
         )
+    if (timing := found.timing) is not None:
+        console.say(
+            f"each pattern is shown for {1e3 * timing.light_s:.6g} ms, the next one follows "
+            f"{1e3 * timing.period_s:.6g} ms after it began: by {timing.limit}"
+        )
     for finding in found.findings:
         console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)
     for unknown in found.unknown:
