@@ -187,21 +187,25 @@ def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
     return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
 
 
-def _timing(rig: Rig, plan: Plan) -> PulseTiming:
-    """The plan's times."""
+def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
+    """The plan's times, where the devices can show it."""
     caps = rig.projector.caps
     patterns = make_patterns(plan, caps.size, caps.lattice)
     recover_camera(rig)
     settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
-    rig.projector.load(patterns)
-    return planned_timing(rig, plan, patterns, settings.exposure_s)
+    try:
+        rig.projector.load(patterns)
+        return planned_timing(rig, plan, patterns, settings.exposure_s)
+    except CapabilityError:  # the fringes have told it
+        return None
 
 
-def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming, folder: Path | None) -> list[Finding]:
+def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path | None) -> list[Finding]:
     """Whether frames come and are written as fast as the plan takes them."""
-    settings = rig.camera_settings(plan.exposure_s, plan.bits)
-    period_s = timing.period_s
-    width, height = rig.camera.caps.size
+    settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
+    caps = rig.camera.caps
+    period_s = timing.period_s if timing else settings.exposure_s + caps.readout_s
+    width, height = caps.size
     kind = raw_dtype(settings.bits)
     found = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]
     if folder is not None:
