@@ -15,8 +15,8 @@ from fpplab.core.conventions import Floats
 
 MOST_MISFIT = 0.02
 """RMS of what the mixture leaves, as a share of the levels' range, beyond which it does not explain them."""
-LEAST_SHARE = 0.03
-"""Share of a neighbour in a frame below which nothing is concluded."""
+LEAST_SHARE, MOST_SHARE = 0.03, 0.9
+"""Share of a neighbour in a frame below which nothing is concluded, and beyond which it is a slip."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def exposure_shift(own: Floats, seen: Floats) -> ExposureShift | None:
         return None
     found = [(_mixture(own, seen, step), step) for step in (1, -1)]
     (misfit, share), step = min(found)
-    if misfit > MOST_MISFIT * np.ptp(own) or not LEAST_SHARE <= share < 1.0:
+    if misfit > MOST_MISFIT * np.ptp(own) or not LEAST_SHARE <= share <= MOST_SHARE:
         return None
     return ExposureShift(step > 0, share)
 

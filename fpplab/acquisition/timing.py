@@ -89,7 +89,7 @@ def pulse_timing(
         Stated time in s after each exposure in which the camera ignores pulses; it counts where it is longer
         than the camera tells.
     gap_s : float
-        Further s between pulses.
+        Further s between pulses; less than 0 to try what the camera does not ask for.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def pulse_timing(
     for limit, ready_s in _ready(caps.period_s, end_s, dead_s).items():
         least[limit] = ready_s * (1 + CLOCK_TOLERANCE)
     limit = max(least, key=lambda one: least[one])
-    period_s = least[limit] + gap_s
+    period_s = max(least[limit] + gap_s, end_s, projector.loads.period_s)  # the projector waits for these
     if light_s < period_s < light_s + shown.gap_s:
         limit, period_s = PeriodLimit.GAP, light_s + shown.gap_s
     return PulseTiming(light_s, caps.dark_s, period_s, limit)
