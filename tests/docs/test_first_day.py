@@ -47,8 +47,8 @@ def commands() -> Iterator[tuple[str, list[str]]]:
 
 
 def plain(line: str) -> str:
-    """A line without what differs from run to run: numbers, and widths of columns."""
-    return re.sub(r"[\s─━]+", " ", re.sub(r"\d+(\.\d+)?(e-?\d+)?", "#", line)).strip()
+    """A line without what differs from run to run: numbers, and the frames of tables."""
+    return re.sub(r"[\s─━│┃┏┓┡┩┳╇└┘┴]+", " ", re.sub(r"\d+(\.\d+)?(e-?\d+)?", "#", line)).strip()
 
 
 def fits(shown: list[str], printed: list[str]) -> bool:
@@ -76,6 +76,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("drivers.discovery.usb_devices", lambda: ([], []))
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     monkeypatch.setenv("PYLON_CAMEMU", "1")
+    monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)  # that of this computer
     return tmp_path
 
 
