@@ -36,6 +36,11 @@ GOOD_LEVEL = 0.8
 """Brightness to aim at."""
 LEAST_CONTRAST = 0.3
 """Contrast of the finest fringes below which the lenses are out of focus."""
+LOST_PULSES = (
+    "see to the plugs of the trigger cable and to the voltage at the camera's input: the camera had time enough "
+    "for each pulse"
+)
+"""What to do where some pulses come, far apart, and others do not."""
 SAMPLE = 40_000
 """About how many pixels of a frame are kept."""
 
@@ -149,10 +154,8 @@ class _Steps:
         came = len(self._taken(self._uniform(greys), "triggered", APART_S))
         seen = f"{came} of {len(greys)} frames came"
         ok = came == len(greys)
-        cause = FaultCause.CAMERA_NOT_READY if came else FaultCause.NO_TRIGGER
-        return CheckedStep(
-            name, ok, seen, "" if ok else REMEDIES[cause], {"frames": came, "pulses": len(greys)}
-        )
+        remedy = REMEDIES[FaultCause.NO_TRIGGER] if not came else LOST_PULSES
+        return CheckedStep(name, ok, seen, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
 
     def _uniform(self, greys: Sequence[int]) -> list[Pattern]:
         return list(uniform_patterns(greys, self._rig.projector.caps.size))

@@ -106,6 +106,13 @@ def test_images_that_are_read_from_flash_are_waited_for() -> None:
     assert timing(replace(CAMERA, period_s=0.1), loads=PatternLoads(12, 0.05)).limit is PeriodLimit.CAMERA
 
 
+def test_less_than_what_is_asked_for_ends_at_what_the_projector_needs() -> None:
+    told = replace(CAMERA, period_s=0.05, dark_s=0.003)
+    assert timing(told, gap_s=-0.01).period_s == pytest.approx(0.04, abs=1e-4)
+    assert timing(told, gap_s=-1.0).period_s == EXPOSURE_S + 0.003
+    assert timing(told, loads=PatternLoads(9, 0.03), gap_s=-1.0).period_s == 0.03
+
+
 def test_a_global_reset_needs_a_projector_that_can_be_dark() -> None:
     with pytest.raises(CapabilityError, match="no dark time .* within 5 ms; use patterns in flash"):
         timing(replace(CAMERA, dark_s=0.005), replace(FLASH, dark_between=False))

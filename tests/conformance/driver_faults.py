@@ -490,7 +490,7 @@ DRIVER_OF_DLP4500 = [
     Fault(
         "dlp4500: started is running",
         DLP_CONTROLLER,
-        "Controller._order_start",
+        "Controller._faults_until_running",
         'if status.main["running"]:',
         'if "running" in status.main:',
     ),
@@ -551,13 +551,6 @@ DRIVER_OF_DLP4500 = [
         "flash_program",
         "max(exposure_us + dark_us, period_us, ...)",
         "max(exposure_us + dark_us, least_period_us(slots, load_us or {}, repeat))",
-    ),
-    Fault(
-        "dlp4500: a brief run is ordered once",
-        DLP_CONTROLLER,
-        "Controller.start",
-        "if ends_unseen:\n    ...",
-        "",
     ),
     Fault(
         "dlp4500: images are not waited for",

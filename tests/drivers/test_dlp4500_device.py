@@ -244,6 +244,16 @@ def test_many_images_are_shown_when_they_are_loaded(tmp_path: Path) -> None:
         projector.blank()
 
 
+@pytest.mark.parametrize(("count", "loads"), [(3, (1, 0.0)), (6, (2, 0.0)), (12, (4, 0.03))])
+def test_the_time_that_loads_need_is_told(tmp_path: Path, count: int, loads: tuple[int, float]) -> None:
+    """Each image has three patterns, which last until the next image is loaded."""
+    bench = Bench(greys(12), tmp_path, Dlpc350Policy(image_load_s=0.09))
+    with bench.projector() as projector:
+        projector.load(bench.patterns[:count])
+        found = projector.loads
+        assert (found.images, found.period_s) == (loads[0], pytest.approx(loads[1], abs=1e-6))
+
+
 def test_an_image_that_came_too_late_is_told(tmp_path: Path) -> None:
     bench = Bench(greys(12), tmp_path)
     with bench.projector() as projector:
