@@ -48,6 +48,7 @@ def test_a_sound_bench(folder: Path, rig_on: Callable[..., Rig]) -> None:
     assert all(step.ok and not step.remedy for step in found.values()), found
 
 
+@pytest.mark.slow
 def test_the_shortest_period_is_what_the_sensor_takes(folder: Path) -> None:
     """Beyond the exposure it needs more than the projector's gap, and a little less than is allowed for."""
     rate = stepped(rig_file(folder, {"sensor": {"dead_us": 1000.0}}))["rate"]
