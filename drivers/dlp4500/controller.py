@@ -555,7 +555,7 @@ class Controller:
     def _faults_until_running(self, standing: Sequence[str]) -> list[str] | None:
         """Watch after an order; None once the sequence runs, otherwise the faults that have come with it.
 
-        A flag may stand from an earlier run, and an image that comes late does not keep a sequence from running.
+        A flag may stand from an earlier run, and an image that is late does not keep a sequence from running.
         """
         harmless = {*standing, HARDWARE_FAULTS["forced_swap_error"]}
         begun = self._clock.now()

@@ -244,9 +244,16 @@ class Dlp4500(Projector):
     def _caps(self) -> ProjectorCaps:
         depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
         storage = self._storage
-        times_s = [us * 1e-6 for us in (storage.longest_us, storage.gap_us, storage.still_us)]
         return ProjectorCaps(
-            SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES, *times_s, storage.dark_between
+            SIZE,
+            Lattice.DIAMOND,
+            depths,
+            2,
+            MOST_VARIABLE_ENTRIES,
+            longest_s=storage.longest_us * 1e-6,
+            gap_s=storage.gap_us * 1e-6,
+            period_s=storage.still_us * 1e-6,
+            dark_between=storage.dark_between,
         )
 
     def _loads(self) -> PatternLoads:

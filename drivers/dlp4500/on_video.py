@@ -71,7 +71,7 @@ class OnVideo:
 
     @property
     def loads(self) -> PatternLoads:
-        """Frames that carry the patterns; each is put up when its turn comes, so none has to be waited for."""
+        """Frames that carry the patterns; each is put up when its turn comes, so none is waited for."""
         return PatternLoads(len({slot.image for slot in self._slots}))
 
     @property

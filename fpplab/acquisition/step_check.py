@@ -1,4 +1,4 @@
-"""A rig step by step, from its links to its focus, as on the first day: each step needs only those before it."""
+"""A rig step by step, from its links to its focus, as on the first day."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ GOOD_LEVEL = 0.8
 LEAST_CONTRAST = 0.3
 """Contrast of the finest fringes below which the lenses are out of focus."""
 LOST_PULSES = (
-    "see to the plugs of the trigger cable and to the voltage at the camera's input: the camera had time enough "
-    "for each pulse"
+    "see to the plugs of the trigger cable and to the voltage at the camera's input: the camera had time "
+    "enough for each pulse"
 )
 """What to do where some pulses come, far apart, and others do not."""
 SAMPLE = 40_000
@@ -126,7 +126,9 @@ class _Steps:
     def exposure(self) -> CheckedStep:
         lit = self._white[self._change >= 0.5 * np.quantile(self._change, 0.95)]
         level, saturated = float(lit.mean()), float((lit >= 1.0).mean())
-        seen = f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
+        seen = (
+            f"white is at {100 * level:.3g} % of full scale, {100 * saturated:.2g} % of its pixels are full"
+        )
         values = {"level": level, "saturated": saturated}
         if saturated > SATURATED or level > LEVELS[1]:
             return CheckedStep("exposure", False, seen, REMEDIES[FaultCause.SATURATED], values)
@@ -158,7 +160,7 @@ class _Steps:
         return CheckedStep(name, ok, seen, "" if ok else remedy, {"frames": came, "pulses": len(greys)})
 
     def _uniform(self, greys: Sequence[int]) -> list[Pattern]:
-        return list(uniform_patterns(greys, self._rig.projector.caps.size))
+        return list(uniform_patterns(list(greys), self._rig.projector.caps.size))
 
     def _timing(self, patterns: Sequence[Pattern], gap_s: float = 0.0) -> PulseTiming:
         """Of a triggered run of the patterns."""

@@ -136,7 +136,9 @@ def _ready(told_s: float | None, end_s: float, dead_s: float | None) -> dict[Per
         return {PeriodLimit.UNTOLD: end_s + UNKNOWN_DEAD_S}
     found = {} if told_s is None else {PeriodLimit.CAMERA: told_s}
     # A stated time of 0 says nothing about a camera that tells its period.
-    return found | ({PeriodLimit.STATED: end_s + dead_s} if dead_s or (told_s is None and dead_s == 0) else {})
+    return found | (
+        {PeriodLimit.STATED: end_s + dead_s} if dead_s or (told_s is None and dead_s == 0) else {}
+    )
 
 
 def planned_timing(rig: Rig, plan: Plan, patterns: Sequence[Pattern], exposure_s: float) -> PulseTiming:

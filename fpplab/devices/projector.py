@@ -91,7 +91,7 @@ class Projector(Device):
     @property
     @final
     def loads(self) -> PatternLoads:
-        """From which images the loaded patterns are shown, and the time that these need; known once loaded."""
+        """From which images the loaded patterns are shown, and the time that they need; known once loaded."""
         self._need(State.IDLE, State.ARMED, doing="loads")
         with self._guard("loads"):
             return self._loads()

@@ -31,7 +31,8 @@ def timing(
     **more: float,
 ) -> PulseTiming:
     ends: list[Any] = [
-        SimpleNamespace(name=n, caps=c, loads=loads) for n, c in (("camera", camera), ("projector", projector))
+        SimpleNamespace(name=n, caps=c, loads=loads)
+        for n, c in (("camera", camera), ("projector", projector))
     ]
     patterns = [Pattern(f"p{b}", np.zeros((8, 8), np.uint8), b) for b in bits]
     return pulse_timing(*ends, patterns, exposure_s, **more)
@@ -114,7 +115,7 @@ def test_less_than_what_is_asked_for_ends_at_what_the_projector_needs() -> None:
 
 
 def test_a_global_reset_needs_a_projector_that_can_be_dark() -> None:
-    with pytest.raises(CapabilityError, match="no dark time .* within 5 ms; use patterns in flash"):
+    with pytest.raises(CapabilityError, match=r"no dark time .* within 5 ms; use patterns in flash"):
         timing(replace(CAMERA, dark_s=0.005), replace(FLASH, dark_between=False))
 
 

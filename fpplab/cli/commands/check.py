@@ -13,9 +13,9 @@ from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName
 from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
+    from fpplab.acquisition.rig_check import RigCheck
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
-    from fpplab.acquisition.rig_check import RigCheck
 
 
 @app.command("check", rich_help_panel=PREPARE)
@@ -33,7 +33,7 @@ def check_command(
     page: ReportOption = None,
     steps: Annotated[
         bool,
-        typer.Option("--steps", help="Step by step: link, lamp, one pulse, ten pulses, rate, exposure, focus."),
+        typer.Option("--steps", help="One thing after another: link, lamp, pulses, rate, exposure, focus."),
     ] = False,
     force: Force = False,
     json: Json = False,
