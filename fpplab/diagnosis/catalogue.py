@@ -91,8 +91,8 @@ REMEDIES = {
     FaultCause.TRIGGER_EDGE: "choose the other `edge` of the camera's trigger, or the other polarity "
     "(`inverted`) of the projector's output 1; see to the trigger's delay",
     FaultCause.CAMERA_NOT_READY: "state a longer `dead_time_s` in the rig file's section of the camera",
-    FaultCause.TRIGGER_SHIFTED: "lessen `delay_us` and `debounce_us` of the camera's trigger, choose the edge "
-    "at which a pattern begins, or use a GPIO line",
+    FaultCause.TRIGGER_SHIFTED: "lessen `delay_us` and `debounce_us` of the camera's trigger, choose the "
+    "edge at which a pattern begins, or use a GPIO line",
     FaultCause.SLOW_DISPLAY: "give the plan a longer settle_s",
     FaultCause.OUT_OF_STEP: "check the trigger, or give the plan a longer settle_s",
     FaultCause.PROJECTOR_DARK: "switch the lamp and its LEDs on, and take off the lens cap; try "

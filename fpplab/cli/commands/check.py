@@ -33,7 +33,7 @@ def check_command(
     page: ReportOption = None,
     steps: Annotated[
         bool,
-        typer.Option("--steps", help="One thing after another: link, lamp, pulses, rate, exposure, focus."),
+        typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another."),
     ] = False,
     force: Force = False,
     json: Json = False,
