@@ -36,6 +36,7 @@ def test_frames_of_their_own_patterns_are_not_shifted() -> None:
 def test_other_faults_are_no_shift() -> None:
     doubled = np.concatenate([OWN[:5], OWN[4:-1]])
     assert exposure_shift(OWN, np.roll(OWN, 1)) is None
+    assert exposure_shift(OWN, mixed(0.97, 1)) is None, "nearly all of it is the neighbour: a slip"
     assert exposure_shift(OWN, doubled) is None
     assert exposure_shift(OWN, np.random.default_rng(2).uniform(0, 1, len(OWN))) is None
     assert exposure_shift(OWN, np.where(np.arange(len(OWN)) < 6, OWN, np.nan)) is None
