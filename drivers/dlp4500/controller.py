@@ -8,7 +8,7 @@ Source: TI's DLPC350 client, GUI and SDK, and what their users report. Not yet t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 
 from drivers.clock import Clock
@@ -16,9 +16,11 @@ from drivers.dlp4500 import protocol
 from drivers.dlp4500.protocol import COLOURS, DisplayMode, Mailbox, Run, Source
 from drivers.dlp4500.sequence import Program
 from drivers.dlp4500.status import (
+    HARDWARE_FAULTS,
     VALIDATION_ERRORS,
     VALIDATION_WARNINGS,
     Status,
+    hardware_faults,
     validation_messages,
 )
 from drivers.dlp4500.transport import Link
@@ -44,8 +46,6 @@ LOCK_STEP_S, LOCK_S = 0.1, 1.5
 END_STEP_S, END_S = 0.005, 1.0
 WAKE_STEP_S, WAKE_S = 0.1, 5.0
 """Waking has the longest limit that existing clients use."""
-START_ORDERS = 2
-"""How often a start is ordered."""
 SETTLING_S = 5.0
 """Time in s that TI's GUI waits after a reset before it opens the device again."""
 
@@ -518,7 +518,8 @@ class Controller:
         """Switch the LEDs on, start the prepared sequence and check that it runs.
 
         A board may show a little later that it runs, and may ignore the first order: other clients order
-        twice. A sequence that may end before it is shown to run is ordered twice at once.
+        twice. A sequence that may end before it is shown to run is ordered twice at once, which has no effect
+        while it runs; but once only, where the second order may come after its end.
 
         Parameters
         ----------
@@ -531,30 +532,39 @@ class Controller:
             The sequence does not run.
         """
         self.link.write(protocol.LED_ENABLE, red=0, green=0, blue=0, sequenced=1)
-        ends_unseen = not program.repeat and program.duration_s < START_S
-        if ends_unseen:  # it cannot be ordered again later; a start has no effect while it runs
-            self.link.write(protocol.SEQUENCE, run=Run.START)
-        faults: list[str] = []
-        for _ in range(1 if ends_unseen else START_ORDERS):
-            if (outcome := self._order_start()) is None:
-                return
-            if faults := outcome:
-                break
-        if ends_unseen and not faults:
+        standing = hardware_faults(self.link.read(protocol.HARDWARE_STATUS))
+        took_s = self._order_start()
+        is_short = not program.repeat and program.duration_s < START_S
+        if is_short and took_s < program.duration_s / 2:  # later it might have ended, and would run again
+            self._order_start()
+        faults = self._faults_until_running(standing)
+        if faults == [] and not is_short:
+            self._order_start()
+            faults = self._faults_until_running(standing)
+        if faults is None or (is_short and not faults):
             return
         found = ["the sequence does not run", *faults, *self._warnings]
         raise ProtocolError(self._name, "start", "; ".join(found), "try it again")
 
-    def _order_start(self) -> list[str] | None:
-        """Order the start and watch; None once it runs, otherwise the faults."""
+    def _order_start(self) -> float:
+        """Order the start, and give the s until it was acknowledged."""
         begun = self._clock.now()
         self.link.write(protocol.SEQUENCE, run=Run.START)
+        return self._clock.now() - begun
+
+    def _faults_until_running(self, standing: Sequence[str]) -> list[str] | None:
+        """Watch after an order; None once the sequence runs, otherwise the faults that have come with it.
+
+        A flag may stand from an earlier run, and an image that is late does not keep a sequence from running.
+        """
+        harmless = {*standing, HARDWARE_FAULTS["forced_swap_error"]}
+        begun = self._clock.now()
         while True:
             status = self.status()
             if status.main["running"]:
                 return None
-            if status.faults:
-                return status.faults
+            if faults := [fault for fault in status.faults if fault not in harmless]:
+                return faults
             if self._clock.now() - begun >= START_S:
                 return []
             self._clock.sleep(START_STEP_S)

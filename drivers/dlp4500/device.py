@@ -31,7 +31,7 @@ from drivers.dlp4500.transport import HidModule, Link, connect, load_hidapi
 from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.conventions import Lattice
-from fpplab.devices import DeviceInfo, Projector, ProjectorCaps
+from fpplab.devices import DeviceInfo, PatternLoads, Projector, ProjectorCaps
 from fpplab.patterns.fringes import Pattern
 
 LedLevel = Annotated[int, Field(ge=0, le=255)]
@@ -128,6 +128,14 @@ class Storage(Protocol):
     @property
     def still_us(self) -> int:
         """Time in µs after which a pattern that is shown begins anew; known once open."""
+
+    @property
+    def dark_between(self) -> bool:
+        """Whether it can be dark between played patterns."""
+
+    @property
+    def loads(self) -> PatternLoads:
+        """Images that carry the loaded patterns, and the time that they need."""
 
     def open(self, board: Controller) -> None:
         """Prepare the source and enter pattern mode; the projector is dark before and after.
@@ -236,8 +244,20 @@ class Dlp4500(Projector):
     def _caps(self) -> ProjectorCaps:
         depths = {bits: LEAST_EXPOSURE_US[bits] * 1e-6 for bits in sorted(self._storage.depths)}
         storage = self._storage
-        times_s = [us * 1e-6 for us in (storage.longest_us, storage.gap_us, storage.still_us)]
-        return ProjectorCaps(SIZE, Lattice.DIAMOND, depths, 2, MOST_VARIABLE_ENTRIES, *times_s)
+        return ProjectorCaps(
+            SIZE,
+            Lattice.DIAMOND,
+            depths,
+            2,
+            MOST_VARIABLE_ENTRIES,
+            longest_s=storage.longest_us * 1e-6,
+            gap_s=storage.gap_us * 1e-6,
+            period_s=storage.still_us * 1e-6,
+            dark_between=storage.dark_between,
+        )
+
+    def _loads(self) -> PatternLoads:
+        return self._storage.loads
 
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:
         shown = [replace(pattern, image=shown_image(pattern)) for pattern in patterns]

@@ -16,10 +16,12 @@ from drivers.dlp4500.sequence import (
     Program,
     Slot,
     flash_program,
+    least_period_us,
     still_program,
 )
 from fpplab.core import config
 from fpplab.core.errors import CapabilityError, ConfigError, SettingError, SyncError
+from fpplab.devices import PatternLoads
 from fpplab.patterns.fringes import Pattern
 
 
@@ -87,6 +89,17 @@ class InFlash:
         if last >= count:
             raise ConfigError(f"{self._file}: 'image' is {last}: the projector has images 0 to {count - 1}")
 
+    @property
+    def dark_between(self) -> bool:
+        """The controller inserts dark time."""
+        return True
+
+    @property
+    def loads(self) -> PatternLoads:
+        """Changes of image, and the time that loading takes where there are more than two."""
+        changes = _changes(self._slots) if self._slots else 0
+        return PatternLoads(changes, 1e-6 * least_period_us(self._slots, self._load_us))
+
     def close(self) -> None:
         """Do nothing: flash keeps its contents."""
 
@@ -108,8 +121,7 @@ class InFlash:
             There are too many patterns or images.
         """
         slots = [self._find(pattern) for pattern in patterns]
-        changes = 1 + sum(a.image != b.image for a, b in pairwise(slots))
-        if changes > PRELOADED_IMAGES:
+        if _changes(slots) > PRELOADED_IMAGES:
             board.go_dark()  # the measurement is forbidden while patterns from flash are shown
             with board.dark_on_failure():
                 for image in {slot.image for slot in slots} - set(self._load_us):
@@ -203,3 +215,8 @@ class InFlash:
                 "build the plan's firmware file and upload it",
             )
         return found.slot
+
+
+def _changes(slots: Sequence[Slot]) -> int:
+    """How often a run changes to another image, the first included."""
+    return 1 + sum(a.image != b.image for a, b in pairwise(slots))

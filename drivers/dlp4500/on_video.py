@@ -18,6 +18,7 @@ from drivers.dlp4500.packing import Planes, assign_slots, pack_images
 from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, pattern_numbers, video_program
 from fpplab.core.errors import CapabilityError, SettingError
+from fpplab.devices import PatternLoads
 from fpplab.patterns.fringes import Pattern
 
 RGB = (1, 0, 2)
@@ -62,6 +63,16 @@ class OnVideo:
     def gap_us(self) -> int:
         """None: the next pattern is started when it is due."""
         return 0
+
+    @property
+    def dark_between(self) -> bool:
+        """The video port has no dark time between patterns."""
+        return False
+
+    @property
+    def loads(self) -> PatternLoads:
+        """Frames that carry the patterns; each is put up when its turn comes, so none is waited for."""
+        return PatternLoads(len({slot.image for slot in self._slots}))
 
     @property
     def still_us(self) -> int:

@@ -295,7 +295,7 @@ def flash_program(
         if swap:
             images.append(slot.image)
         entries.append(Entry(slot.number, slot.bits, leds, swap=swap))
-    least = max(exposure_us + dark_us, period_us, _least_period_us(slots, load_us or {}, repeat))
+    least = max(exposure_us + dark_us, period_us, least_period_us(slots, load_us or {}, repeat))
     program = Program(
         Source.FLASH,
         tuple(entries),
@@ -421,8 +421,23 @@ def _check_shared(entries: Sequence[Entry], exposure_us: int) -> None:
             )
 
 
-def _least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool) -> int:
-    """Compute the shortest period at which every image is loaded when it is swapped in."""
+def least_period_us(slots: Sequence[Slot], load_us: Mapping[int, int], repeat: bool = False) -> int:
+    """Compute the shortest period at which every image is loaded when it is swapped in.
+
+    Parameters
+    ----------
+    slots : sequence of Slot
+        Locations of the patterns, in the order shown.
+    load_us : mapping of int to int
+        Load time in µs of each flash image, by index; needed where images are swapped in more than twice.
+    repeat : bool
+        Whether the sequence repeats until it is stopped.
+
+    Returns
+    -------
+    int
+        Period in µs; 0 where the controller buffers all images.
+    """
     shown = [(image, len(list(group))) for image, group in groupby(slot.image for slot in slots)]
     if len(shown) <= PRELOADED_IMAGES:
         return 0

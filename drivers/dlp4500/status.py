@@ -56,13 +56,29 @@ class Status:
     def faults(self) -> list[str]:
         """Descriptions of all faults; empty for a healthy projector."""
         found = [] if self.hardware["initialised"] else ["the controller did not initialise"]
-        found += [words for name, words in HARDWARE_FAULTS.items() if self.hardware[name]]
+        found += hardware_faults(self.hardware)
         return found if self.system["memory_test_passed"] else [*found, "the memory test failed"]
 
     @property
     def words(self) -> list[str]:
         """Descriptions of what the projector is doing, followed by its faults."""
         return [words[0 if self.main[name] else 1] for name, words in MAIN_WORDS.items()] + self.faults
+
+
+def hardware_faults(hardware: Values) -> list[str]:
+    """Describe the faults of a hardware status.
+
+    Parameters
+    ----------
+    hardware : dict of str to int
+        Fields of `protocol.HARDWARE_STATUS`.
+
+    Returns
+    -------
+    list of str
+        One description for each; empty where there are none.
+    """
+    return [words for name, words in HARDWARE_FAULTS.items() if hardware[name]]
 
 
 def validation_messages(validation: Values, known: Mapping[str, str]) -> list[str]:

@@ -20,14 +20,16 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from drivers.dlp4500.sequence import pattern_numbers
 from drivers.emulators.bench_camera import BenchPylon
+from drivers.emulators.dlpc350 import STRICT as STRICT_BOARD
 from drivers.emulators.dlpc350 import (
     Dlpc350,
+    Dlpc350Policy,
     EmulatedDisplay,
     EmulatedHid,
     FlashedDlpc350,
@@ -103,6 +105,10 @@ class EmulatedBenchOptions(Document):
     """Refresh rate in Hz of the display on the projector's video port."""
     sensor: SensorTiming = STRICT
     """How soon the camera takes the next trigger pulse."""
+    board: Literal["strict", "lenient"] = "strict"
+    """Whether the projector ignores the first start, shows late that it runs and takes time for each request;
+    a lenient one does none of these.
+    """
     faults: BenchFaults = BenchFaults()
     """Faults to provoke."""
 
@@ -183,11 +189,12 @@ class EmulatedBench:
 
     def _make_projector(self) -> None:
         self.clock = BenchClock()
+        policy = STRICT_BOARD if self._options.board == "strict" else Dlpc350Policy()
         if self._options.firmware is None:
-            self.controller = Dlpc350(self.clock, [], on_pulse=self._on_pulse)
+            self.controller = Dlpc350(self.clock, [], policy, on_pulse=self._on_pulse)
         else:
             content = _read_firmware(Path(self._options.firmware))
-            self.controller = FlashedDlpc350(self.clock, content, on_pulse=self._on_pulse)
+            self.controller = FlashedDlpc350(self.clock, content, policy, on_pulse=self._on_pulse)
         self.clock.controller = self.controller
         self.hid = EmulatedHid(self.controller, faults=self.faults.reply_faults())
         self.display = EmulatedDisplay(self.controller, 1 / self._options.refresh_hz)

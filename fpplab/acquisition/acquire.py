@@ -181,7 +181,7 @@ def expose(
     plan : Plan, optional
         Says whether frames are stepped or triggered, and the settling time; by default stepped without any.
     gap_s : float
-        Further s between triggers, beyond what the devices need.
+        Further s between triggers, beyond what the devices need; less than 0 to try whether they need it.
 
     Yields
     ------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fpplab.acquisition.acquire import end_markers
-from fpplab.acquisition.timing import PulseTiming, check_stepped, pulse_timing
+from fpplab.acquisition.timing import planned_timing
 from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -27,6 +27,9 @@ class PlanPreview:
         Number of further patterns, black and white, that prove the synchronisation.
     bit_planes : int
         Sum of the bit depths of all patterns.
+    loads : int
+        How often the projector changes to another image of its flash, or to another video frame; 0 where it
+        keeps no images.
     exposure_s : float
         The camera's exposure in s, as read back.
     light_s : float
@@ -35,6 +38,8 @@ class PlanPreview:
         Least s from the end of one pattern to the beginning of the next; 0 in a stepped plan.
     period_s : float
         Least s from one pattern to the next.
+    period_set_by : str
+        What keeps it from being shorter.
     least_s : float
         Least s for all patterns, without loading them and preparing the devices.
     """
@@ -43,10 +48,12 @@ class PlanPreview:
     images: int
     end_markers: int
     bit_planes: int
+    loads: int
     exposure_s: float
     light_s: float
     dark_s: float
     period_s: float
+    period_set_by: str
     least_s: float
 
 
@@ -90,21 +97,18 @@ def preview_plan(rig: Rig, plan: Plan, source: Path | str) -> tuple[PlanPreview,
     patterns = [*make_patterns(plan, caps.size, caps.lattice), *ends]
     exposure_s = camera.configure(rig.camera_settings(plan.exposure_s, plan.bits)).exposure_s
     rig.projector.load(patterns)
-    if plan.trigger == "triggered":
-        timing = pulse_timing(camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_time_s)
-    else:
-        check_stepped(camera)
-        step_s = plan.settle_s + exposure_s + camera.caps.readout_s
-        timing = PulseTiming(step_s, 0.0, step_s)
+    timing = planned_timing(rig, plan, patterns, exposure_s)
     found = PlanPreview(
         plan.trigger,
         plan.images,
         len(ends),
         sum(p.bit_depth for p in patterns),
+        rig.projector.loads.images,
         exposure_s,
         timing.light_s,
         timing.period_s - timing.light_s,
         timing.period_s,
+        timing.limit,
         len(patterns) * timing.period_s,
     )
     return found, patterns

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from fpplab.acquisition.sync_check import (
     recover_camera,
 )
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
+from fpplab.acquisition.timing import PulseTiming, planned_timing
 from fpplab.calibration.model import Calibration
 from fpplab.core import config
 from fpplab.core.conventions import AXES, Image, raw_dtype
@@ -68,6 +69,8 @@ class RigCheck:
     settle_s : float or None
         The settling time in s that a stepped plan needs, where the plan's was too short and a longer one
         served.
+    timing : PulseTiming or None
+        The plan's times on this rig; None where the devices do not accept it.
     image : ndarray of uint8, (height, width), or None
         Mean of the frames with fringes; None where none were taken.
     rig : dict of str to object
@@ -81,6 +84,7 @@ class RigCheck:
     findings: tuple[Finding, ...]
     unknown: tuple[str, ...] = ()
     settle_s: float | None = None
+    timing: PulseTiming | None = None
     image: Image | None = None
     rig: dict[str, Any] = field(default_factory=dict)
     origin: SessionOrigin | None = None
@@ -98,6 +102,7 @@ class RigCheck:
             "findings": [finding.summary() for finding in self.findings],
             "not_checked": list(self.unknown),
             "settle_s": self.settle_s,
+            "timing": asdict(self.timing) if self.timing else None,
             "shown": self.shown.tolist(),
             "seen": {run.how: [_or_none(level) for level in run.levels.tolist()] for run in self.runs},
         }
@@ -148,7 +153,7 @@ def check_rig(
     """
     marker_seen, fringes = MarkerInspection(plan), _FringeInspection(plan, calibration)
     failed: list[Finding] = []
-    described, origin = config.plain(rig.file), None
+    described, origin, timing = config.plain(rig.file), None, None
     try:
         with rig:
             described, origin = rig.described(), SessionOrigin.of(rig)
@@ -157,7 +162,8 @@ def check_rig(
                 rig.fixture.mount(item)
             marker_seen.at(rig, lambda share: progress(0.4 * share))
             fringes.at(rig, marker_seen.fringe_plan, lambda share: progress(0.4 + 0.6 * share))
-            failed += _of_transport(rig, plan, folder)
+            timing = _timing(rig, plan)
+            failed += _of_transport(rig, plan, timing, folder)
     except DeviceError as error:
         failed.append(device_finding(error))
     progress(1.0)
@@ -168,6 +174,7 @@ def check_rig(
         findings=_ranked([*failed, *_weighed(marker_seen.findings, seen), *seen]),
         unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
+        timing=timing,
         image=fringes.image,
         rig=described,
         origin=origin,
@@ -180,11 +187,24 @@ def _untold(seen: Sequence[Finding]) -> tuple[str, ...]:
     return (NEVER_SEEN,) if any(one.cause in dark for one in seen) else ()
 
 
-def _of_transport(rig: Rig, plan: Plan, folder: Path | None) -> list[Finding]:
+def _timing(rig: Rig, plan: Plan) -> PulseTiming | None:
+    """The plan's times, where the devices can show it."""
+    caps = rig.projector.caps
+    patterns = make_patterns(plan, caps.size, caps.lattice)
+    recover_camera(rig)
+    settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
+    try:
+        rig.projector.load(patterns)
+        return planned_timing(rig, plan, patterns, settings.exposure_s)
+    except CapabilityError:  # the fringes have told it
+        return None
+
+
+def _of_transport(rig: Rig, plan: Plan, timing: PulseTiming | None, folder: Path | None) -> list[Finding]:
     """Whether frames come and are written as fast as the plan takes them."""
     settings = rig.camera.configure(rig.camera_settings(plan.exposure_s, plan.bits))
     caps = rig.camera.caps
-    period_s = settings.exposure_s + caps.readout_s
+    period_s = timing.period_s if timing else settings.exposure_s + caps.readout_s
     width, height = caps.size
     kind = raw_dtype(settings.bits)
     found = [link_finding(rig.camera.info(), width * height * np.dtype(kind).itemsize, period_s)]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from fpplab.acquisition.acquire import expose
+from fpplab.acquisition.exposure_shift import LEAST_SHARE, ExposureShift, exposure_shift
 from fpplab.acquisition.synchronisation import Cause, SyncFault, faults, remedy
 from fpplab.acquisition.timing import PulseTiming, pulse_timing
 from fpplab.core.conventions import Floats, full_scale
@@ -223,13 +224,16 @@ class MarkerInspection:
 
     def _of_trigger(self, rig: Rig, plan: Plan, shown: NDArray[np.int64], run: MarkerRun) -> list[Finding]:
         """Tell what is wrong with a triggered run, by a second one with more time between triggers."""
-        if _is_in_step(shown, run):
-            return []
+        shift = None if self._of_stepped else exposure_shift(self.runs[0].levels, run.levels)
+        if _is_in_step(shown, run):  # levels that mix a little with their neighbours rise all the same
+            return [_shifted(shift, plan.exposure_s)] if shift else []
         if not run.frames:
             return [_no_pulse(len(shown))]
         apart = _run(rig, plan, shown, plan.exposure_s + APART_S)
         if apart.frames and np.ptp(apart.levels[: apart.frames][:-1]) < SAME_LEVEL * self.runs[0].rise:
             return [_wrong_edge()]
+        if shift is not None:
+            return [_shifted(shift, plan.exposure_s)]
         slipped = matching_faults(shown, run.levels)
         if not _is_in_step(shown, apart):
             again = matching_faults(shown, apart.levels)
@@ -373,6 +377,15 @@ def _no_pulse(count: int) -> Finding:
 def _wrong_edge() -> Finding:
     seen = "with darkness between the patterns, the frames show the darkness"
     return Finding(FaultCause.TRIGGER_EDGE, seen, RUINOUS)
+
+
+def _shifted(shift: ExposureShift, exposure_s: float) -> Finding:
+    how, neighbour = ("late", "next") if shift.is_late else ("early", "previous")
+    seen = (
+        f"{100 * shift.share:.0f} % of each exposure show the {neighbour} pattern: exposures begin about "
+        f"{1e3 * shift.share * exposure_s:.3g} ms too {how}"
+    )
+    return Finding(FaultCause.TRIGGER_SHIFTED, seen, shift.share / LEAST_SHARE)
 
 
 def _not_ready(run: MarkerRun, gap_s: float, dead_s: float) -> Finding:

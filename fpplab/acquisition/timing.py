@@ -1,18 +1,22 @@
-"""Times of a triggered run: how long each pattern is shown, and how far its trigger pulses are apart.
+"""Times of a run: how long each pattern is shown, and how far its trigger pulses are apart.
 
-The projector is the clock, and a camera ignores a pulse that comes before it is ready. So what the camera
-says of itself decides: exposure, readout, and the period at which it takes pulses. What it does not say is
-allowed for, or stated in the rig file.
+The projector is the clock, and a camera ignores a pulse that comes before it is ready. So what the devices
+say of themselves decides: the camera's exposure, readout and the period at which it takes pulses, and the
+projector's least exposures, least gap and load times. What a camera does not say is allowed for, or stated in
+the rig file. No other module decides times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import Camera, Projector
+from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import Pattern
+from fpplab.patterns.plan import Plan
 
 CLOCK_TOLERANCE = 2e-4
 """By how much the clocks of camera and projector may differ, as a share: 100 ppm each, of plain quartzes."""
@@ -20,9 +24,28 @@ UNKNOWN_DEAD_S = 1e-3
 """Time in s after each exposure in which a camera that does not tell its period may ignore a pulse."""
 
 
+class PeriodLimit(StrEnum):
+    """What keeps patterns from following each other faster."""
+
+    SETTLING = "the plan's exposure and settle_s"
+    """A stepped plan, in which nothing follows by itself."""
+    EXPOSURE = "exposure and readout"
+    """The camera is ready as soon as its last row is exposed."""
+    CAMERA = "the period that the camera tells"
+    """The camera takes no trigger before."""
+    STATED = "the rig file's dead_time_s"
+    """What the camera needs beyond what it tells."""
+    UNTOLD = "the time allowed for a camera that tells no period"
+    """The camera tells nothing, and the rig file states nothing."""
+    GAP = "the projector's least gap"
+    """The projector needs more time between patterns than the camera."""
+    LOADS = "images that are read from the projector's flash"
+    """The next image is not there before."""
+
+
 @dataclass(frozen=True)
 class PulseTiming:
-    """Times of a triggered run.
+    """Times of a run.
 
     Attributes
     ----------
@@ -32,11 +55,14 @@ class PulseTiming:
         Least s of darkness after each.
     period_s : float
         Least s from one trigger pulse to the next.
+    limit : PeriodLimit
+        What keeps the period from being shorter.
     """
 
     light_s: float
     dark_s: float
     period_s: float
+    limit: PeriodLimit
 
 
 def pulse_timing(
@@ -54,7 +80,7 @@ def pulse_timing(
     camera : Camera
         The camera, configured for the run.
     projector : Projector
-        The projector.
+        The projector, which has loaded the patterns.
     patterns : sequence of Pattern
         What is to be shown; at least one.
     exposure_s : float
@@ -63,7 +89,7 @@ def pulse_timing(
         Stated time in s after each exposure in which the camera ignores pulses; it counts where it is longer
         than the camera tells.
     gap_s : float
-        Further s between pulses.
+        Further s between pulses; less than 0 to try what the camera does not ask for.
 
     Returns
     -------
@@ -73,7 +99,8 @@ def pulse_timing(
     Raises
     ------
     CapabilityError
-        The camera has no hardware trigger, or the projector no trigger output.
+        The camera has no hardware trigger, or the projector no trigger output; or the camera needs darkness
+        after each exposure, and the projector has none.
     SettingError
         A pattern cannot be shown for so short or so long a time.
     """
@@ -82,17 +109,69 @@ def pulse_timing(
         raise CapabilityError(camera.name, "arm", "has no hardware trigger", "use a stepped plan")
     if not shown.trigger_outputs:
         raise CapabilityError(projector.name, "play", "has no trigger output", "use a stepped plan")
+    if caps.dark_s and not shown.dark_between:
+        raise CapabilityError(
+            projector.name,
+            "play",
+            "there is no dark time between its patterns, and the rows of a camera with global reset end one "
+            f"after another, within {1e3 * caps.dark_s:.6g} ms",
+            "use patterns in flash, or a rolling shutter",
+        )
     light_s = exposure_s + caps.readout_s
     _check_light(camera, projector, patterns, exposure_s)
     end_s = light_s + caps.dark_s
-    if caps.period_s is None:
-        ready_s = end_s + (UNKNOWN_DEAD_S if dead_s is None else dead_s)
-    else:
-        ready_s = max(caps.period_s, end_s + dead_s if dead_s else 0.0)
-    period_s = max(end_s, ready_s * (1 + CLOCK_TOLERANCE)) + gap_s
-    if period_s > light_s:
-        period_s = max(period_s, light_s + shown.gap_s)
-    return PulseTiming(light_s, caps.dark_s, period_s)
+    least = {PeriodLimit.EXPOSURE: end_s, PeriodLimit.LOADS: projector.loads.period_s}
+    for limit, ready_s in _ready(caps.period_s, end_s, dead_s).items():
+        least[limit] = ready_s * (1 + CLOCK_TOLERANCE)
+    limit = max(least, key=lambda one: least[one])
+    period_s = max(least[limit] + gap_s, end_s, projector.loads.period_s)  # the projector waits for these
+    if light_s < period_s < light_s + shown.gap_s:
+        limit, period_s = PeriodLimit.GAP, light_s + shown.gap_s
+    return PulseTiming(light_s, caps.dark_s, period_s, limit)
+
+
+def _ready(told_s: float | None, end_s: float, dead_s: float | None) -> dict[PeriodLimit, float]:
+    """When the camera takes the next pulse, by who says so: s from the last one, by the camera's clock."""
+    if told_s is None and dead_s is None:
+        return {PeriodLimit.UNTOLD: end_s + UNKNOWN_DEAD_S}
+    found = {} if told_s is None else {PeriodLimit.CAMERA: told_s}
+    # A stated time of 0 says nothing about a camera that tells its period.
+    return found | (
+        {PeriodLimit.STATED: end_s + dead_s} if dead_s or (told_s is None and dead_s == 0) else {}
+    )
+
+
+def planned_timing(rig: Rig, plan: Plan, patterns: Sequence[Pattern], exposure_s: float) -> PulseTiming:
+    """Decide the times of a plan's frames, stepped or triggered.
+
+    Parameters
+    ----------
+    rig : Rig
+        An open rig whose camera is configured and whose projector has loaded the patterns.
+    plan : Plan
+        The plan.
+    patterns : sequence of Pattern
+        Its patterns.
+    exposure_s : float
+        The camera's exposure in s, as read back.
+
+    Returns
+    -------
+    PulseTiming
+        The times; in a stepped plan each pattern is shown for the whole period.
+
+    Raises
+    ------
+    CapabilityError
+        A device cannot take frames in the plan's way.
+    SettingError
+        A pattern cannot be shown for so short or so long a time.
+    """
+    if plan.trigger == "triggered":
+        return pulse_timing(rig.camera, rig.projector, patterns, exposure_s, rig.file.camera.dead_time_s)
+    check_stepped(rig.camera)
+    step_s = plan.settle_s + exposure_s + rig.camera.caps.readout_s
+    return PulseTiming(step_s, 0.0, step_s, PeriodLimit.SETTLING)
 
 
 def check_stepped(camera: Camera) -> None:

@@ -16,7 +16,7 @@ from fpplab.devices.camera import Camera, CameraCaps, CameraSettings, Frame, Tri
 from fpplab.devices.device import Device, DeviceInfo, State
 from fpplab.devices.fixture import Fixture, FixtureCaps
 from fpplab.devices.placing import InstructableFixture, PosableFixture
-from fpplab.devices.projector import Projector, ProjectorCaps
+from fpplab.devices.projector import PatternLoads, Projector, ProjectorCaps
 from fpplab.devices.stage import Stage, StageCaps
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "FixtureCaps",
     "Frame",
     "InstructableFixture",
+    "PatternLoads",
     "PosableFixture",
     "Projector",
     "ProjectorCaps",

@@ -39,6 +39,8 @@ class ProjectorCaps:
     period_s : float
         s in which a pattern that is shown repeats, its bit planes one after another: an exposure sees them
         alike if it lasts a whole number of these. 0 where light is steady, or nothing is known.
+    dark_between : bool
+        Whether it can be dark between played patterns.
     """
 
     size: tuple[int, int]
@@ -48,6 +50,24 @@ class ProjectorCaps:
     max_patterns: int
     longest_s: float = math.inf
     gap_s: float = 0.0
+    period_s: float = 0.0
+    dark_between: bool = True
+
+
+@dataclass(frozen=True)
+class PatternLoads:
+    """Images of the projector, such as those of its flash, from which the loaded patterns are shown.
+
+    Attributes
+    ----------
+    images : int
+        How often a run changes to another image, the first included; 0 where patterns are not kept in images.
+    period_s : float
+        Least s from one pattern to the next, so that each image is there when it is due; 0 where none is
+        waited for.
+    """
+
+    images: int = 0
     period_s: float = 0.0
 
 
@@ -67,6 +87,14 @@ class Projector(Device):
         self._need(State.IDLE, State.ARMED, doing="caps")
         with self._guard("caps"):
             return self._caps()
+
+    @property
+    @final
+    def loads(self) -> PatternLoads:
+        """From which images the loaded patterns are shown, and the time that they need; known once loaded."""
+        self._need(State.IDLE, State.ARMED, doing="loads")
+        with self._guard("loads"):
+            return self._loads()
 
     @final
     def load(self, patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
@@ -191,6 +219,13 @@ class Projector(Device):
     @abstractmethod
     def _caps(self) -> ProjectorCaps:
         """What this projector can do; called by `caps` in IDLE and ARMED, often: it must be quick."""
+
+    def _loads(self) -> PatternLoads:
+        """From which images the loaded patterns are shown; called by `loads` in IDLE and ARMED.
+
+        Only for a projector that keeps patterns in images which it has to read in time.
+        """
+        return PatternLoads()
 
     @abstractmethod
     def _load(self, patterns: Sequence[Pattern]) -> Sequence[Pattern]:

@@ -20,6 +20,8 @@ class FaultCause(StrEnum):
     """The camera exposes at the wrong edge of the trigger pulse."""
     CAMERA_NOT_READY = "camera_not_ready"
     """The next trigger comes before the camera is ready."""
+    TRIGGER_SHIFTED = "trigger_shifted"
+    """Triggered exposures begin after their patterns, or before them."""
     SLOW_DISPLAY = "slow_display"
     """The display is slower than the plan waits."""
     OUT_OF_STEP = "out_of_step"
@@ -123,6 +125,8 @@ REMEDIES = {
     FaultCause.TRIGGER_EDGE: "choose the other `edge` of the camera's trigger, or the other polarity "
     "(`inverted`) of the projector's output 1; see to the trigger's delay",
     FaultCause.CAMERA_NOT_READY: "state a longer `dead_time_s` in the rig file's section of the camera",
+    FaultCause.TRIGGER_SHIFTED: "lessen `delay_us` and `debounce_us` of the camera's trigger, choose the "
+    "edge at which a pattern begins, or use a GPIO line",
     FaultCause.SLOW_DISPLAY: "give the plan a longer settle_s",
     FaultCause.OUT_OF_STEP: "check the trigger, or give the plan a longer settle_s",
     FaultCause.PROJECTOR_DARK: "switch the lamp and its LEDs on, and take off the lens cap; try "

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.acquisition.timing import PulseTiming, pulse_timing
+from fpplab.acquisition.timing import PeriodLimit, PulseTiming, pulse_timing
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import CapabilityError, SettingError
-from fpplab.devices import CameraCaps, ProjectorCaps
+from fpplab.devices import CameraCaps, PatternLoads, ProjectorCaps
 from fpplab.patterns.fringes import Pattern
 
 EXPOSURE_S = 0.02
@@ -27,17 +27,19 @@ def timing(
     projector: ProjectorCaps = FLASH,
     bits: tuple[int, ...] = (8,),
     exposure_s: float = EXPOSURE_S,
+    loads: PatternLoads = PatternLoads(),  # noqa: B008 - it is frozen
     **more: float,
 ) -> PulseTiming:
     ends: list[Any] = [
-        SimpleNamespace(name=n, caps=c) for n, c in (("camera", camera), ("projector", projector))
+        SimpleNamespace(name=n, caps=c, loads=loads)
+        for n, c in (("camera", camera), ("projector", projector))
     ]
     patterns = [Pattern(f"p{b}", np.zeros((8, 8), np.uint8), b) for b in bits]
     return pulse_timing(*ends, patterns, exposure_s, **more)
 
 
 def test_a_camera_that_is_always_ready_waits_for_nothing() -> None:
-    assert timing() == PulseTiming(EXPOSURE_S, 0.0, EXPOSURE_S)
+    assert timing() == PulseTiming(EXPOSURE_S, 0.0, EXPOSURE_S, PeriodLimit.EXPOSURE)
 
 
 @pytest.mark.parametrize(("told_s", "period_s"), [(0.025, 0.025), (0.1, 0.1), (0.0201, 0.020231)])
@@ -80,6 +82,41 @@ def test_rows_that_begin_one_after_another_see_the_pattern_to_their_end() -> Non
 def test_rows_that_end_one_after_another_see_darkness() -> None:
     found = timing(replace(CAMERA, dark_s=0.005))
     assert (found.light_s, found.dark_s, found.period_s) == (EXPOSURE_S, 0.005, 0.025)
+
+
+@pytest.mark.parametrize(
+    ("camera", "more", "limit"),
+    [
+        ({"period_s": 0.03}, {}, PeriodLimit.CAMERA),
+        ({"period_s": 0.0201}, {}, PeriodLimit.GAP),
+        ({"period_s": None}, {}, PeriodLimit.UNTOLD),
+        ({"period_s": 0.03}, {"dead_s": 0.02}, PeriodLimit.STATED),
+        ({"period_s": None}, {"dead_s": 0.002}, PeriodLimit.STATED),
+        ({"readout_s": 0.005}, {}, PeriodLimit.EXPOSURE),
+    ],
+)
+def test_what_sets_the_period_is_named(
+    camera: dict[str, Any], more: dict[str, float], limit: PeriodLimit
+) -> None:
+    assert timing(replace(CAMERA, **camera), **more).limit is limit
+
+
+def test_images_that_are_read_from_flash_are_waited_for() -> None:
+    found = timing(loads=PatternLoads(12, 0.05))
+    assert (found.light_s, found.period_s, found.limit) == (EXPOSURE_S, 0.05, PeriodLimit.LOADS)
+    assert timing(replace(CAMERA, period_s=0.1), loads=PatternLoads(12, 0.05)).limit is PeriodLimit.CAMERA
+
+
+def test_less_than_what_is_asked_for_ends_at_what_the_projector_needs() -> None:
+    told = replace(CAMERA, period_s=0.05, dark_s=0.003)
+    assert timing(told, gap_s=-0.01).period_s == pytest.approx(0.04, abs=1e-4)
+    assert timing(told, gap_s=-1.0).period_s == EXPOSURE_S + 0.003
+    assert timing(told, loads=PatternLoads(9, 0.03), gap_s=-1.0).period_s == 0.03
+
+
+def test_a_global_reset_needs_a_projector_that_can_be_dark() -> None:
+    with pytest.raises(CapabilityError, match=r"no dark time .* within 5 ms; use patterns in flash"):
+        timing(replace(CAMERA, dark_s=0.005), replace(FLASH, dark_between=False))
 
 
 def test_a_further_gap_comes_on_top() -> None:

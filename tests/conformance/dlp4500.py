@@ -11,7 +11,15 @@ import numpy as np
 from drivers.clock import SteppedClock
 from drivers.dlp4500.index import FlashIndex, index_checksum
 from drivers.dlp4500.sequence import SIZE, Slot
-from drivers.emulators.dlpc350 import Dlpc350, EmulatedDisplay, EmulatedHid, FlashImage, ProjectedLight, Pulse
+from drivers.emulators.dlpc350 import (
+    STRICT,
+    Dlpc350,
+    EmulatedDisplay,
+    EmulatedHid,
+    FlashImage,
+    ProjectedLight,
+    Pulse,
+)
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DeviceTimeoutError
 from fpplab.devices import Trigger
@@ -63,7 +71,7 @@ class LightCrafterBench(ReferenceBench):
         super().open()
         images, self.index = flash()
         self.clock = SteppedClock()
-        self.controller = Dlpc350(self.clock, images, on_pulse=self._pulsed)
+        self.controller = Dlpc350(self.clock, images, STRICT, self._pulsed)
         self.hid = EmulatedHid(self.controller)
         self.caught: deque[Pattern | None] = deque()
 

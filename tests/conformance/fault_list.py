@@ -18,6 +18,7 @@ from tests.conformance.interface_faults import (
     SIMULATED,
     STAGE_AND_FIXTURE,
 )
+from tests.conformance.timing_faults import CHECKED, STARTED, TIMED
 
 FAULTS: list[Fault] = (
     LIFE
@@ -32,4 +33,7 @@ FAULTS: list[Fault] = (
     + DRIVER_OF_DLP4500
     + VIDEO_PORT_OF_DLP4500
     + DRIVER_OF_GRBL
+    + TIMED
+    + STARTED
+    + CHECKED
 )

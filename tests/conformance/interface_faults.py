@@ -422,16 +422,16 @@ IN_STEP = [
     Fault(
         "timing: the stated dead time replaces the camera's",
         TIMING,
-        "pulse_timing",
-        "max(caps.period_s, end_s + dead_s if dead_s else 0.0)",
-        "end_s + dead_s if dead_s else caps.period_s",
+        "_ready",
+        "found | ...",
+        "{PeriodLimit.STATED: end_s + dead_s} if dead_s else found",
     ),
     Fault(
         "timing: a gap of any length",
         TIMING,
         "pulse_timing",
-        "max(period_s, light_s + shown.gap_s)",
-        "period_s",
+        "if light_s < period_s < light_s + shown.gap_s:",
+        "if light_s > period_s:",
     ),
     Fault(
         "timing: shown too briefly",

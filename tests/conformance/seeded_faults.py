@@ -67,6 +67,10 @@ NODE_MAPS = Suite(
     ("test_basler_families.py", "test_basler_features.py", "test_basler.py", "test_basler_faults.py"),
 )
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py", "test_dlp4500_display.py"))
+TRIGGER_CHECK = Suite(
+    ("rig_reference.yaml",),
+    ("../acquisition/test_exposure_shift.py", "test_emulated_check.py", "test_emulated_steps.py"),
+)
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
     "drivers/basler/": NODE_MAPS,
@@ -87,7 +91,12 @@ SUITES = {
         ),
     ),
     "drivers/stage_grbl/": Suite(("rig_grbl.yaml",), ("test_stage_grbl.py",)),
-    "fpplab/acquisition/timing.py": Suite(("rig_reference.yaml",), ("../acquisition/test_timing.py",)),
+    "fpplab/acquisition/timing.py": Suite(
+        ("rig_reference.yaml",), ("../acquisition/test_timing.py", "../cli/test_plan.py")
+    ),
+    "fpplab/acquisition/exposure_shift.py": TRIGGER_CHECK,
+    "fpplab/acquisition/sync_check.py": TRIGGER_CHECK,
+    "fpplab/acquisition/step_check.py": TRIGGER_CHECK,
     "": Suite(("rig_reference.yaml", "rig_replay.yaml")),
 }
 """By where the fault is: the first that fits."""

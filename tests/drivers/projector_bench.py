@@ -13,7 +13,15 @@ from drivers.clock import SteppedClock
 from drivers.dlp4500 import Dlp4500
 from drivers.dlp4500.index import FlashIndex, FlashPattern, shown_image
 from drivers.dlp4500.sequence import SIZE, bit_planes
-from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid, FlashImage, Pulse, UsbFault
+from drivers.emulators.dlpc350 import (
+    STRICT,
+    Dlpc350,
+    Dlpc350Policy,
+    EmulatedHid,
+    FlashImage,
+    Pulse,
+    UsbFault,
+)
 from fpplab.core import config
 from fpplab.patterns.fringes import Pattern
 
@@ -59,7 +67,7 @@ class Bench:
 
     patterns: Sequence[Pattern]
     folder: Path
-    policy: Dlpc350Policy = field(default_factory=Dlpc350Policy)
+    policy: Dlpc350Policy = STRICT
     faults: Mapping[int, UsbFault] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

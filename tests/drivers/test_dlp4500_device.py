@@ -13,7 +13,7 @@ import pytest
 from drivers.dlp4500 import Dlp4500, protocol
 from drivers.dlp4500.protocol import DisplayMode, Run
 from drivers.dlp4500.sequence import Slot, flash_program, video_program
-from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault, Video
+from drivers.emulators.dlpc350 import STRICT, Dlpc350Policy, UsbFault, Video
 from fpplab.core.errors import (
     CapabilityError,
     ConfigError,
@@ -31,10 +31,14 @@ from tests.drivers.projector_bench import HEIGHT, WIDTH, Bench, flat, greys
 EXPOSURE_S = 0.02
 
 
+PROMPT = pytest.mark.parametrize("bench", [Dlpc350Policy()], indirect=True)
+"""A controller that starts at once, so that its times can be compared with when `play` returns."""
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Bench:
+def bench(tmp_path: Path, request: pytest.FixtureRequest) -> Bench:
     """Two images of flash: six patterns."""
-    return Bench(greys(6), tmp_path)
+    return Bench(greys(6), tmp_path, getattr(request, "param", STRICT))
 
 
 @pytest.fixture
@@ -154,6 +158,7 @@ def test_pixels_are_those_of_the_pattern(tmp_path: Path) -> None:
             assert len(np.unique(pattern.image)) == 1 << pattern.bit_depth
 
 
+@PROMPT
 def test_played_patterns_come_once_in_order_with_a_pulse_each(bench: Bench, projector: Dlp4500) -> None:
     projector.load(bench.patterns)
     bench.pulses.clear()
@@ -174,6 +179,7 @@ def test_played_patterns_come_once_in_order_with_a_pulse_each(bench: Bench, proj
     assert bench.is_dark()
 
 
+@PROMPT
 @pytest.mark.parametrize(("dark_s", "found_s"), [(0.0301234, 0.030124), (1e-6, 231e-6)])
 def test_darkness_follows_each_pattern(
     bench: Bench, projector: Dlp4500, dark_s: float, found_s: float
@@ -218,6 +224,7 @@ def test_pulses_are_as_far_apart_as_asked_for(
     assert np.diff(rises) == pytest.approx(EXPOSURE_S + found_s)
 
 
+@PROMPT
 @pytest.mark.parametrize("order", [(0, 5), (5, 0), (4, 1, 3), (2, 2, 2)])
 def test_any_order_of_two_images(bench: Bench, projector: Dlp4500, order: tuple[int, ...]) -> None:
     """Among them a table of two images, which the controller reads from its end."""
@@ -237,6 +244,16 @@ def test_many_images_are_shown_when_they_are_loaded(tmp_path: Path) -> None:
         projector.blank()
 
 
+@pytest.mark.parametrize(("count", "loads"), [(3, (1, 0.0)), (6, (2, 0.0)), (12, (4, 0.03))])
+def test_the_time_that_loads_need_is_told(tmp_path: Path, count: int, loads: tuple[int, float]) -> None:
+    """Each image has three patterns, which last until the next image is loaded."""
+    bench = Bench(greys(12), tmp_path, Dlpc350Policy(image_load_s=0.09))
+    with bench.projector() as projector:
+        projector.load(bench.patterns[:count])
+        found = projector.loads
+        assert (found.images, found.period_s) == (loads[0], pytest.approx(loads[1], abs=1e-6))
+
+
 def test_an_image_that_came_too_late_is_told(tmp_path: Path) -> None:
     bench = Bench(greys(12), tmp_path)
     with bench.projector() as projector:
@@ -250,7 +267,7 @@ def test_an_image_that_came_too_late_is_told(tmp_path: Path) -> None:
 
 
 def test_more_than_128_patterns_go_by_the_long_tables(tmp_path: Path) -> None:
-    bench = Bench(greys(3), tmp_path)
+    bench = Bench(greys(3), tmp_path, Dlpc350Policy())
     many = [bench.patterns[i % 3] for i in range(129)]
     with bench.projector() as projector:
         projector.load(many)
@@ -260,7 +277,7 @@ def test_more_than_128_patterns_go_by_the_long_tables(tmp_path: Path) -> None:
 
 
 def test_36_patterns_take_fewer_than_60_commands(tmp_path: Path) -> None:
-    bench = Bench(greys(36), tmp_path)
+    bench = Bench(greys(36), tmp_path, Dlpc350Policy())
     with bench.projector() as projector:
         before = bench.hid.requests
         projector.load(bench.patterns)
@@ -269,6 +286,7 @@ def test_36_patterns_take_fewer_than_60_commands(tmp_path: Path) -> None:
         assert watched(bench, 36) == [grey_of(pattern) for pattern in bench.patterns]
 
 
+@PROMPT
 def test_the_order_of_commands(bench: Bench, projector: Dlp4500) -> None:
     """Stop before any change, validate before the start, the main status after it."""
     projector.load(bench.patterns)
@@ -324,6 +342,7 @@ def test_one_colour_alone(bench: Bench) -> None:
         assert set(light.levels) == {"green"}
 
 
+@PROMPT
 def test_trigger_delays_are_in_microseconds(bench: Bench) -> None:
     with bench.projector(
         trigger_out_1={"rising_us": -10.72, "falling_us": 1.072}, trigger_out_2={"inverted": True}
@@ -449,8 +468,13 @@ def test_what_the_validation_finds_is_told_in_words(
 def _with_warnings(bench: Bench) -> None:
     """The controller finds every warning there is, and no error."""
     warnings = dict.fromkeys(("trigger_overlap", "black_missing", "gap_too_short"), 1)
-    found = dict.fromkeys(("exposure_invalid", "pattern_invalid", "busy"), 0) | warnings
-    bench.controller._readers[0x1A1A] = lambda: found
+    validation = bench.controller._readers[0x1A1A]
+
+    def found() -> dict[str, int]:
+        told = validation()
+        return told if told["busy"] else told | warnings
+
+    bench.controller._readers[0x1A1A] = found
 
 
 def test_warnings_do_not_keep_a_sequence_from_running(bench: Bench, projector: Dlp4500) -> None:
@@ -497,6 +521,29 @@ def test_a_run_that_may_be_over_before_it_is_shown(tmp_path: Path, ignored: int,
         bench.clock.sleep(1.0)
         bench.controller.advance()
         assert len([pulse for pulse in bench.pulses if pulse.output == 1]) == 6
+
+
+@pytest.mark.parametrize("turnaround_s", [0.0, 0.002, 0.006, 0.02, 0.1])
+def test_a_slow_second_order_does_not_start_a_run_that_has_ended_again(
+    tmp_path: Path, turnaround_s: float
+) -> None:
+    bench = Bench(greys(1), tmp_path, Dlpc350Policy(turnaround_s=turnaround_s, running_shown_late_s=0.15))
+    with bench.projector() as projector:
+        projector.load(bench.patterns)
+        projector.play(0.01)
+        bench.clock.sleep(1.0)
+        bench.controller.advance()
+        assert len([pulse for pulse in bench.pulses if pulse.output == 1]) == 1
+
+
+def test_a_fault_of_an_earlier_run_does_not_keep_a_sequence_from_running(tmp_path: Path) -> None:
+    """The flags stand while the first start is ignored, and may stand for ever."""
+    bench = Bench(greys(2), tmp_path)
+    with bench.projector() as projector:
+        bench.controller._aborted = bench.controller.sequencer.forced_swap = True
+        projector.load(bench.patterns)
+        projector.show(1)
+        assert bench.grey() == 255
 
 
 def test_a_start_that_is_always_ignored_is_an_error(tmp_path: Path) -> None:

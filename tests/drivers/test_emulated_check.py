@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -77,6 +78,17 @@ def test_the_wrong_edge(folder: Path, sections: dict[str, Any]) -> None:
     (finding,) = checked(rig_file(folder, **sections)).findings
     assert finding.cause is FaultCause.TRIGGER_EDGE
     assert "`edge`" in finding.remedy
+
+
+@pytest.mark.parametrize("delay_ms", [3.0, pytest.param(1.0, marks=SLOW), pytest.param(8.0, marks=SLOW)])
+def test_exposures_that_begin_late(folder: Path, delay_ms: float) -> None:
+    trigger = {"trigger": {"delay_us": 1e3 * delay_ms}}
+    (finding,) = checked(rig_file(folder, camera=trigger)).findings
+    assert finding.cause is FaultCause.TRIGGER_SHIFTED
+    found = re.search(r"about ([\d.]+) ms too late", finding.evidence)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(delay_ms, abs=0.35)  # the gap of 0.231 ms is dark
+    assert "delay_us" in finding.remedy
 
 
 @SLOW

@@ -33,6 +33,8 @@ class Dlpc350Policy:
         How many orders to start are acknowledged without effect, after each change of a sequence.
     running_shown_late_s : float
         How long after a start the main status still reads "stopped", in s.
+    turnaround_s : float
+        Time in s from a request to its reply, in which the sequencer goes on.
     accepts_a_gap_of_230_us : bool
         Whether a period of exactly 230 µs more than its exposure is valid.
     needs_lock_before_pattern_mode : bool
@@ -73,6 +75,7 @@ class Dlpc350Policy:
     validation_s: float = 0.03
     ignored_starts: int = 0
     running_shown_late_s: float = 0.0
+    turnaround_s: float = 0.0
     accepts_a_gap_of_230_us: bool = False
     needs_lock_before_pattern_mode: bool = True
     swap_letter_is_input: bool = True
@@ -87,3 +90,11 @@ class Dlpc350Policy:
     checksum_s: float = 0.001
     protects_boot_sector: bool = True
     max_loader_data: int = 504
+
+
+STRICT = Dlpc350Policy(ignored_starts=1, running_shown_late_s=0.1, turnaround_s=0.002)
+"""The harsher case wherever no source tells which one is right: tests and the emulated bench use it.
+
+The first start after each change of a sequence has no effect, "running" is shown late, and every request
+takes the time of two reports at full speed USB.
+"""

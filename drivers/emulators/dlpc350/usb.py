@@ -266,7 +266,8 @@ class EmulatedDevice:
             self._send(reply, fault)
 
     def _send(self, reply: UsbMessage, fault: UsbFault | None) -> None:
-        due = self._clock.now() + (LATE_S if fault is UsbFault.LATE else 0.0)
+        due = self._clock.now() + self._hid.controller.policy.turnaround_s
+        due += LATE_S if fault is UsbFault.LATE else 0.0
         for report in reply.reports() * (2 if fault is UsbFault.DUPLICATE else 1):
             sent = report[: REPORT_BYTES // 2] if fault is UsbFault.SHORT else report
             heapq.heappush(self._outgoing, (due, next(self._order), sent))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,10 +10,12 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, PlanName, ReportOption, RigName, app
-from fpplab.core.errors import DeviceError
+from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
     from fpplab.acquisition.rig_check import RigCheck
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
 
 
 @app.command("check", rich_help_panel=PREPARE)
@@ -28,6 +31,10 @@ def check_command(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Picture of the levels seen, as PNG.")] = None,
     page: ReportOption = None,
+    steps: Annotated[
+        bool,
+        typer.Option("--steps", help="Link, lamp, pulses, rate, exposure, focus, one after another."),
+    ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -36,8 +43,9 @@ def check_command(
     Shows twelve uniform grey-level images, stepped and, where camera and projector can, triggered, with the
     plan's exposure and settling time; says which settling time the display needs. Then shows the plan's
     fringes, and names what is wrong with light, focus, response, and motion. With --calibration it takes
-    fringes along both axes and tells whether the calibration is still the rig's. The exit code is 0 when all
-    is well, 3 with findings.
+    fringes along both axes and tells whether the calibration is still the rig's. With --steps it tries one
+    thing after another instead, as on the first day with a rig, and stops where it has to. The exit code is
+    0 when all is well, 3 with findings.
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """
@@ -54,6 +62,11 @@ def check_command(
             need_suffix(path, suffix)
             refuse_existing(path, force)
     wanted, bench = Plan.load(plan), Rig.load(rig)
+    if steps:
+        if calibration or out or page:
+            raise ConfigError("--steps: goes without --calibration, --out and --report; leave them out")
+        _check_steps(bench, wanted, item, json)
+        return
     known = Calibration.load(calibration) if calibration else None
     with console.progress("Checking") as report:
         found = rig_check.check_rig(
@@ -75,10 +88,32 @@ def check_command(
         raise console.Answered(DeviceError.exit_code)
 
 
+def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
+    from fpplab.acquisition.step_check import CheckedStep, check_steps
+
+    def tell(step: CheckedStep) -> None:
+        if not json:
+            console.stdout.print(f"{step.name}: {'ok' if step.ok else 'FAILS'}: {step.seen}", markup=False)
+            if step.remedy:
+                console.stdout.print(f"  {step.remedy}", markup=False)
+
+    with console.progress("Checking") as report:
+        found = check_steps(rig, plan, item, report, tell)
+    ok = all(step.ok for step in found)
+    console.answer({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
+    if not ok:
+        raise console.Answered(DeviceError.exit_code)
+
+
 def _show_check(found: RigCheck) -> None:
     for run in found.runs:
         console.say(
             f"{run.how}: {len(run.levels)} greys, white brighter by {100 * run.rise:.2g} % of full scale"
+        )
+    if (timing := found.timing) is not None:
+        console.say(
+            f"each pattern is shown for {1e3 * timing.light_s:.6g} ms, the next one follows "
+            f"{1e3 * timing.period_s:.6g} ms after it began: by {timing.limit}"
         )
     for finding in found.findings:
         console.stdout.print(f"{finding.sentence}; {finding.remedy}", markup=False)

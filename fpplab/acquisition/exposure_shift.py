@@ -1,0 +1,71 @@
+"""How far a triggered exposure is shifted against its pattern, by the greys that its frames mix.
+
+An exposure that begins late ends in the next pattern, or in the darkness before it; one that begins early
+begins in the pattern before. Light adds, so each triggered level is a sum of the levels which the stepped run
+saw of its own pattern and of a neighbour, whatever the response and the scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpplab.core.conventions import Floats
+
+MOST_MISFIT = 0.02
+"""RMS of what the mixture leaves, as a share of the levels' range, beyond which it does not explain them."""
+LEAST_SHARE, MOST_SHARE = 0.03, 0.9
+"""Share of a neighbour in a frame below which nothing is concluded, and beyond which it is a slip."""
+
+
+@dataclass(frozen=True)
+class ExposureShift:
+    """A shift of the exposures.
+
+    Attributes
+    ----------
+    is_late : bool
+        Whether the frames mix in the next pattern; otherwise the one before.
+    share : float
+        Share of the exposure that falls into the neighbour.
+    """
+
+    is_late: bool
+    share: float
+
+
+def exposure_shift(own: Floats, seen: Floats) -> ExposureShift | None:
+    """Find the shift that explains the levels of a triggered run by those of a stepped one.
+
+    Parameters
+    ----------
+    own : ndarray of float64, (K,)
+        Level of each pattern, as the stepped run saw it in full.
+    seen : ndarray of float64, (K,)
+        Levels of the triggered run; NaN where no frame came.
+
+    Returns
+    -------
+    ExposureShift or None
+        None where no such mixture explains the levels, or they hold nothing of a neighbour.
+    """
+    if not (np.isfinite(own).all() and np.isfinite(seen).all()):
+        return None
+    found = [(_mixture(own, seen, step), step) for step in (1, -1)]
+    (misfit, share), step = min(found)
+    if misfit > MOST_MISFIT * np.ptp(own) or not LEAST_SHARE <= share <= MOST_SHARE:
+        return None
+    return ExposureShift(step > 0, share)
+
+
+def _mixture(own: Floats, seen: Floats, step: int) -> tuple[float, float]:
+    """RMS misfit of the best mixture with the neighbour `step` patterns on, and that one's share."""
+    inner = slice(1, -1)
+    neighbour = np.roll(own, -step)[inner]
+    columns = np.stack([own[inner], neighbour, np.ones(len(neighbour))], axis=1)
+    factors, *_ = np.linalg.lstsq(columns, seen[inner], rcond=None)
+    misfit = float(np.sqrt(np.mean((columns @ factors - seen[inner]) ** 2)))
+    whole = float(factors[0] + factors[1])
+    share = float(factors[1] / whole) if whole > 0 and min(factors[:2]) >= 0 else 0.0
+    return misfit, share

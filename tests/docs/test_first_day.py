@@ -1,0 +1,124 @@
+"""The commands of docs/how-to/first-day.md, each on emulated devices, print what the page shows."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.clock import SteppedClock
+from drivers.emulators.bench import EmulatedFixture
+from drivers.emulators.dlpc350 import STRICT
+from fpplab.calibration.model import Calibration
+from fpplab.cli import app
+from fpplab.devices.rig import Rig
+from fpplab.simulation.arrangeable import Arrangeable
+from tests.drivers.flash_board import Bench
+from tests.drivers.flash_files import maker_firmware
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "how-to" / "first-day.md"
+EMULATED = """
+bench: {backend: "drivers.emulators.bench:EmulatedBench", optics: rig_demo_quick.yaml, firmware: patterns.bin}
+fixture: {backend: "drivers.emulators.bench:EmulatedFixture"}
+"""
+"""What turns the page's rig file into one of emulated devices."""
+CAMERA = {"Emulation": "acA5472-17um", "0815-0000": "21734321", "BaslerCamEmu": "BaslerUsb, 5 Gbit/s"}
+"""What the page says of its camera in place of the emulated one."""
+OMITTED = "…"
+
+
+def blocks(language: str) -> list[str]:
+    found = re.findall(rf"^ *```{language}\n(.*?)^ *```", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+    return [re.sub(r"^ {3}", "", block, flags=re.M) for block in found]
+
+
+def commands() -> Iterator[tuple[str, list[str]]]:
+    """Each command with the lines that it prints."""
+    for block in blocks("console"):
+        for part in re.split(r"^\$ ", block, flags=re.M)[1:]:
+            command, *lines = part.rstrip("\n").split("\n")
+            yield command, lines
+
+
+def plain(line: str) -> str:
+    """A line without what differs from run to run: numbers, and the frames of tables."""
+    return re.sub(r"[\s─━│┃┏┓┡┩┳╇└┘┴]+", " ", re.sub(r"\d+(\.\d+)?(e-?\d+)?", "#", line)).strip()
+
+
+def fits(shown: list[str], printed: list[str]) -> bool:
+    """Whether the lines are those of the page, in order, any where the page leaves some out."""
+    pattern = "".join(r"(.*\n)*" if line == OMITTED else re.escape(plain(line)) + r"\n" for line in shown)
+    return re.fullmatch(pattern, "".join(plain(line) + "\n" for line in printed)) is not None
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the page's files, and a computer with one projector and one camera."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "DLPR350PROM.bin").write_bytes(maker_firmware())
+    for content in blocks("yaml"):
+        name = re.match(r"# (\w+\.yaml)", content)
+        assert name, f"the first line names no file: {content}"
+        text = content.replace("21734321", "0815-0000", 1)
+        if name[1] == "rig_first.yaml":
+            text = text.replace("bits: 8", "bits: 8, roi: [0, 0, 684, 456]", 1) + EMULATED
+        (tmp_path / name[1]).write_text(text, encoding="utf-8")
+    clock = SteppedClock()
+    board = Bench(maker_firmware(), STRICT, clock)
+    monkeypatch.setitem(sys.modules, "hid", board.hid)
+    monkeypatch.setattr("drivers.clock.RealClock", lambda: clock)
+    monkeypatch.setattr("drivers.discovery.usb_devices", lambda: ([], []))
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    monkeypatch.setenv("PYLON_CAMEMU", "1")
+    monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)  # that of this computer
+    return tmp_path
+
+
+def characterised(folder: Path) -> Calibration:
+    """What a characterisation of the emulated rig would find without error."""
+    with Rig.load(folder / "rig_first.yaml") as rig:
+        assert isinstance(rig.fixture, EmulatedFixture)
+        simulation = rig.fixture.bench.optics_rig.simulation
+        assert isinstance(simulation, Arrangeable)
+        return simulation.studio().calibration(0.0)
+
+
+@pytest.mark.slow
+def test_each_command_prints_what_the_page_shows(desk: Path) -> None:
+    seen = 0
+    for command, shown in commands():
+        if "--calibration" in command:
+            characterised(desk).save(desk / "calibration.yaml")
+        program, *words = shlex.split(command)
+        assert program == "fpplab"
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, f"{command}\n{done.output}\n{done.exception}"
+        printed = done.stdout
+        for emulated, real in CAMERA.items():
+            printed = printed.replace(emulated, real)
+        print(f"$ {command}\n{printed}")
+        assert fits(shown, printed.splitlines()), f"{command} prints\n{printed}\nnot\n" + "\n".join(shown)
+        seen += 1
+    assert seen >= 8
+
+
+def test_the_page_names_every_step_of_the_check() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for step in ("link", "lamp", "one pulse", "ten pulses", "rate", "exposure", "focus"):
+        assert f"{step}: ok" in text
+    for picture in re.findall(r"\]\((first-day-\w+\.svg)\)", text):
+        assert (PAGE.parent / picture).is_file()
+
+
+def test_lines_are_compared() -> None:
+    """Numbers may differ, words may not, and lines are left out only where the page says so."""
+    assert fits(["a 1.5 ms", "b"], ["a 2 ms", "b"])
+    assert not fits(["a 1.5 ms"], ["a 1.5 s"])
+    assert not fits(["a"], ["a", "b"])
+    assert fits(["a", OMITTED], ["a", "b", "c"])
