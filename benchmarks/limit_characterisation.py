@@ -34,7 +34,9 @@ DOTS_UM = (0.0, 2.0, 5.0, 10.0, 40.0)
 POSES, SCALE = 12, 2e-4
 PAIR = RigidTransform.from_vectors(np.radians([4.0, 18.0, 1.0]), np.array([-80.0, 60.0, 15.0]))
 MOST_EXCESS, COVERED = 1.10, (0.93, 0.97)
-SEEDS, DRAWS = 8, 300
+SEEDS, DRAWS = 8, 1000
+"""Of 1000 draws the share covered has a standard error of 0.007: by chance it leaves `COVERED` once in 260
+times for each quantity; of 300 draws it did once in 9."""
 LEVEL = 0.95
 
 
@@ -367,7 +369,7 @@ def run() -> list[Result]:
             name = f"form_{setting.lens}_{setting.noise}_{setting.dots_um:g}um"
             results.append(below(name, found, "um", MOST_EXCESS * best))
             report(0.3 * (k + 1) / len(settings))
-        for name, share in share_covered(Case(), range(2000, 2000 + DRAWS)).items():
+        for name, share in share_covered(Case(), range(10_000, 10_000 + DRAWS)).items():
             results.append(above(f"coverage_{name}", share, "share", COVERED[0]))
             results.append(below(f"coverage_{name}_at_most", share, "share", COVERED[1]))
         report(1.0)

@@ -56,10 +56,13 @@ class MaskRules(Document):
 class FilterRules(Document):
     """What a measured point must satisfy to be kept (`fpplab.reconstruction.filtering`)."""
 
-    disagreement_max: Annotated[float, Field(ge=2)] = 4.0
-    """Greatest disagreement between the fringe sets, in units of what noise explains."""
+    disagreement_max: Annotated[float, Field(ge=2)] | None = 4.0
+    """Greatest disagreement between the fringe sets, in units of what noise explains; null where they may
+    disagree, as under stray light."""
     light_min: Annotated[float, Field(ge=0, lt=1)] = 0.9
-    """Least modulation of a point at an edge, as a share of that of the surface it continues."""
+    """Least modulation of a point at an edge, as a share of that of the surface it continues; 0 asks for none."""
+    flying: bool = True
+    """Whether points are removed that are across a jump in depth from most of the pixels around them."""
     patch_min: Annotated[int, Field(ge=1)] = 25
     """Least number of pixels of a connected region of the surface. A normal is computed from 25 pixels."""
 

@@ -1,6 +1,6 @@
 """Removal of points that lie on no surface: mixed pixels, shadow edges and isolated points.
 
-Their pixels pass every mask. A pixel at an edge receives light from more than one place; three rules detect
+Their pixels pass every mask. A pixel at an edge receives light from more than one place; four rules detect
 what follows from that:
 
 contradiction
@@ -15,6 +15,11 @@ half lit
     point, or is across a depth discontinuity. Ink has less modulation too, but no edge beside it.
 isolated
     A connected region of fewer than `patch_min` pixels is no surface: its fringe orders are wrong from noise.
+flying
+    A point between two surfaces is across a jump in depth from both: from more of the pixels around it than it
+    forms a surface with. On the edge of a surface most of the neighbours that have a point are of that surface.
+    A majority decides, so half of the usual allowance for noise is enough for each neighbour. A pixel without
+    neighbours is not judged by this rule.
 
 They are applied in this order, and what one has removed is an edge to the next. Depth discontinuities are
 those of `fpplab.clouds.pixelgrid`, so a steep surface is none. No rule uses the true shape.
@@ -36,7 +41,7 @@ from fpplab.clouds.selection import places_of
 from fpplab.core import buffers
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
-from fpplab.patterns.plan import FilterRules, Plan
+from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.phase.precision import coordinate_spread
 from fpplab.reconstruction.regions import mark_small_regions
@@ -46,6 +51,9 @@ REACH_PX = 3
 SIGNIFICANT = 5.0
 """Least significant loss of modulation, in standard deviations. The greatest of some forty neighbours
 is itself two or three standard deviations too great."""
+FLYING_NOISE = np.float32(0.5)
+"""Allowance for noise in a step to a neighbour where the majority of all decides, as a share of
+`fpplab.clouds.continuity.NOISE_SIGMAS`."""
 
 
 Removed = NDArray[np.uint8]
@@ -58,6 +66,7 @@ class Rule(IntEnum):
     CONTRADICTION = 1
     HALF_LIT = 2
     ISOLATED = 3
+    FLYING = 4
 
 
 def filtered(
@@ -95,8 +104,8 @@ def filtered(
         return decoded, cloud
     grid, removed = cloud.grid(), buffers.empty(decoded.u.shape, np.uint8)
     removed[:] = 0
-    if plan.order_vote is None and decoded.disagreement is not None:
-        limit = np.float32(_greatest_disagreement(decoded, rules))
+    if plan.order_vote is None and rules.disagreement_max is not None and decoded.disagreement is not None:
+        limit = np.float32(_greatest_disagreement(decoded, rules.disagreement_max))
         _contradictory(decoded.disagreement, limit, grid.w, removed)
     across, down = _links(grid)
     phase_error = decoded.sigma_phase_error
@@ -109,6 +118,9 @@ def filtered(
     _erase(grid.w, removed)
     mark_small_regions(grid.w, across, down, rules.patch_min, removed, Rule.ISOLATED)
     _erase(grid.w, removed)
+    if rules.flying:
+        _flying(grid.a, grid.b, grid.w, grid.noise, removed)
+        _erase(grid.w, removed)
     kept = buffers.empty(grid.count, np.bool_)
     _keep(grid.index, grid.w, kept)
     if not kept.any():
@@ -132,7 +144,7 @@ def removal(decoded: Decoded) -> dict[str, int | float] | None:
     Returns
     -------
     dict[str, int | float] or None
-        Number of points by rule (`contradiction`, `half_lit`, `isolated`) and `share`, their sum relative
+        Number of points by rule (`contradiction`, `half_lit`, `isolated`, `flying`) and `share`, their sum relative
         to the number of valid pixels; None when no filter was applied.
     """
     if decoded.removed is None:
@@ -141,13 +153,13 @@ def removal(decoded: Decoded) -> dict[str, int | float] | None:
     return {**counts, "share": sum(counts.values()) / int(np.count_nonzero(decoded.valid))}
 
 
-def _greatest_disagreement(decoded: Decoded, rules: FilterRules) -> float:
+def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
     """Return the disagreement beyond which sets contradict one another.
 
     Where a typical pixel's sets disagree, noise is not the limit (a response that is not linearised,
     interreflections), and pixels are judged relative to the typical one.
     """
-    return rules.disagreement_max * max(1.0, decoded.typical_disagreement)
+    return by_noise * max(1.0, decoded.typical_disagreement)
 
 
 def _phase_noise_per_px(plan: Plan, projector_size: tuple[int, int]) -> float:
@@ -226,6 +238,31 @@ def _half_lit(
             noisy = SIGNIFICANT * own * total * phase_per_px
             if own < light_min * full and full - own > noisy:
                 removed[v, u] = Rule.HALF_LIT.value
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _flying(a: Map, b: Map, w: Map, noise: Map, removed: Removed) -> None:
+    """Mark pixels that see another surface than most of the pixels around them that have a point."""
+    height, width = w.shape
+    for v in prange(height):
+        for u in range(width):
+            if np.isnan(w[v, u]):
+                continue
+            majority = 0
+            for y in range(max(v - 1, 0), min(v + 2, height)):
+                for x in range(max(u - 1, 0), min(u + 2, width)):
+                    if np.isnan(w[y, x]) or (y == v and x == u):
+                        continue
+                    joined = is_continuous(
+                        a[y, x] - a[v, u],
+                        b[y, x] - b[v, u],
+                        w[y, x] - w[v, u],
+                        min(w[v, u], w[y, x]),
+                        FLYING_NOISE * (noise[v, u] + noise[y, x]),
+                    )
+                    majority += 1 if joined else -1
+            if majority < 0:
+                removed[v, u] = Rule.FLYING.value
 
 
 @njit(parallel=True, cache=True)

@@ -150,12 +150,62 @@ def test_loss_of_light_that_noise_explains_is_none() -> None:
     assert np.count_nonzero(removed[:, EDGE - 1] == Rule.HALF_LIT) <= 0.05 * H
 
 
+FLYING = FilterRules(disagreement_max=None, light_min=0.0, patch_min=1)
+
+
+def between_two_planes(seed: int = 0) -> tuple[Decoded, Cloud]:
+    """Along the edge of the near plane pixels see both: fringes of 114 px give one coordinate between them."""
+    coarse = Plan(fringes=tuple(Sinusoid(axis="x", stripes=s, steps=6) for s in (1.0, 8.0)))
+    share = np.where(U < EDGE, 1.0, 0.0)
+    share[:, EDGE] = np.linspace(0.2, 0.8, H)
+    return measured(
+        coarse, frames(coarse, Light(plane(NEAR), share), Light(plane(FAR), 1.0 - share), seed=seed)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_between_two_surfaces_are_removed_without_a_look_at_their_light(seed: int) -> None:
+    """A pixel that is joined with those above and below it only, six are across a jump; edges stay whole."""
+    decoded, cloud = between_two_planes(seed)
+    between = (cloud.points[:, 2] > NEAR + 5.0) & (cloud.points[:, 2] < FAR - 5.0)
+    assert between.sum() > 0.4 * H
+    decoded, cloud = filtered(decoded, cloud, plan(filter=FLYING), RIG.projector.size)
+    between = (cloud.points[:, 2] > NEAR + 5.0) & (cloud.points[:, 2] < FAR - 5.0)
+    assert not between.any()
+    assert decoded.removed is not None
+    assert not decoded.removed[U != EDGE].any()
+    assert set(np.unique(decoded.removed)) == {0, Rule.FLYING}
+
+
+@pytest.mark.parametrize("across", [0.0, 4.0])
+def test_noise_alone_makes_no_point_fly(across: float) -> None:
+    """Steps from pixel to pixel of 3 mm, more than the steepest surface has, are noise here."""
+    coarse = plan(filter=FLYING).model_copy(update={"fringes": (Sinusoid(axis="x", stripes=0.9, steps=6),)})
+    images = frames(coarse, Light(plane(NEAR, across), np.full((H, W), 0.5)))
+    _, cloud = measured(coarse, images)
+    assert cloud.sigma_noise_mm is not None
+    assert np.median(cloud.sigma_noise_mm) > 2.0
+    assert np.count_nonzero(removed_from(coarse, images)) <= 1e-3 * W * H
+
+
+def test_the_rule_of_flying_points_can_be_left_out() -> None:
+    decoded, _ = filtered(
+        *between_two_planes(),
+        plan(filter=FLYING.model_copy(update={"flying": False})),
+        RIG.projector.size,
+    )
+    assert decoded.removed is not None
+    assert not decoded.removed.any()
+
+
 @pytest.mark.parametrize(("side", "kept"), [(1, False), (4, False), (5, True)])
 def test_patches_are_kept_from_twenty_five_pixels_on(side: int, kept: bool) -> None:
     decoded, _ = measured(plan(), frames(plan(), Light(plane(NEAR), np.ones((H, W)))))
     stray = (slice(40, 40 + side), slice(50, 50 + side))
     decoded.u[stray] += 912.0 / 64.0
-    result, cloud = filtered(decoded, triangulate(decoded, RIG, normals=False), plan(), RIG.projector.size)
+    # Corners of the patch of 25 would be flying points: most of their neighbours are of the plane.
+    rules = plan(filter=FilterRules(flying=False))
+    result, cloud = filtered(decoded, triangulate(decoded, RIG, normals=False), rules, RIG.projector.size)
     assert result.removed is not None
     assert (result.removed[stray] == (0 if kept else Rule.ISOLATED)).all()
     assert np.count_nonzero(result.removed) == (0 if kept else side**2)
@@ -220,7 +270,7 @@ def test_points_that_stay_keep_what_is_known_of_them() -> None:
     assert kept.normals is not None
     # Beside the strays, whose depth would have spoilt them.
     np.testing.assert_allclose(kept.normals, [[0.0, 0.0, -1.0]] * len(kept), atol=0.2)
-    assert removal(result) == {"contradiction": 0, "half_lit": 0, "isolated": 4, "share": 4 / (W * H)}
+    assert removal(result) == {"contradiction": 0, "half_lit": 0, "isolated": 4, "flying": 0, "share": 4 / (W * H)}
 
 
 def test_maps_keep_disagreement_and_removal_on_disk(tmp_path: Path) -> None:
