@@ -573,7 +573,14 @@ def scan(
 
 
 def take_poses(
-    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = no_progress
+    rig: Rig,
+    plan: Plan,
+    item: str,
+    poses: int,
+    folder: Path,
+    force: bool,
+    progress: Progress = no_progress,
+    observe_frame: FrameObserver = ignore,
 ) -> list[Session]:
     """Take one session for each pose of a target that the rig's fixture holds.
 
@@ -593,6 +600,8 @@ def take_poses(
         Whether poses taken before are taken again; they are kept otherwise.
     progress : callable
         Told the share done, 0 … 1.
+    observe_frame : callable
+        Given every frame once it is on disk.
 
     Returns
     -------
@@ -616,6 +625,7 @@ def take_poses(
             force=force,
             complete_too=True,
             progress=lambda share: progress((pose + share) / poses),
+            observe_frame=observe_frame,
         )
 
     return [one(pose) for pose in range(poses)]
@@ -776,7 +786,11 @@ def observe_session(session: Session, target: Target, periods: tuple[float, floa
 
 
 def measure_response(
-    rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = no_progress
+    rig: Rig,
+    exposure_s: float,
+    greys: GreyLevels | None = None,
+    progress: Progress = no_progress,
+    observe_frame: Callable[[int, Frame], object] = lambda level, frame: None,
 ) -> tuple[Response, Floats]:
     """Show uniform grey-level images and fit the response.
 
@@ -793,6 +807,8 @@ def measure_response(
         How many levels, how often.
     progress : callable
         Told the share done, 0 … 1.
+    observe_frame : callable
+        Given every grey level that was shown, 0 … 255, with its frame.
 
     Returns
     -------
@@ -818,6 +834,7 @@ def measure_response(
         with closing(expose(rig, [patterns[i] for i in order], settings)) as shots:
             for done, (i, frame) in enumerate(zip(order, shots, strict=True), 1):
                 seen[repeat, i] = statistics(frame.image, frame.settings.bits)
+                observe_frame(wanted.shown[i], frame)
                 progress((repeat + done / len(patterns)) / wanted.repeats)
     response = fit_greys(
         GreyLevelImages(

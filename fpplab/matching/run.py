@@ -206,6 +206,7 @@ def match_sessions(
     *,
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
+    prepared: Callable[[Reference], object] = ignore,
 ) -> MatchingResult:
     """Match the twin to recorded sessions of a board, and save it.
 
@@ -227,6 +228,8 @@ def match_sessions(
         Told the share that is done.
     observe : EpochObserver
         Given every epoch as it ends.
+    prepared : callable
+        Given what the twin is matched to, before the first epoch.
 
     Returns
     -------
@@ -248,6 +251,7 @@ def match_sessions(
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
     plausibility.check_geometry(found.calibration, nominal.calibration)
     reference = Reference.of(sessions, target, found, request.response)
+    prepared(reference)
     nominal = request.start(with_reference_geometry(nominal, found))
     twin.become(nominal)
     gamma = None
