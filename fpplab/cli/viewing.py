@@ -12,10 +12,10 @@ from fpplab.cli import console
 
 if TYPE_CHECKING:
     from fpplab.viewer.server import Shown
-    from fpplab.viewer.view import View
+    from fpplab.viewer.view import CommandView
     from fpplab.viewer.viewer import Viewer
 
-    V = TypeVar("V", bound=View)
+    V = TypeVar("V", bound=CommandView)
 else:
     V = TypeVar("V")
 

@@ -24,7 +24,7 @@ class Opening:
     Attributes
     ----------
     view : type
-        Subclass of `View`.
+        Subclass of `CommandView`.
     shown : str or None
         Where it is shown; None, and it is recorded alone.
     keep : Path or None

@@ -25,7 +25,7 @@ from fpplab.patterns.fringes import Pattern
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import eight_bits, shown_step, subsampled
 from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, REACH, show_devices
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 SATURATED, DARK = (255, 48, 32), (24, 60, 150)
@@ -163,7 +163,7 @@ class LiveSnapshot:
     words: str
 
 
-class LiveView(View):
+class LiveView(CommandView):
     """The image large, pattern or scene and histogram below it, and the measures at the side."""
 
     def begin(self) -> None:

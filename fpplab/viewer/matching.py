@@ -15,7 +15,7 @@ from fpplab.viewer import layouts
 from fpplab.viewer.canvas import subsampled
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.measurement import show_devices
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 CURVES = {
@@ -29,7 +29,7 @@ CURVES = {
 """By the key of an epoch's figures: the curve's name and RGB."""
 
 
-class MatchingView(View):
+class MatchingView(CommandView):
     """Images on the left, curves on the right; the timeline is `epoch`."""
 
     def begin(self) -> None:

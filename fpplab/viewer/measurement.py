@@ -31,7 +31,7 @@ from fpplab.report.figures import error_limit
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import Canvas, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 MIN_MODULATION = 2.0
@@ -110,7 +110,7 @@ class _Known:
     frames: dict[int, NDArray[np.generic]] = field(default_factory=dict)
 
 
-class MeasurementView(View):
+class MeasurementView(CommandView):
     """Images and maps on the right; on the left the part, in several colourings, and the rig."""
 
     def begin(self) -> None:

@@ -10,10 +10,10 @@ from fpplab.report.response_figures import response_fit
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import eight_bits
 from fpplab.viewer.measurement import ShownFrame
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 
 
-class ResponseView(View):
+class ResponseView(CommandView):
     """The camera's image on the left, levels and fit on the right; the timeline is `frame`."""
 
     def begin(self) -> None:

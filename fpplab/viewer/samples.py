@@ -13,7 +13,7 @@ from fpplab.dataset.making import SampleObserver
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import subsampled
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
 SHOWN = {
@@ -25,7 +25,7 @@ SHOWN = {
 """By field: quantity, unit and colours of the map."""
 
 
-class SampleView(View):
+class SampleView(CommandView):
     """Maps of the latest sample; the timeline is `sample`."""
 
     def begin(self) -> None:

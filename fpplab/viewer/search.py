@@ -10,7 +10,7 @@ from fpplab.optimisation.candidate_runner import SearchEpoch
 from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
 from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
 from fpplab.viewer import layouts
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 
 CURVES = {
     "surface_smcd_um": "mean distance to the surface in µm",
@@ -21,7 +21,7 @@ CURVES = {
 """Figures of the best candidate that are curves, and their names."""
 
 
-class SearchView(View):
+class SearchView(CommandView):
     """The front on the left, the optimum and curves on the right; the timeline is `epoch`."""
 
     def begin(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fpplab.viewer.canvas import Canvas
 
 
-class View:
+class CommandView:
     """What one command shows; its methods draw on the canvas.
 
     Parameters

@@ -22,7 +22,7 @@ from fpplab.core.progress import ignore
 from fpplab.viewer.channel import WAITING, Opening, write_message
 from fpplab.viewer.outbox import Message, Outbox
 from fpplab.viewer.server import OWN_GROUP, Shown
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 
 FINISH_S = 15.0
 """Time in s in which what waits is drawn and the recording written when the work is done."""
@@ -31,7 +31,7 @@ HURRY_S = 3.0
 """The same where what waits is left out."""
 
 log = logging.getLogger("fpplab")
-V = TypeVar("V", bound=View)
+V = TypeVar("V", bound=CommandView)
 Arguments = TypeVarTuple("Arguments")
 
 

@@ -1,4 +1,4 @@
-"""A headless Chromium, driven through the pipe of its debugging protocol; it logs what it asks of the network."""
+"""A headless Chromium, driven through its debugging pipe; it logs what it asks of the network."""
 
 from __future__ import annotations
 

@@ -338,7 +338,7 @@ def test_a_full_queue_drops_images_and_never_waits() -> None:
 MEASURING = """
 import sys, time
 from pathlib import Path
-from fpplab.viewer.view import View
+from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 from tests.viewer.test_viewer import MeasurementView, calibration
 viewer = Viewer(MeasurementView, "browser", Path(sys.argv[1]), lambda where: print(where, flush=True))
