@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Image, Map
+from fpplab.core.conventions import Floats, Image, Map
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.viewer.colours import ColourScale
 
@@ -25,8 +25,11 @@ SHOWN_POINTS = 300_000
 RECORDING_BYTES = 128 * 2**20
 """Size of a recording beyond which no more pictures of single moments go into it."""
 BACKGROUND = (38, 41, 46)
-AROUND = 1.4
-"""Pyramids of sight are that much longer in what a view opens on, which counts points alone."""
+REACH = "world/reach"
+"""Entity of unseen points, which scenes of the rig contain so that they open on all of it."""
+OPENS_WIDE = 1.45
+"""Size of what such a scene counts, over the size of what is in it: rerun looks from 1.5 half diagonals away
+at an angle of 55 degrees, which would cut off a third."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -54,6 +57,7 @@ class Canvas:
         if self._kept and file:
             self._kept.save(file)
         self._bytes = 0
+        self._there: dict[str, Floats] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -161,15 +165,9 @@ class Canvas:
         """
         import rerun as rr
 
-        shown = scale.colours_of(subsampled(values))
-        self._bytes += shown.nbytes
-        self.log(entity, rr.Image(shown), static=static, bulky=not static)
-        bar, (height, width) = scale.bar(), shown.shape[:2]
-        stretch = width / bar.shape[1]
-        down = height + 0.15 * stretch * bar.shape[0]
-        place = rr.Transform3D(translation=(0.0, down, 0.0), scale=(stretch, stretch, 1.0))
-        self.log(f"{entity}/bar", place, static=static)
-        self.log(f"{entity}/bar", rr.Image(bar), static=static)
+        sheet = scale.above_its_bar(subsampled(values))
+        self._bytes += sheet.nbytes
+        self.log(entity, rr.Image(sheet), static=static, bulky=not static)
 
     def figure(self, entity: str, png: bytes, *, static: bool = False) -> None:
         """Show a drawn figure.
@@ -304,9 +302,25 @@ class Canvas:
         self.log(entity, model, static=True)
         corners = np.array([[x, y] for x in (0, device.size[0]) for y in (0, device.size[1])], np.float64)
         rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(device.matrix).T
-        reached = T_world_device.apply(np.vstack([np.zeros(3), AROUND * reach_mm * rays]))
-        unseen = np.full((5, 3), BACKGROUND, np.uint8)
-        self.cloud(f"world/reach/{Path(entity).name}", reached, unseen)
+        self.open_on(entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
+
+    def open_on(self, name: str, points: NDArray[np.floating[Any]]) -> None:
+        """Have scenes of the rig open on these points, and on what else was named so.
+
+        Parameters
+        ----------
+        name : str
+            Of what is there; given again, it replaces what was.
+        points : NDArray of float
+            (N, 3) in mm; the outermost half percent does not count.
+        """
+        if not len(points):
+            return
+        self._there[name] = np.percentile(points, (0.5, 99.5), axis=0)
+        ends = np.concatenate(list(self._there.values()))
+        middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
+        half = OPENS_WIDE * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
+        self.cloud(REACH, middle + half * np.array([[-1.0], [1.0]]), np.full((2, 3), BACKGROUND, np.uint8))
 
     def directions(self, entity: str) -> None:
         """Say that x points right, y down and z forward, as in the camera's frame.

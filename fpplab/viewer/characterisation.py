@@ -10,8 +10,9 @@ import numpy as np
 from fpplab.characterisation import Characterisation
 from fpplab.report.figures import residuals_figure
 from fpplab.viewer import layouts
+from fpplab.viewer.canvas import REACH
 from fpplab.viewer.colours import ColourScale
-from fpplab.viewer.measurement import CAMERA, PROJECTOR, REACH, Colouring, MeasurementView
+from fpplab.viewer.measurement import CAMERA, PROJECTOR, Colouring, MeasurementView
 
 BOARDS = "world/boards"
 
@@ -34,7 +35,7 @@ class CharacterisationView(MeasurementView):
         """
         import rerun.blueprint as rrb
 
-        devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}/**"]
+        devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}"]
         rig = layouts.scene("Rig and boards", [*devices, f"/{BOARDS}"])
         boards = layouts.scene("Boards", [f"/{BOARDS}"])
         tabs = [layouts.with_bar(one, f"/bars/{BOARDS}", one.name) for one in (rig, boards)]
@@ -75,6 +76,7 @@ class CharacterisationView(MeasurementView):
             "Reprojection error in the camera", "px", "magma", 0.0, float(np.percentile(error, 98))
         )
         self.canvas.cloud(BOARDS, np.concatenate(points), scale.colours_of(error))
+        self.canvas.open_on(BOARDS, np.concatenate(points))
         self.canvas.bar(f"bars/{BOARDS}", scale)
         both = (
             ("camera", [o.camera_px for o in found.observations], found.camera_residuals),

@@ -84,6 +84,27 @@ class ColourScale:
         rgb[~known] = UNMEASURED
         return rgb
 
+    def above_its_bar(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+        """Give the colours of a map, with the colour bar beneath it.
+
+        Parameters
+        ----------
+        values : NDArray of float
+            (h, w).
+
+        Returns
+        -------
+        NDArray of uint8
+            RGB, at least as wide as the colour bar: a smaller map is drawn with larger pixels.
+        """
+        shown = self.colours_of(values)
+        larger = -(-BAR_SIZE[0] // shown.shape[1])
+        shown = shown.repeat(larger, axis=0).repeat(larger, axis=1)
+        bar = Pixels.fromarray(self.bar())
+        across = shown.shape[1]
+        bar = bar.resize((across, round(bar.height * across / bar.width)), Pixels.Resampling.BILINEAR)
+        return np.concatenate([shown, np.asarray(bar)])
+
     def bar(self) -> NDArray[np.uint8]:
         """Draw the colour bar, with numbers, quantity and unit.
 

@@ -23,8 +23,8 @@ from fpplab.live.regions import REGIONS
 from fpplab.live.status import LiveStatus
 from fpplab.patterns.fringes import Pattern
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import eight_bits, shown_step, subsampled
-from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, REACH, show_devices
+from fpplab.viewer.canvas import REACH, eight_bits, shown_step, subsampled
+from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices
 from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
 
@@ -222,7 +222,7 @@ class LiveView(CommandView):
         self.canvas.directions("world")
         show_devices(self.canvas, geometry.calibration)
         self._draw_overlap(geometry, distance_mm)
-        contents = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}/**", "/world/overlap", "/world/working"]
+        contents = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}", "/world/overlap", "/world/working"]
         scene = layouts.scene("Scene: overlap green, working distance yellow", contents)
         self.canvas.layout(self.arrangement(scene))
 
@@ -235,6 +235,8 @@ class LiveView(CommandView):
         strips = [one for one in outlines if len(one)]
         overlap = rr.LineStrips3D(strips, colors=OVERLAP_COLOUR, radii=rr.Radius.ui_points(1.0))
         self.canvas.log("world/overlap", overlap, static=True)
+        if strips:
+            self.canvas.open_on("overlap", np.concatenate(strips))
         if distance_mm is not None and len(here := geometry.outline(distance_mm)):
             working = rr.LineStrips3D([here], colors=WORKING_COLOUR, radii=rr.Radius.ui_points(2.0))
             self.canvas.log("world/working", working, static=True)

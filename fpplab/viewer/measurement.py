@@ -29,7 +29,7 @@ from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.report.figures import error_limit
 from fpplab.viewer import layouts
-from fpplab.viewer.canvas import Canvas, eight_bits, subsampled
+from fpplab.viewer.canvas import REACH, Canvas, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
@@ -38,7 +38,7 @@ MIN_MODULATION = 2.0
 """Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
 LEAST_RISK, GREATEST_RISK = -12.0, -3.0
 """Decimal logarithms of the probabilities at the ends of the colour bar of the order risk."""
-CAMERA, PROJECTOR, CLOUD, REACH = "world/camera", "world/projector", "world/cloud", "world/reach"
+CAMERA, PROJECTOR, CLOUD = "world/camera", "world/projector", "world/cloud"
 IMAGE, PATTERN = f"{CAMERA}/image", f"{PROJECTOR}/pattern"
 
 
@@ -159,7 +159,7 @@ class MeasurementView(CommandView):
             layouts.with_bar(layouts.scene(one.name, [f"/{one.entity}"]), f"/bars/{one.entity}", one.name)
             for one in colourings
         ]
-        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH}/**"])
+        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH}"])
         part = layouts.scene("Part", [f"/{CLOUD}"])
         if not colourings:
             return rrb.Tabs(rig, part, active_tab=0, name="Scene")
@@ -305,6 +305,7 @@ class MeasurementView(CommandView):
         else:
             colours = depth_scale(cloud).colours_of(cloud.points[:, 2])
         self.canvas.cloud(CLOUD, cloud.points, colours)
+        self.canvas.open_on(CLOUD, cloud.points)
 
     def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
         """Order risk of every point, where plan and pixels are known."""

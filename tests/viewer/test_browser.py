@@ -14,8 +14,9 @@ from fpplab.matching.record import MatchingEpoch, ParametersFile
 from fpplab.optimisation.scope import SearchScope
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.viewer import host
-from fpplab.viewer.canvas import Canvas
+from fpplab.viewer.canvas import BACKGROUND, Canvas
 from fpplab.viewer.matching import CURVES, MatchingView
+from fpplab.viewer.measurement import MeasurementView
 from fpplab.viewer.recorded import view_session
 from fpplab.viewer.search import SearchView
 from fpplab.viewer.server import ViewerServer
@@ -26,6 +27,8 @@ from tests.viewer.test_viewer import MIRRORS, PLAN, calibration, cloud, decoded,
 
 pytestmark = pytest.mark.slow
 WINDOW = (1600, 1000)
+SCENE = (slice(80, 962), slice(0, 886))
+"""Rows and columns of the scene of a measurement in that window."""
 FILLED = {"session": 3500, "match": 4000, "search": 2500}
 """Least number of colours of the page. Layouts without data were measured to have 1,500 to 1,600, filled ones
 6,021, 7,234 and 3,784."""
@@ -69,6 +72,13 @@ def a_search(path: Path, folder: Path) -> None:
         searched(SearchScope.BASELINE, wanted, folder / "p.yaml", observe=SearchView(canvas).epoch)
 
 
+def a_rig(path: Path, folder: Path) -> None:
+    with Canvas(file=path) as canvas:
+        view = MeasurementView(canvas)
+        view.calibration(calibration())
+        view.cloud(cloud())
+
+
 def nothing(path: Path, folder: Path) -> None:
     with Canvas(file=path) as canvas:
         MatchingView(canvas)
@@ -92,6 +102,23 @@ def test_views_are_filled_and_nothing_but_this_computer_is_reached(what: str, tm
         assert hosts(browser.log) == {"127.0.0.1"}
         # The compiled viewer did try to send usage statistics; the policy kept that from the network.
         assert any("violates the following Content Security Policy" in words for words in said)
+    finally:
+        server.stop()
+
+
+def test_both_devices_are_whole_in_the_scene_of_the_rig(tmp_path: Path) -> None:
+    a_rig(tmp_path / "view.rrd", tmp_path)
+    server = ViewerServer("browser", [tmp_path / "view.rrd"])
+    try:
+        with chromium(tmp_path, *SOFTWARE_WEBGL) as browser:
+            browser.open(server.page, *WINDOW)
+            seen = browser.settled_picture(tmp_path / "rig.png", 500)
+        scene = seen[SCENE].astype(np.int64)
+        drawn = np.argwhere(np.abs(scene - np.array(BACKGROUND)).max(axis=2) > 40)
+        size, (first, last) = np.array(scene.shape[:2]), (drawn.min(axis=0), drawn.max(axis=0))
+        assert (first > 3).all()
+        assert (last < size - 4).all()
+        assert ((last - first) / size).max() > 0.5
     finally:
         server.stop()
 

@@ -37,7 +37,7 @@ from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer import server as servers
 from fpplab.viewer.canvas import Canvas
-from fpplab.viewer.colours import UNMEASURED
+from fpplab.viewer.colours import BAR_SIZE, UNMEASURED
 from fpplab.viewer.matching import MatchingView
 from fpplab.viewer.measurement import MeasurementView, ShownFrame
 from fpplab.viewer.outbox import Message, Outbox
@@ -111,6 +111,11 @@ class Recording:
         data = np.array(self.value(entity, "ImageBuffer", row))
         return data.reshape(form["height"], form["width"], 3).astype(np.int64)
 
+    def map(self, entity: str, row: int | None = None) -> NDArray[np.int64]:
+        """A coloured map without its colour bar, at one pixel for each of its own."""
+        larger = -(-BAR_SIZE[0] // SIZE[0])
+        return self.rgb(entity, row)[: larger * SIZE[1] : larger, ::larger]
+
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
@@ -137,7 +142,7 @@ def test_every_frame_is_there_with_its_pattern(recording: Recording) -> None:
 def test_the_phase_follows_the_last_frame_of_each_set(recording: Recording) -> None:
     assert recording.frames("maps/phase") == [2, 6]
     # Six stripes over 90 mirrors: the phase, and so its colour, repeats every 15 pixels.
-    fine = recording.rgb("maps/phase", 1)
+    fine = recording.map("maps/phase", 1)
     assert np.abs(fine[:, 15:60] - fine[:, :45]).mean() < 6
     assert np.abs(fine[:, 7:52] - fine[:, :45]).mean() > 30
 
@@ -161,7 +166,7 @@ def test_devices_are_placed_by_the_calibration(recording: Recording) -> None:
 def test_results_are_logged_as_static(recording: Recording) -> None:
     points = np.array(recording.value("world/cloud", "Position3D"), np.float32)
     assert np.array_equal(points, cloud().points)
-    u = recording.rgb("maps/u")
+    u = recording.map("maps/u")
     assert np.array_equal(u[5, 5], UNMEASURED)
     assert not np.array_equal(u[20, 5], u[20, 60])
 
@@ -224,7 +229,7 @@ def test_a_session_is_shown_with_its_results(tmp_path: Path) -> None:
     found = Recording(tmp_path / "s.rrd")
     assert found.frames("world/projector/pattern") == list(range(7))
     assert len(found.value("world/cloud", "Position3D")) == 200
-    assert found.rgb("maps/modulation").shape == (48, 64, 3)
+    assert found.map("maps/modulation").shape == (48, 64, 3)
 
 
 def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> None:
