@@ -66,6 +66,7 @@ class AcceptanceView(MeasurementView):
         points = np.concatenate([one.points for one in features])
         self.canvas.cloud(shown.entity, points, scale.colours_of(errors_um))
         self.canvas.bar(f"bars/{shown.entity}", scale)
+        self.canvas.open_on("part", "world/cloud", points)
         rows = "\n".join(
             f"| {name} | {one.worst_um:.1f} | {one.mpe_um or '–'} | {VERDICTS[one.passed]} |"
             for name, one in found.judgements().items()

@@ -9,7 +9,7 @@ import math
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,10 @@ SHOWN_POINTS = 300_000
 RECORDING_BYTES = 128 * 2**20
 """Size of a recording beyond which no more pictures of single moments go into it."""
 BACKGROUND = (38, 41, 46)
-REACH = "world/reach"
-"""Entity of unseen points, which scenes of the rig contain so that they open on all of it."""
+Opened = Literal["rig", "part"]
+"""Scenes of the rig with all that is around it, and scenes of the part alone."""
+REACH: dict[Opened, str] = {"rig": "world/reach/rig", "part": "world/reach/part"}
+"""Entities of unseen points, which scenes contain so that they open on all that is to be seen in them."""
 OPENS_WIDE = 1.45
 """Size of what such a scene counts, over the size of what is in it: rerun looks from 1.5 half diagonals away
 at an angle of 55 degrees, which would cut off a third."""
@@ -57,7 +59,7 @@ class Canvas:
         if self._kept and file:
             self._kept.save(file)
         self._bytes = 0
-        self._there: dict[str, Floats] = {}
+        self._there: dict[Opened, dict[str, Floats]] = {"rig": {}, "part": {}}
 
     def __enter__(self) -> Self:
         return self
@@ -302,13 +304,15 @@ class Canvas:
         self.log(entity, model, static=True)
         corners = np.array([[x, y] for x in (0, device.size[0]) for y in (0, device.size[1])], np.float64)
         rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(device.matrix).T
-        self.open_on(entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
+        self.open_on("rig", entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
 
-    def open_on(self, name: str, points: NDArray[np.floating[Any]]) -> None:
-        """Have scenes of the rig open on these points, and on what else was named so.
+    def open_on(self, scene: Opened, name: str, points: NDArray[np.floating[Any]]) -> None:
+        """Have scenes open on these points, and on what else was named so.
 
         Parameters
         ----------
+        scene : str
+            Which ones.
         name : str
             Of what is there; given again, it replaces what was.
         points : NDArray of float
@@ -316,11 +320,12 @@ class Canvas:
         """
         if not len(points):
             return
-        self._there[name] = np.percentile(points, (0.5, 99.5), axis=0)
-        ends = np.concatenate(list(self._there.values()))
+        self._there[scene][name] = np.percentile(points, (0.5, 99.5), axis=0)
+        ends = np.concatenate(list(self._there[scene].values()))
         middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
         half = OPENS_WIDE * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
-        self.cloud(REACH, middle + half * np.array([[-1.0], [1.0]]), np.full((2, 3), BACKGROUND, np.uint8))
+        corners = middle + half * np.array([[-1.0], [1.0]])
+        self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
 
     def directions(self, entity: str) -> None:
         """Say that x points right, y down and z forward, as in the camera's frame.

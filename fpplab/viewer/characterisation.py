@@ -35,9 +35,9 @@ class CharacterisationView(MeasurementView):
         """
         import rerun.blueprint as rrb
 
-        devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}"]
+        devices = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH['rig']}"]
         rig = layouts.scene("Rig and boards", [*devices, f"/{BOARDS}"])
-        boards = layouts.scene("Boards", [f"/{BOARDS}"])
+        boards = layouts.scene("Boards", [f"/{BOARDS}", f"/{REACH['part']}"])
         tabs = [layouts.with_bar(one, f"/bars/{BOARDS}", one.name) for one in (rig, boards)]
         return rrb.Tabs(*tabs, active_tab=0, name="Scene")
 
@@ -76,7 +76,8 @@ class CharacterisationView(MeasurementView):
             "Reprojection error in the camera", "px", "magma", 0.0, float(np.percentile(error, 98))
         )
         self.canvas.cloud(BOARDS, np.concatenate(points), scale.colours_of(error))
-        self.canvas.open_on(BOARDS, np.concatenate(points))
+        self.canvas.open_on("rig", BOARDS, np.concatenate(points))
+        self.canvas.open_on("part", BOARDS, np.concatenate(points))
         self.canvas.bar(f"bars/{BOARDS}", scale)
         both = (
             ("camera", [o.camera_px for o in found.observations], found.camera_residuals),

@@ -40,7 +40,10 @@ CELL_PX = 40
 BINS = 64
 """Bins of the histogram."""
 
-MOST_HZ = 15.0
+MOST_WAITING = 3
+"""Frames that may wait to be drawn: what is shown of a set-up shall be new rather than whole."""
+
+MOST_HZ = 10.0
 """Most frames per s that are shown: a browser falls behind with more."""
 
 SLICES = 7
@@ -222,7 +225,13 @@ class LiveView(CommandView):
         self.canvas.directions("world")
         show_devices(self.canvas, geometry.calibration)
         self._draw_overlap(geometry, distance_mm)
-        contents = [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{REACH}", "/world/overlap", "/world/working"]
+        contents = [
+            f"/{CAMERA}/**",
+            f"/{PROJECTOR}/**",
+            f"/{REACH['rig']}",
+            "/world/overlap",
+            "/world/working",
+        ]
         scene = layouts.scene("Scene: overlap green, working distance yellow", contents)
         self.canvas.layout(self.arrangement(scene))
 
@@ -236,7 +245,7 @@ class LiveView(CommandView):
         overlap = rr.LineStrips3D(strips, colors=OVERLAP_COLOUR, radii=rr.Radius.ui_points(1.0))
         self.canvas.log("world/overlap", overlap, static=True)
         if strips:
-            self.canvas.open_on("overlap", np.concatenate(strips))
+            self.canvas.open_on("rig", "overlap", np.concatenate(strips))
         if distance_mm is not None and len(here := geometry.outline(distance_mm)):
             working = rr.LineStrips3D([here], colors=WORKING_COLOUR, radii=rr.Radius.ui_points(2.0))
             self.canvas.log("world/working", working, static=True)

@@ -73,7 +73,7 @@ class MatchingView(CommandView):
         show_devices(self.canvas, known.calibration)
         places = np.array([board.translation for board in known.poses])
         self.canvas.cloud("world/boards", places, np.full((len(places), 3), 220, np.uint8))
-        self.canvas.open_on("world/boards", places)
+        self.canvas.open_on("rig", "world/boards", places)
         if "loss_spread" in epoch.loss:
             self.canvas.figure("diagrams/loss", loss_curve(self._epochs))
         kept = "kept" if epoch.accepted else "taken back"

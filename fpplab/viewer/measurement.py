@@ -155,12 +155,15 @@ class MeasurementView(CommandView):
         """
         import rerun.blueprint as rrb
 
+        around = f"/{REACH['part']}"
         coloured = [
-            layouts.with_bar(layouts.scene(one.name, [f"/{one.entity}"]), f"/bars/{one.entity}", one.name)
+            layouts.with_bar(
+                layouts.scene(one.name, [f"/{one.entity}", around]), f"/bars/{one.entity}", one.name
+            )
             for one in colourings
         ]
-        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH}"])
-        part = layouts.scene("Part", [f"/{CLOUD}"])
+        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH['rig']}"])
+        part = layouts.scene("Part", [f"/{CLOUD}", around])
         if not colourings:
             return rrb.Tabs(rig, part, active_tab=0, name="Scene")
         first = 1 if colourings[0].name == "Error" else 0
@@ -305,7 +308,8 @@ class MeasurementView(CommandView):
         else:
             colours = depth_scale(cloud).colours_of(cloud.points[:, 2])
         self.canvas.cloud(CLOUD, cloud.points, colours)
-        self.canvas.open_on(CLOUD, cloud.points)
+        self.canvas.open_on("part", CLOUD, cloud.points)
+        self.canvas.open_on("rig", CLOUD, cloud.points)
 
     def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
         """Order risk of every point, where plan and pixels are known."""

@@ -20,7 +20,7 @@ from typing import Any, Generic, Self, TypeVar, TypeVarTuple
 
 from fpplab.core.progress import ignore
 from fpplab.viewer.channel import WAITING, Opening, write_message
-from fpplab.viewer.outbox import Message, Outbox
+from fpplab.viewer.outbox import MOST_WAITING, Message, Outbox
 from fpplab.viewer.server import OWN_GROUP, Shown
 from fpplab.viewer.view import CommandView
 
@@ -52,6 +52,8 @@ class Viewer(Generic[V]):
         Told the address or window once it is open, from another thread.
     complete : bool
         Whether everything is shown, even if that takes longer: nothing is measured meanwhile.
+    most_waiting : int
+        How much may wait to be drawn before something is left out.
 
     Attributes
     ----------
@@ -68,13 +70,14 @@ class Viewer(Generic[V]):
         keep: Path | None = None,
         announce: Callable[[str], object] = ignore,
         complete: bool = False,
+        most_waiting: int = MOST_WAITING,
     ) -> None:
         self.where = ""
         self.fault: str | None = None
         opening = Opening(view, shown, keep.absolute() if keep else None)
         self._opening = opening if shown or keep else None
         self._announce = announce
-        self._outbox = Outbox(waits=complete)
+        self._outbox = Outbox(most_waiting, waits=complete)
         self._thread: threading.Thread | None = None
         self._listener: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None

@@ -187,10 +187,11 @@ def _viewer(
     stack: ExitStack, wanted: bool, out: Path | None, working: WorkingPoint | None
 ) -> Viewer[LiveView]:
     """The viewer, once it is open: its page is part of the set-up's."""
-    from fpplab.viewer.live import LiveView
+    from fpplab.viewer.live import MOST_WAITING, LiveView
     from fpplab.viewer.viewer import Viewer
 
-    viewer = stack.enter_context(Viewer(LiveView, "anywhere" if wanted else None, out))
+    viewer = Viewer(LiveView, "anywhere" if wanted else None, out, most_waiting=MOST_WAITING)
+    stack.enter_context(viewer)
     viewer.wait_open()
     if working:
         viewer.show(LiveView.scene, working.geometry, working.distance_mm)
