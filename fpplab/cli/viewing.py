@@ -30,7 +30,7 @@ KeepOpen = Annotated[
 
 
 def open_viewer(
-    context: typer.Context, view: type[V], wanted: bool, keep_open: bool, recording: Path
+    context: typer.Context, view: type[V], wanted: bool, keep_open: bool, recording: Path | None
 ) -> Viewer[V]:
     """Make the viewer of a command; it is closed when the command has ended, after its answer.
 
@@ -44,8 +44,8 @@ def open_viewer(
         Whether `--view` was given; without, the viewer shows nothing.
     keep_open : bool
         Whether `--keep-open` was given, and the command waits until the operator closes the viewer.
-    recording : Path
-        Where the recording (.rrd) is left.
+    recording : Path or None
+        Where the recording (.rrd) is left, if anywhere.
 
     Returns
     -------

@@ -352,6 +352,7 @@ time.sleep(120)
 """
 
 
+@pytest.mark.slow
 def test_a_measurement_that_is_killed_leaves_no_process_and_its_recording(tmp_path: Path) -> None:
     kept = tmp_path / "view.rrd"
     command = [sys.executable, "-c", MEASURING, str(kept)]
