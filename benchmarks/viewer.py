@@ -26,7 +26,7 @@ from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take
 from sim.world import World
 
-ROUNDS = 5
+ROUNDS = 3
 MOST = 1.05
 """Greatest time of a scan with its viewer, over that of the same scan without."""
 WORLD = "world_demo.yaml"
@@ -83,7 +83,7 @@ def _round(words: list[str], folder: Path) -> dict[str, float]:
 
 
 def _scanned(words: list[str], out: Path, kill: bool = False) -> float:
-    """Seconds of one scan; its viewer is killed once its page is announced, if that is wanted."""
+    """Seconds of one scan; its viewer is killed once all frames are taken, if that is wanted."""
     started = time.perf_counter()
     with subprocess.Popen(
         [*words, "--out", str(out)],
@@ -106,10 +106,10 @@ def _scanned(words: list[str], out: Path, kill: bool = False) -> float:
 
 
 def _follow(program: subprocess.Popen[str], kill: bool, killed: threading.Event) -> None:
-    """Read what the scan says; kill what draws once the page is there."""
+    """Read what the scan says; kill what draws once all frames are taken."""
     assert program.stderr is not None
     for line in program.stderr:
-        if kill and line.startswith("Watch it at"):
+        if kill and line.startswith("Reconstructing") and not killed.is_set():
             for child in psutil.Process(program.pid).children():
                 child.kill()
                 killed.set()

@@ -22,8 +22,8 @@ from fpplab.core.errors import DeviceError
 from fpplab.viewer.channel import WAITING, Opening, read_message
 from fpplab.viewer.server import ViewerServer, open_server
 
-NICE = 19
-"""Added to the process' niceness: whatever it draws, the measurement comes first."""
+NICE = 10
+"""Added to the process' niceness: the measurement comes first, with a tenth for what is drawn of it."""
 
 
 def serve() -> None:
