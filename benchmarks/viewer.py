@@ -2,7 +2,8 @@
 
 Whole commands, timed from their start to their end: `fpplab scan` from a recorded session, whose frames come
 as fast as they are read. That is the hardest case: with an instrument the same viewer has the time of the
-exposures too. Each round runs all kinds in turn; the ratio is the median over the rounds.
+exposures too. Each round runs all kinds in turn, and the fastest of each kind counts, since whatever else the
+computer does only adds time. The processor time is that of the measuring process alone.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from statistics import median
 
 import psutil
 
@@ -30,6 +30,10 @@ ROUNDS = 3
 MOST = 1.05
 """Greatest time of a scan with its viewer, over that of the same scan without."""
 WORLD = "world_demo.yaml"
+KINDS = ("plain", "viewer", "killed viewer")
+
+Times = dict[str, float]
+"""Seconds by what they are."""
 
 
 def run() -> list[Result]:
@@ -38,7 +42,7 @@ def run() -> list[Result]:
     Returns
     -------
     list of Result
-        Seconds with the viewer beside those without, and the share beside the greatest allowed one.
+        Seconds with the viewer beside those without, and the greatest allowed share over the one taken.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -46,11 +50,16 @@ def run() -> list[Result]:
         _scanned(words, folder / "first")  # compiles what is compiled once
         rounds = [_round(words, folder / f"round_{k}") for k in range(ROUNDS)]
     found = []
-    plain = median(one["plain"] for one in rounds)
-    for kind in ("viewer", "killed viewer"):
-        share = median(one[kind] / one["plain"] for one in rounds)
-        found.append(Result(f"scan, {kind}", plain * share, "s", plain, 1.0 / share))
-        found.append(above(f"scan, {kind}: allowed over taken time", MOST / share, "", 1.0))
+    for what, unit in (("wall time", "s"), ("own processor time", "s")):
+        least = {kind: min(one[kind][what] for one in rounds) for kind in KINDS}
+        for kind in KINDS[1:]:
+            share = least[kind] / least["plain"]
+            found.append(
+                Result(
+                    f"scan, {kind}, {what}", least[kind], unit, least["plain"], least["plain"] / least[kind]
+                )
+            )
+            found.append(above(f"scan, {kind}, {what}: allowed over taken", MOST / share, "", 1.0))
     return found
 
 
@@ -72,7 +81,7 @@ def _prepared(folder: Path) -> list[str]:
     return [*command, "--calibration", str(folder / "calibration.yaml")]
 
 
-def _round(words: list[str], folder: Path) -> dict[str, float]:
+def _round(words: list[str], folder: Path) -> dict[str, Times]:
     """Seconds of each kind of scan."""
     folder.mkdir()
     return {
@@ -82,7 +91,7 @@ def _round(words: list[str], folder: Path) -> dict[str, float]:
     }
 
 
-def _scanned(words: list[str], out: Path, kill: bool = False) -> float:
+def _scanned(words: list[str], out: Path, kill: bool = False) -> Times:
     """Seconds of one scan; its viewer is killed once all frames are taken, if that is wanted."""
     started = time.perf_counter()
     with subprocess.Popen(
@@ -95,14 +104,16 @@ def _scanned(words: list[str], out: Path, kill: bool = False) -> float:
         killed = threading.Event()
         reader = threading.Thread(target=_follow, args=(program, kill, killed))
         reader.start()
-        code = program.wait()
+        os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOWAIT)
         seconds = time.perf_counter() - started
+        own = psutil.Process(program.pid).cpu_times()  # known until it is waited for
+        code = program.wait()
         reader.join()
     if code != 0 or (kill and not killed.is_set()):
         raise RuntimeError(
             f"the scan ended with {code}, its viewer {'' if killed.is_set() else 'not '}killed"
         )
-    return seconds
+    return {"wall time": seconds, "own processor time": own.user + own.system}
 
 
 def _follow(program: subprocess.Popen[str], kill: bool, killed: threading.Event) -> None:

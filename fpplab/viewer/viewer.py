@@ -24,7 +24,7 @@ from fpplab.viewer.outbox import MOST_WAITING, Message, Outbox
 from fpplab.viewer.server import OWN_GROUP, Shown
 from fpplab.viewer.view import CommandView
 
-FINISH_S = 15.0
+FINISH_S = 30.0
 """Time in s in which what waits is drawn and the recording written when the work is done."""
 
 HURRY_S = 3.0

@@ -135,11 +135,10 @@ def test_a_page_that_is_closed_ends_the_command(
 
 
 WINDOW = """
-import sys, time
+import sys
 from pathlib import Path
-from fpplab.viewer.recorded import view_recording
 from fpplab.viewer.viewer import Viewer
-from fpplab.viewer.response import ResponseView, Response
+from fpplab.viewer.response import ResponseView
 viewer = Viewer(ResponseView, keep=Path(sys.argv[1]))
 viewer.wait_open()
 print(viewer.where, flush=True)
