@@ -54,11 +54,7 @@ def run() -> list[Result]:
         least = {kind: min(one[kind][what] for one in rounds) for kind in KINDS}
         for kind in KINDS[1:]:
             share = least[kind] / least["plain"]
-            found.append(
-                Result(
-                    f"scan, {kind}, {what}", least[kind], unit, least["plain"], least["plain"] / least[kind]
-                )
-            )
+            found.append(Result(f"scan, {kind}, {what}", least[kind], unit, least["plain"], 1.0 / share))
             found.append(above(f"scan, {kind}, {what}: allowed over taken", MOST / share, "", 1.0))
     return found
 

@@ -22,8 +22,9 @@ from fpplab.core.errors import DeviceError
 from fpplab.viewer.channel import WAITING, Opening, read_message
 from fpplab.viewer.server import ViewerServer, open_server
 
-NICE = 10
-"""Added to the process' niceness: the measurement comes first, with a tenth for what is drawn of it."""
+NICE = 5
+"""Added to the process' niceness: the measurement has three times its share where both want the same core. On a
+busy computer a higher one would leave it no time to finish the recording."""
 
 
 def serve() -> None:
