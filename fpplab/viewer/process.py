@@ -23,8 +23,8 @@ from fpplab.viewer.channel import WAITING, Opening, read_message
 from fpplab.viewer.server import ViewerServer, open_server
 
 NICE = 5
-"""Added to the process' niceness: the measurement has three times its share where both want the same core. On a
-busy computer a higher one would leave it no time to finish the recording."""
+"""Added to the process' niceness: the measurement has three times its share where both want the same core.
+On a busy computer a higher one would leave it no time to finish the recording."""
 
 
 def serve() -> None:

@@ -12,11 +12,14 @@ import logging
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar, TypeVarTuple
+
+import psutil
 
 from fpplab.core.progress import ignore
 from fpplab.viewer.channel import WAITING, Opening, write_message
@@ -24,11 +27,15 @@ from fpplab.viewer.outbox import MOST_WAITING, Message, Outbox
 from fpplab.viewer.server import OWN_GROUP, Shown
 from fpplab.viewer.view import CommandView
 
-FINISH_S = 30.0
-"""Time in s in which what waits is drawn and the recording written when the work is done."""
+FINISH_S = 120.0
+"""Longest time in s in which what waits is drawn and the recording written when the work is done; a second on a
+computer that has nothing else to do."""
+
+QUIET_S = 10.0
+"""Time in s without any work of the process after which it is not waited for: it hangs."""
 
 HURRY_S = 3.0
-"""The same where what waits is left out."""
+"""Longest time in s where what waits is left out."""
 
 log = logging.getLogger("fpplab")
 V = TypeVar("V", bound=CommandView)
@@ -173,31 +180,44 @@ class Viewer(Generic[V]):
         """
         self._closing = True
         self._outbox.end(discard=hurry)
-        if self._thread is not None:
-            self._thread.join(HURRY_S if hurry else FINISH_S)
+        sent = self._thread is None or self._waited_for(_joined(self._thread), hurry)
         process = self._process
         if process is None or process.stdout is None or process.stdout.closed:
             return
-        if not self._ended(process):
+        assert process.stdin is not None
+        if sent:
+            with suppress(OSError):
+                process.stdin.close()
+        if not (sent and self._waited_for(_ended(process), hurry)):
             process.kill()
             process.wait()
-            log.warning("the viewer did not end within %g s and was ended", FINISH_S)
+            log.warning("the viewer did not end by itself and was ended; its recording is not complete")
         if self._listener is not None:
             self._listener.join()
         process.stdout.close()
         if self._outbox.dropped:
             log.info("%d images came too fast to be shown", self._outbox.dropped)
 
-    def _ended(self, process: subprocess.Popen[bytes]) -> bool:
-        """Whether the process ends by itself, now that its input does."""
-        if self._thread is not None and self._thread.is_alive():
-            return False
-        assert process.stdin is not None
-        with suppress(OSError):
-            process.stdin.close()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(FINISH_S)
-        return process.returncode is not None
+    def _waited_for(self, done: Callable[[float], bool], hurry: bool) -> bool:
+        """Wait until something is done, for as long as the process works on it; tell whether it is."""
+        most, used = HURRY_S if hurry else FINISH_S, self._processor_time()
+        deadline = time.monotonic() + most
+        while not done(min(QUIET_S, most)):
+            now = self._processor_time()
+            if now <= used or time.monotonic() > deadline:
+                return False
+            used = now
+        return True
+
+    def _processor_time(self) -> float:
+        """Seconds that the process and those it has started have worked."""
+        if self._process is None:
+            return 0.0
+        with suppress(psutil.Error):
+            drawing = psutil.Process(self._process.pid)
+            times = [one.cpu_times() for one in (drawing, *drawing.children(recursive=True))]
+            return float(sum(one.user + one.system for one in times))
+        return 0.0
 
     def _send(self) -> None:
         """Start the process, and write to it until the end is said; runs in a thread."""
@@ -249,3 +269,24 @@ class Viewer(Generic[V]):
             self.fault = why
             self._outbox.end(discard=True)
             log.warning("the viewer is switched off: %s", why)
+
+
+def _joined(thread: threading.Thread) -> Callable[[float], bool]:
+    """Waits for a thread for some seconds, and tells whether it has ended."""
+
+    def joined(seconds: float) -> bool:
+        thread.join(seconds)
+        return not thread.is_alive()
+
+    return joined
+
+
+def _ended(process: subprocess.Popen[bytes]) -> Callable[[float], bool]:
+    """Waits for a process for some seconds, and tells whether it has ended."""
+
+    def ended(seconds: float) -> bool:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
+        return process.returncode is not None
+
+    return ended

@@ -13,6 +13,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from fpplab.phase import Decoded
 from fpplab.pipeline import CLOUD, DECODED
 from fpplab.sessions.session import Session
 from fpplab.viewer import server as servers
+from fpplab.viewer import viewer as viewers
 from fpplab.viewer.canvas import Canvas
 from fpplab.viewer.colours import BAR_SIZE, UNMEASURED
 from fpplab.viewer.matching import MatchingView
@@ -317,6 +319,23 @@ def test_a_viewer_that_dies_does_not_stop_the_measurement(
     assert "\n" not in served.fault
     _, alive = psutil.wait_procs(started, timeout=10)
     assert not alive
+
+
+@pytest.mark.slow
+def test_a_viewer_that_hangs_is_not_waited_for(
+    served: Viewer[MeasurementView], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewers, "QUIET_S", 1.0)
+    started = processes()
+    for one in started:
+        one.suspend()
+    since = time.monotonic()
+    served.close()
+    assert time.monotonic() - since < 0.2 * viewers.FINISH_S
+    for one in started:
+        with suppress(psutil.NoSuchProcess):
+            one.resume()  # what was suspended could not notice that the process above it has ended
+    assert not psutil.wait_procs(started, timeout=30)[1]
 
 
 def test_bad_data_switch_the_viewer_off(
