@@ -11,6 +11,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.units import length_mm
 
 if TYPE_CHECKING:
+    from fpplab.acquisition.acquire import FrameObserver
     from fpplab.characterisation import DistortionModel
     from fpplab.devices.rig import Rig
     from fpplab.guidance import GuidedRun
@@ -69,6 +70,7 @@ def run_guided(
     poses: int,
     until_mm: float | None,
     depth_mm: DepthInterval | None,
+    observe_frame: FrameObserver,
 ) -> GuidedRun:
     """Characterise a rig by poses asked for one at a time, and tell of each on stderr.
 
@@ -96,6 +98,8 @@ def run_guided(
         Standard uncertainty of form at which to end.
     depth_mm : DepthInterval or None
         Working range of depths; None takes that of the plan, or else of the rig file.
+    observe_frame : FrameObserver
+        Given every frame once it is on disk.
 
     Returns
     -------
@@ -111,4 +115,6 @@ def run_guided(
 
     depth = depth_mm or plan.depth_mm or rig.file.depth_mm
     settings = GuidedSettings(item, poses, until_mm, depth, level, refine_board is not False, force)
-    return guided_characterisation(rig, plan, target, folder, settings, console.say, console.progress)
+    return guided_characterisation(
+        rig, plan, target, folder, settings, console.say, console.progress, observe_frame
+    )

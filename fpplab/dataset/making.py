@@ -27,6 +27,13 @@ from fpplab.phase import check_unwrapping
 from fpplab.simulation.arrangeable import Arrangeable
 from fpplab.simulation.scene import DatasetScene
 
+SampleObserver = Callable[[Arrays, dict[str, Any]], object]
+"""Called with the arrays and the record of each sample once it is written."""
+
+
+def _unobserved(arrays: Arrays, record: dict[str, Any]) -> None:
+    """Observe nothing."""
+
 
 @dataclass(frozen=True)
 class DatasetRequest:
@@ -117,7 +124,9 @@ class DatasetMaker:
         }
         return make_card(recipe, self._fields, self._dimensions, request.scenes.licence)
 
-    def make(self, folder: Path, progress: Progress = no_progress) -> dict[str, Any]:
+    def make(
+        self, folder: Path, progress: Progress = no_progress, observe: SampleObserver = _unobserved
+    ) -> dict[str, Any]:
         """Make every shard that is missing.
 
         Existing shards are checked; one that another process is making is left to it. An interrupted data set
@@ -130,6 +139,8 @@ class DatasetMaker:
             Folder of the data set.
         progress : Progress
             Told the share that is done.
+        observe : callable
+            Given the arrays and the record of every sample that is made.
 
         Returns
         -------
@@ -155,11 +166,13 @@ class DatasetMaker:
             if (folder / shard_name(number)).exists():
                 check_shard(folder / shard_name(number))
             else:
-                self._shard(folder, number, lambda index: progress(index / request.samples))
+                self._shard(folder, number, lambda index: progress(index / request.samples), observe)
             progress(request.shard(number).stop / request.samples)
         return card
 
-    def _shard(self, folder: Path, number: int, begun: Callable[[int], None]) -> None:
+    def _shard(
+        self, folder: Path, number: int, begun: Callable[[int], None], observe: SampleObserver
+    ) -> None:
         samples = self._request.shard(number)
         with claim_shard(folder, number) as draft:
             if draft is None:
@@ -167,7 +180,9 @@ class DatasetMaker:
             with ShardWriter(draft, self._fields, len(samples), self._dimensions) as shard:
                 for index in samples:
                     begun(index)
-                    shard.add(*self.sample(index))
+                    arrays, record = self.sample(index)
+                    shard.add(arrays, record)
+                    observe(arrays, record)
 
     def sample(self, index: int) -> tuple[Arrays, dict[str, Any]]:
         """Make one sample; it does not depend on the samples made before.

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
+from fpplab.acquisition.acquire import FrameObserver
 from fpplab.characterisation import (
     Characterisation,
     DistortionModel,
@@ -23,7 +24,7 @@ from fpplab.characterisation.guide import Guide, PoseFit, WantedPose
 from fpplab.characterisation.working_volume import WorkingVolume
 from fpplab.core.depth import DepthInterval
 from fpplab.core.errors import CalibrationError
-from fpplab.core.progress import Progress
+from fpplab.core.progress import Progress, ignore
 from fpplab.devices.rig import Rig
 from fpplab.diagnosis import Finding
 from fpplab.guidance.asking import bring_by, known_first
@@ -89,7 +90,7 @@ class GuidedSettings:
 
 def guided_characterisation(
     rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
-    tell: Callable[[str], object], bar: Bar,
+    tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver = ignore,
 ) -> GuidedRun:  # fmt: skip
     """Characterise a rig by poses that are asked for one at a time.
 
@@ -109,6 +110,8 @@ def guided_characterisation(
         Given a line for each pose.
     bar : Bar
         Shows progress while a pose is taken.
+    observe_frame : FrameObserver
+        Given every frame once it is on disk.
 
     Returns
     -------
@@ -124,7 +127,7 @@ def guided_characterisation(
     CalibrationError
         Many poses in succession are rejected, or those accepted do not determine the devices.
     """
-    return _Loop(rig, plan, target, folder, settings, tell, bar).run()
+    return _Loop(rig, plan, target, folder, settings, tell, bar, observe_frame).run()
 
 
 class _Loop:
@@ -132,10 +135,10 @@ class _Loop:
 
     def __init__(
         self, rig: Rig, plan: Plan, target: Target, folder: Path, settings: GuidedSettings,
-        tell: Callable[[str], object], bar: Bar,
+        tell: Callable[[str], object], bar: Bar, observe_frame: FrameObserver,
     ) -> None:  # fmt: skip
         self._rig, self._plan, self._folder, self._settings = rig, plan, folder, settings
-        self._tell, self._bar, self._target = tell, bar, target
+        self._tell, self._bar, self._target, self._observe_frame = tell, bar, target, observe_frame
         fixture = rig.need_fixture("a guided characterisation")
         fixture.check(settings.item)
         self._bring = bring_by(fixture, settings.item)
@@ -205,6 +208,7 @@ class _Loop:
                 force=True,
                 bring=lambda: self._bring(wanted, picture),
                 progress=report,
+                observe_frame=self._observe_frame,
             )
         if not self._attempts:
             require_plan_fits(session)

@@ -217,6 +217,7 @@ def match_sessions(
     progress: Progress = no_progress,
     observe: EpochObserver = ignore,
     tell: Say = ignore,
+    prepared: Callable[[Reference], object] = ignore,
 ) -> MatchingResult:
     """Match the twin to recorded sessions of a board, and save it unless nobody should use it.
 
@@ -240,6 +241,8 @@ def match_sessions(
         Given every epoch as it ends.
     tell : callable
         Given a few words on what is done.
+    prepared : callable
+        Given what the twin is matched to, before the first epoch.
 
     Returns
     -------
@@ -262,6 +265,7 @@ def match_sessions(
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
     plausibility.check_geometry(found.calibration, nominal.calibration)
     reference = Reference.of(sessions, target, found, request.response)
+    prepared(reference)
     nominal = request.start(with_reference_geometry(nominal, found))
     twin.become(nominal)
     gamma = None

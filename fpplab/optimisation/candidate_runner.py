@@ -36,6 +36,8 @@ class SearchEpoch:
         The best of all candidates so far.
     measured : int
         Number of candidates measured so far.
+    front : tuple of MeasuredCandidate
+        The Pareto front of all candidates so far.
     """
 
     number: int
@@ -43,6 +45,7 @@ class SearchEpoch:
     trials: tuple[MeasuredCandidate, ...]
     best: MeasuredCandidate
     measured: int
+    front: tuple[MeasuredCandidate, ...] = ()
 
 
 CandidateObserver = Callable[[SearchEpoch], None]
@@ -177,7 +180,9 @@ class CandidateRunner:
         SearchEpoch
             The round as recorded.
         """
-        epoch = SearchEpoch(len(self.epochs), step, tuple(trials), self.best, len(self._by_candidate))
+        epoch = SearchEpoch(
+            len(self.epochs), step, tuple(trials), self.best, len(self._by_candidate), tuple(self.front)
+        )
         self.epochs.append(epoch)
         self._observe(epoch)
         return epoch

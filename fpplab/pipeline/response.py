@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 
 import numpy as np
@@ -18,7 +19,11 @@ from fpplab.patterns.response_fit import GreyLevelImages, fit_greys, pixels_of_r
 
 
 def measure_response(
-    rig: Rig, exposure_s: float, greys: GreyLevels | None = None, progress: Progress = no_progress
+    rig: Rig,
+    exposure_s: float,
+    greys: GreyLevels | None = None,
+    progress: Progress = no_progress,
+    observe_frame: Callable[[int, Frame], object] = lambda level, frame: None,
 ) -> tuple[Response, Floats]:
     """Show uniform grey-level images and fit the response.
 
@@ -35,6 +40,8 @@ def measure_response(
         How many levels, how often.
     progress : callable
         Told the share done, 0 … 1.
+    observe_frame : callable
+        Given every grey level that was shown, 0 … 255, with its frame.
 
     Returns
     -------
@@ -60,6 +67,7 @@ def measure_response(
         with closing(expose(rig, [patterns[i] for i in order], settings)) as shots:
             for done, (i, frame) in enumerate(zip(order, shots, strict=True), 1):
                 seen[repeat, i] = statistics(frame.image, frame.settings.bits)
+                observe_frame(wanted.shown[i], frame)
                 progress((repeat + done / len(patterns)) / wanted.repeats)
     response = fit_greys(
         GreyLevelImages(

@@ -111,7 +111,14 @@ def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> Non
 
 
 def take_poses(
-    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = no_progress
+    rig: Rig,
+    plan: Plan,
+    item: str,
+    poses: int,
+    folder: Path,
+    force: bool,
+    progress: Progress = no_progress,
+    observe_frame: FrameObserver = ignore,
 ) -> list[Session]:
     """Take one session for each pose of a target that the rig's fixture holds.
 
@@ -131,6 +138,8 @@ def take_poses(
         Whether poses taken before are taken again; they are kept otherwise.
     progress : callable
         Told the share done, 0 … 1.
+    observe_frame : callable
+        Given every frame once it is on disk.
 
     Returns
     -------
@@ -154,6 +163,7 @@ def take_poses(
             force=force,
             complete_too=True,
             progress=lambda share: progress((pose + share) / poses),
+            observe_frame=observe_frame,
         )
 
     return [one(pose) for pose in range(poses)]

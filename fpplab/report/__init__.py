@@ -1,4 +1,4 @@
-"""Reports: figures as PNG, HTML pages that hold them, and the viewer."""
+"""Reports: figures as PNG, and HTML pages that hold them."""
 
 from fpplab.report.page import PageBasis, write_report
 from fpplab.report.scan_section import ScanSection

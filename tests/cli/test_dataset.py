@@ -13,7 +13,8 @@ import pytest
 from fpplab.core import config
 from fpplab.dataset import Dataset
 from tests.sim.conftest import RIG, plain, write_world
-from tests.support.commands import Command
+from tests.support.commands import NO_DISPLAY, Command
+from tests.viewer.test_viewer import Recording
 
 PLAN = {"fringes": [{"axis": "x", "stripes": stripes, "steps": 3} for stripes in (0.9, 8)]}
 
@@ -34,7 +35,7 @@ WORDS = ("--rig", "rig.yaml", "--plan", "plan.yaml", "--scenes", "ranges.yaml", 
 
 
 def test_samples_and_their_card(fpplab: Command, folder: Path) -> None:
-    made = fpplab("dataset", *WORDS, "--count", 3, "--shard-size", 2, cwd=folder)
+    made = fpplab("dataset", *WORDS, "--count", 3, "--shard-size", 2, "--view", cwd=folder, env=NO_DISPLAY)
     assert made.code == 0, made.err
     assert made.json["samples"] == 3
     assert made.json["shards"] == 2
@@ -42,6 +43,7 @@ def test_samples_and_their_card(fpplab: Command, folder: Path) -> None:
     assert len(found) == 3
     assert found.card["licence"] == "CC0-1.0"
     assert np.load(folder / "set/shard_00000/frames.npy", mmap_mode="r").shape == (2, 6, 128, 192)
+    assert Recording(folder / "set/view.rrd").frames("sample/depth", "sample") == [0, 1, 2]
     page = (folder / "set/README.md").read_text()
     for words in ("CC0-1.0", "train 3", "`depth` | truth |", "`wrapped_phase` | measured |", "## Limits"):
         assert words in page

@@ -9,7 +9,8 @@ import yaml
 
 from fpplab.patterns.plan import Plan
 from tests.sim.conftest import RIG, plain, write_world
-from tests.support.commands import Command
+from tests.support.commands import NO_DISPLAY, Command
+from tests.viewer.test_viewer import Recording
 
 PLAN = """
 fringes: [{axis: x, stripes: 16, steps: 3}]
@@ -39,13 +40,16 @@ def test_the_response_is_found_judged_and_used(fpplab: Command, folder: Path) ->
         "card",
         "--json",
     )
-    done = fpplab(*words, "--out", folder / "response.yaml")
+    done = fpplab(*words, "--out", folder / "response.yaml", "--view", env=NO_DISPLAY)
     assert done.code == 0, done.err
     found = done.json
     assert found["g"] == pytest.approx(2.2, abs=max(1e-3, 4 * found["sigma"][2]))
     assert (len(found["levels"]), len(found["regions"]), len(found["covariance"])) == (9, 9, 3)
     assert not found["judgement"]["good_enough"]
     assert "pre-correct the patterns" in found["judgement"]["sentence"]
+    shown = Recording(folder / "response.rrd")
+    assert shown.frames("images/camera") == list(range(18))  # nine levels, twice
+    assert shown.value("diagrams/response", "MediaType") == "image/png"
     assert Path(found["picture"]).read_bytes().startswith(b"\x89PNG")
 
     (folder / "plan.yaml").write_text(PLAN + "response: response.yaml\n")

@@ -8,7 +8,8 @@ import pytest
 
 from fpplab.cli.guided import wanted_mm
 from fpplab.core.errors import ConfigError
-from tests.support.commands import Command
+from tests.support.commands import NO_DISPLAY, Command
+from tests.viewer.test_viewer import Recording
 
 
 @pytest.mark.parametrize(
@@ -40,10 +41,13 @@ def test_a_simulated_rig_is_characterised_by_poses_that_are_asked_for(
     out = tmp_path / "c.yaml"
     done = fpplab(
         "characterise", "--rig", "rig_demo_quick", "--target", "target_paper", "--guide", "--until", "50um",
-        "--poses", 9, "--out", out, "--json",
+        "--poses", 9, "--out", out, "--view", "--json", env=NO_DISPLAY,
     )  # fmt: skip
     assert done.code == 0, done.err
     guided = done.json["guided"]
+    shown = Recording(out.with_suffix(".rrd"))
+    assert shown.frames("world/camera/image")
+    assert len(shown.value("world/boards", "Position3D")) > 100
     assert guided["reached"]
     assert guided["form_um"] <= guided["until_um"] == pytest.approx(50.0)
     assert 5 <= done.json["poses"] < 9

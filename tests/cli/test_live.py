@@ -58,14 +58,14 @@ def test_wrong_input_is_refused_before_anything_is_opened(
     rig.write_text(re.sub(r"(?m)^fixture:\n(  .*\n)+", "", text), encoding="utf-8")
     monkeypatch.setattr(Rig, "__enter__", lambda rig: pytest.fail("the rig was opened"))
     with pytest.raises(ConfigError, match=said):
-        live_command(str(rig), viewer=False, frames=2, **options)
+        live_command(str(rig), view=False, frames=2, **options)
 
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """The command in a terminal, once it shows frames; and the terminal's other end."""
     ours, theirs = pty.openpty()
-    words = ["live", "--rig", str(rig_file(tmp_path)), "--no-viewer", "--seconds", "120"]
+    words = ["live", "--rig", str(rig_file(tmp_path)), "--no-view", "--seconds", "120"]
     command = [sys.executable, "-m", "fpplab", *words]
     with subprocess.Popen(
         command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE, text=True, cwd=ROOT

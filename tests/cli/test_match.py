@@ -13,7 +13,8 @@ from fpplab.devices.rig import Rig
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.pipeline import take_poses
-from tests.support.commands import Command
+from tests.support.commands import NO_DISPLAY, Command
+from tests.viewer.test_viewer import Recording
 
 PLAN = Plan(
     fringes=tuple(
@@ -47,7 +48,7 @@ def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path
     twin, out = small("rig_twin", tmp_path), tmp_path / "matched"
     done = fpplab(
         "match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--view", "--json",
-        env={"DISPLAY": "", "WAYLAND_DISPLAY": ""},
+        env=NO_DISPLAY,
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "Watch it at http://127.0.0.1:" in done.err
@@ -65,6 +66,9 @@ def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path
     epochs = [json.loads(line) for line in (out / "match.jsonl").read_text().splitlines()]
     assert [e["step"] for e in epochs] == ["start", "points", "light"]
     assert "paper" in (out / "report.html").read_text()
+    shown = Recording(out / "view.rrd")
+    assert shown.frames("match/loss", "epoch") == [0, 1, 2]
+    assert shown.frames("images/difference", "epoch") == [0, 1, 2]
     with Rig.load(out / "rig.yaml") as rig:
         assert rig.camera.caps.size == (684, 456)
         assert rig.fixture is not None

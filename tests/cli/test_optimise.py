@@ -16,7 +16,8 @@ import pytest
 from fpplab.core import config
 from fpplab.optimisation.study import Study
 from fpplab.patterns.plan import Plan
-from tests.support.commands import ROOT, Command, Demo
+from tests.support.commands import NO_DISPLAY, ROOT, Command, Demo
+from tests.viewer.test_viewer import Recording
 
 FRINGES = [{"axis": "x", "stripes": s, "steps": 3} for s in (1, 6, 24)]
 SMALL: dict[str, Any] = {
@@ -148,8 +149,10 @@ def test_a_bench_is_searched_by_measuring_on_it(fpplab: Command, demo: Demo, tmp
     refused = fpplab(*words, "--workers", 2)
     assert refused.code == 2
     assert "rig 'Emulated bench, quick' is no simulation" in refused.json["error"]
-    done = fpplab(*words)
+    done = fpplab(*words, "--view", env=NO_DISPLAY)
     assert done.code == 0, done.err
+    shown = Recording(tmp_path / "plan.rrd")
+    assert len(shown.frames("diagrams/front", "epoch")) == done.json["epochs"]
     assert done.json["optimum"]["surface_smcd_um"] < done.json["initial"]["surface_smcd_um"]
 
 

@@ -11,7 +11,8 @@ import yaml
 
 from fpplab.calibration.model import Calibration
 from sim.world import World
-from tests.support.commands import ROOT, Command
+from tests.support.commands import NO_DISPLAY, ROOT, Command
+from tests.viewer.test_viewer import Recording
 
 BARS, PLANES = ("ball_bar_2", "ball_bar_3"), ("plane_4",)
 
@@ -39,10 +40,17 @@ def bench(fpplab: Command, tmp_path_factory: pytest.TempPathFactory) -> Bench:
     truth.save(calibration)
     done = fpplab(
         "verify", "--standard", standard, "--rig", "rig_demo_quick", "--calibration", calibration,
-        "--out", folder / "verify.html", "--json",
+        "--out", folder / "verify.html", "--view", "--json", env=NO_DISPLAY,
     )  # fmt: skip
     assert done.code == 0, done.err
     return Bench(folder, standard, calibration, done.json)
+
+
+def test_positions_and_the_fits_errors_were_shown(bench: Bench) -> None:
+    shown = Recording(bench.folder / "verify.rrd")
+    assert shown.frames("world/camera/image")
+    assert len(shown.value("world/coloured/Error", "Position3D")) > 1000
+    assert "PF" in shown.value("words/result", "Text")
 
 
 def test_a_bench_of_known_geometry_errs_by_its_noise_alone(bench: Bench) -> None:

@@ -172,7 +172,7 @@ def test_a_command_beside_live_just_works(name: str, command: tuple[str, ...], f
     import sys
     import urllib.request
 
-    words = ["live", "--rig", name, "--item", "grey_card", "--no-viewer", "--seconds", "300", "--json"]
+    words = ["live", "--rig", name, "--item", "grey_card", "--no-view", "--seconds", "300", "--json"]
     with subprocess.Popen(
         [sys.executable, "-m", "fpplab", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as live:

@@ -1,8 +1,9 @@
-"""A headless Chromium, driven through the pipe of its debugging protocol: no network, no further package."""
+"""A headless Chromium, driven through its debugging pipe; it logs what it asks of the network."""
 
 from __future__ import annotations
 
 import base64
+import io
 import json
 import os
 import select
@@ -13,8 +14,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image as Pixels
 
 SWITCHES = (
     "--headless",
@@ -24,16 +29,23 @@ SWITCHES = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-default-apps",
+    "--disable-features=AutofillServerCommunication,OptimizationHints",
     "--hide-scrollbars",
 )
 SOFTWARE_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 NO_WEBGL = ("--disable-gpu", "--disable-3d-apis")
+CAUSES = ("initiator", "network_isolation_key", "network_anonymization_key", "site_for_cookies")
+"""What an event of the network log names as its cause."""
+
+Picture = NDArray[np.uint8]
 
 
 class Browser:
-    """One page of a running Chromium."""
+    """One page of a running Chromium; `log` is complete once it has ended."""
 
-    def __init__(self, process: subprocess.Popen[bytes], to: int, out: int) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], to: int, out: int, log: Path) -> None:
+        self.log = log
         self._process, self._to, self._out = process, to, out
         self._buffer, self._last = b"", 0
         self.events: list[dict[str, Any]] = []
@@ -71,8 +83,8 @@ class Browser:
         told: dict[str, Any] = json.loads(message)
         return told
 
-    def open(self, page: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Open a file in a window of this size, and wait until it is loaded."""
+    def open(self, page: Path | str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        """Open a file or an address in a window of this size, and wait until it is loaded."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -83,7 +95,7 @@ class Browser:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         self.until("document.readyState === 'complete'")
 
     def run(self, script: str) -> Any:
@@ -105,6 +117,26 @@ class Browser:
         data = base64.b64decode(shot["data"])
         path.write_bytes(data)
         return data
+
+    def settled_picture(self, path: Path, least_colours: int, patience_s: float = 90.0) -> Picture:
+        """The window, kept as a PNG file, once two pictures in turn are alike and have so many colours."""
+        deadline, last = time.monotonic() + patience_s, b""
+        while time.monotonic() < deadline:
+            now = self.screenshot(path)
+            if now == last and number_of_colours(pixels_of(now)) >= least_colours:
+                return pixels_of(now)
+            last = now
+            time.sleep(1.5)
+        colours = number_of_colours(pixels_of(last))
+        raise AssertionError(f"the page has {colours} colours after {patience_s:g} s: {self.faults()}")
+
+    def coloured_picture(self, path: Path, least_colours: int, patience_s: float = 90.0) -> Picture:
+        """The window, kept as a PNG file, once it has so many colours; it may go on changing."""
+        deadline = time.monotonic() + patience_s
+        while number_of_colours(now := pixels_of(self.screenshot(path))) < least_colours:
+            assert time.monotonic() < deadline, f"{number_of_colours(now)} colours: {self.faults()}"
+            time.sleep(1.0)
+        return now
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag the mouse from one place of the window to another."""
@@ -160,7 +192,9 @@ def chromium(folder: Path, *more: str) -> Iterator[Browser]:
         pytest.skip("Chromium is not installed; apt-get install chromium")
     (theirs_in, to), (out, theirs_out) = os.pipe(), os.pipe()
 
-    command = [program, *SWITCHES, *more, "--remote-debugging-pipe", f"--user-data-dir={folder / 'profile'}"]
+    log = folder / "net-log.json"
+    own = [f"--user-data-dir={folder / 'profile'}", f"--log-net-log={log}"]
+    command = [program, *SWITCHES, *more, "--remote-debugging-pipe", *own]
     # The protocol's pipe is descriptors 3 and 4 of the child: bash puts ours there.
     shell = ["bash", "-c", f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}', "bash", *command]
     process = subprocess.Popen(
@@ -173,7 +207,7 @@ def chromium(folder: Path, *more: str) -> Iterator[Browser]:
     os.close(theirs_in)
     os.close(theirs_out)
     try:
-        browser = Browser(process, to, out)
+        browser = Browser(process, to, out, log)
         yield browser
         browser.wait_closed()
     finally:
@@ -182,3 +216,33 @@ def chromium(folder: Path, *more: str) -> Iterator[Browser]:
             process.wait(20)
         os.close(to)
         os.close(out)
+
+
+def pixels_of(png: bytes) -> Picture:
+    """A PNG file as (h, w, 3)."""
+    return np.asarray(Pixels.open(io.BytesIO(png)).convert("RGB"))
+
+
+def number_of_colours(picture: Picture) -> int:
+    """How many different colours a picture has."""
+    packed = picture.astype(np.uint32) @ np.array([65536, 256, 1], np.uint32)
+    return len(np.unique(packed))
+
+
+def hosts(log: Path) -> set[str]:
+    """Every host that a browser's network log names in what a page on this computer has caused.
+
+    Chromium itself asks its maker for this and that; such events name no page as their cause.
+    """
+    text = log.read_text().rstrip().rstrip(",")
+    data = json.loads(text if text.endswith("}") else text + "]}")
+    found: set[str] = set()
+    for event in data["events"]:
+        params = event.get("params", {})
+        cause = " ".join(str(params.get(key, "")) for key in CAUSES)
+        for key in ("url", "host"):
+            word = params.get(key)
+            if isinstance(word, str) and "127.0.0.1" in cause:
+                name = urlsplit(word if "://" in word else f"//{word}").hostname
+                found.update([name] if name else [])
+    return found

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
+NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+"""Environment in which the viewer is a page, not a window."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from fpplab.cli.app import PREPARE, DepthOption, Force, Json, PlanName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.guided import run_guided, wanted_mm
 from fpplab.cli.pose_causes import diagnosed_poses, with_causes
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class ModelName(StrEnum):
 
 @app.command("characterise", rich_help_panel=PREPARE)
 def characterise_command(
+    context: typer.Context,
     sessions: Annotated[
         list[Path] | None, typer.Argument(help="Sessions, one per pose, or the folder that holds them.")
     ] = None,
@@ -90,6 +92,8 @@ def characterise_command(
         ),
     ] = None,
     depth: DepthOption = None,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -129,6 +133,8 @@ def characterise_command(
     from fpplab.report.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
     from fpplab.targets import Target
+    from fpplab.viewer.characterisation import CharacterisationView
+    from fpplab.viewer.measurement import frame_observer
 
     until_mm = wanted_mm(guide, until, depth, rig)
     if target is None or out is None:
@@ -142,6 +148,7 @@ def characterise_command(
     refuse_existing(page, force or goes_on)
     board, guided = Target.load(target), None
     level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
+    viewer = open_viewer(context, CharacterisationView, view, keep_open, out.with_suffix(".rrd"))
     if rig:
         chosen = Plan.load(plan)
         check_unwrapping(chosen, plan)
@@ -152,14 +159,16 @@ def characterise_command(
         if folder.exists() and not force:
             console.say(f"{folder}: complete poses there are kept; --force takes all anew")
         with Rig.load(rig) as bench:
+            caps, observe = bench.projector.caps, frame_observer(viewer)
+            viewer.show(CharacterisationView.plan, chosen, caps.size, caps.lattice)
             if guide:
                 guided = run_guided(
                     *(bench, chosen, board, folder, level, refine_board, force),
-                    item=item, poses=poses, until_mm=until_mm, depth_mm=depth,
+                    item=item, poses=poses, until_mm=until_mm, depth_mm=depth, observe_frame=observe,
                 )  # fmt: skip
             else:
                 with console.progress("Taking poses") as report:
-                    recorded = take_poses(bench, chosen, item, poses, folder, force, report)
+                    recorded = take_poses(bench, chosen, item, poses, folder, force, report, observe)
     else:
         recorded = recorded_sessions(sessions or [])
     if guided:
@@ -178,6 +187,7 @@ def characterise_command(
     for warning in result.warnings:
         console.say(f"warning: {warning}")
     console.say(diagnosis.sentence)
+    viewer.show(CharacterisationView.result, result)
     result.calibration.save(out)
     source = poses_provenance(recorded, result.calibration, out)
     answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}

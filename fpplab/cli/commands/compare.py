@@ -9,6 +9,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, ReportOption, app
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 @app.command("compare", rich_help_panel=JUDGE)
 def compare_command(
+    context: typer.Context,
     cloud: Annotated[Path, typer.Argument(help="Measured cloud: .ply, .xyz or .npz.")],
     mesh: Annotated[Path, typer.Argument(help="True shape: .stl, .ply or .obj, in mm.")],
     align: Annotated[
@@ -34,6 +36,8 @@ def compare_command(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write a picture of the errors, as PNG.")] = None,
     page: ReportOption = None,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -62,6 +66,7 @@ def compare_command(
     from fpplab.report.comparison_page import write_comparison_report
     from fpplab.report.provenance import cloud_provenance
     from fpplab.sessions.session import JOURNAL
+    from fpplab.viewer.measurement import MeasurementView
 
     for path, suffix in ((out, ".png"), (page, ".html")):
         if path:
@@ -73,10 +78,14 @@ def compare_command(
     measured = load_cloud(cloud)
     if known and measured.size:
         known.check_camera(measured.size, source or cloud)
+    written = page or out
+    recording = written.with_suffix(".rrd") if written else None
+    viewer = open_viewer(context, MeasurementView, view, keep_open, recording)
     with console.progress("Comparing"):
         truth = load_mesh(mesh)
         result = _aligned(measured, truth, known) if align else _as_placed(measured, truth, known, mesh)
         misplaced = None if align else find_misplacement(measured, truth)
+    viewer.show(MeasurementView.results, None, measured, None, 1e3 * result.distances_mm)
     if out:
         picture = figures.error_map(measured, result.distances_mm, result.counted)
         write_atomic(out, lambda stream: stream.write(picture))

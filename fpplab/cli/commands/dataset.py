@@ -9,10 +9,12 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Json, Out, PlanName, RigName, app
 from fpplab.cli.completion import names_of
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 
 @app.command("dataset", rich_help_panel=TWIN)
 def dataset_command(
+    context: typer.Context,
     rig: RigName,
     count: Annotated[int, typer.Option("--count", min=1, help="How many samples.")],
     out: Out,
@@ -25,6 +27,8 @@ def dataset_command(
     ] = "dataset_demo.yaml",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other scenes.")] = 0,
     shard_size: Annotated[int, typer.Option("--shard-size", min=1, help="Samples in a shard.")] = 8,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     json: Json = False,
 ) -> None:
     """Make labelled captures of random scenes on a simulated rig, for machine learning.
@@ -46,10 +50,14 @@ def dataset_command(
     with console.stopwatch() as seconds, devices as bench:
         from fpplab.dataset import Dataset
         from fpplab.dataset.making import DatasetMaker, DatasetRequest
+        from fpplab.viewer.recorded import RECORDING
+        from fpplab.viewer.samples import SampleView, sample_observer
+
+        viewer = open_viewer(context, SampleView, view, keep_open, out / RECORDING)
 
         maker = DatasetMaker(bench, DatasetRequest(wanted_plan, ranges, count, seed, shard_size))
         with console.progress("Making samples") as report:
-            card = maker.make(out, report)
+            card = maker.make(out, report, sample_observer(viewer))
         result = {
             "samples": len(Dataset(out)),
             "shards": card["shards"],

@@ -8,11 +8,13 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import PREPARE, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
 
 
 @app.command("gamma", rich_help_panel=PREPARE)
 def gamma_command(
+    context: typer.Context,
     rig: RigName,
     out: Out,
     plan: PlanName = "plan_paper.yaml",
@@ -27,6 +29,8 @@ def gamma_command(
         float | None, typer.Option("--exposure", help="Exposure in s; the plan's by default.")
     ] = None,
     item: Annotated[str, typer.Option("--item", help="What to look at: an evenly white card.")] = "grey_card",
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -43,6 +47,8 @@ def gamma_command(
     from fpplab.patterns.plan import GreyLevels, Plan
     from fpplab.pipeline import measure_response
     from fpplab.report.provenance import described_rig, rig_provenance
+    from fpplab.viewer.measurement import ShownFrame
+    from fpplab.viewer.response import ResponseView
 
     picture, page = out.with_suffix(".png"), out.with_suffix(".html")
     if out in (picture, page):
@@ -52,11 +58,17 @@ def gamma_command(
         refuse_existing(path, force)
     wanted = Plan.load(plan)
     greys = GreyLevels(levels=levels or wanted.greys.levels, repeats=repeats or wanted.greys.repeats)
+    viewer = open_viewer(context, ResponseView, view, keep_open, out.with_suffix(".rrd"))
     with Rig.load(rig) as bench, console.progress("Response") as report:
         if bench.fixture:
             bench.fixture.mount(item)
         exposure = wanted.exposure_s if exposure_s is None else exposure_s
-        response, seen = measure_response(bench, exposure, greys, report)
+        response, seen = measure_response(
+            *(bench, exposure, greys, report),
+            observe_frame=lambda level, frame: viewer.show_one_of_many(
+                ResponseView.frame, level, ShownFrame.of(frame)
+            ),
+        )
         judgement = judge_response(response, wanted, bench.projector.caps.size)
         described = described_rig(bench)
 
@@ -65,6 +77,7 @@ def gamma_command(
 
     for reason in response.left_out:
         console.say(f"left out: {reason}")
+    viewer.show(ResponseView.response, response)
     response.save(out)
     drawn = response_fit(response)
     write_atomic(picture, lambda stream: stream.write(drawn))

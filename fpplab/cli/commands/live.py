@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from fpplab.live.status import LiveStatus
     from fpplab.patterns.fringes import Pattern
     from fpplab.patterns.plan import Plan
-    from fpplab.report.live_view import LiveViewer
-    from fpplab.report.viewer import Viewer
+    from fpplab.viewer.live import LiveView
+    from fpplab.viewer.viewer import Viewer
 
 LINE_S = 0.25
 """Time in s between two status lines on a terminal."""
@@ -77,11 +77,11 @@ def live_command(
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.1, help="End after so many seconds.")
     ] = None,
-    viewer: Annotated[
-        bool, typer.Option("--viewer/--no-viewer", help="Show images in the viewer, or only figures here.")
+    view: Annotated[
+        bool, typer.Option("--view/--no-view", help="Show images in the viewer, or only figures here.")
     ] = True,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Record to this .rrd file instead of showing a viewer.")
+        Path | None, typer.Option("--out", help="Leave a recording of what the viewer shows, as .rrd.")
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -135,21 +135,21 @@ def live_command(
     orders: SimpleQueue[Order] = SimpleQueue()
     with ExitStack() as stack:
         turn = stack.enter_context(watching_rig(bench.source))
-        shown, drawn = _viewer(stack, viewer, out, working)
+        shown = _viewer(stack, view, out, working)
         page = stack.enter_context(SetUpPage(orders, _page_of(shown)))
         keys = stack.enter_context(terminal_keys(orders))
         console.say(f"Buttons{' and images' if _page_of(shown) else ''}: {page.address}")
         if keys:
             console.say("Keys: a advice, + - exposure, m measure, w white, t take, q quit; all by --help")
-        run = SetUp(bench, options, orders, _Observer(page, shown, drawn))
+        run = SetUp(bench, options, orders, _Observer(page, shown, recorded=out is not None))
         last = run.run(turn)
         _clear_line()
     result = {**last.summary(), "poses": [str(path) for path in run.poses], "out": str(out) if out else None}
     console.answer(result, json, lambda: _show_result(result))
 
 
-def _page_of(viewer: Viewer | None) -> str | None:
-    return viewer.where if viewer is not None and viewer.where.startswith("http") else None
+def _page_of(viewer: Viewer[LiveView]) -> str | None:
+    return viewer.where if viewer.where.startswith("http") else None
 
 
 def _need_board_plan(plan: Plan, name: str) -> None:
@@ -185,34 +185,39 @@ def _working_point(
 
 def _viewer(
     stack: ExitStack, wanted: bool, out: Path | None, working: WorkingPoint | None
-) -> tuple[Viewer | None, LiveViewer | None]:
-    """The viewer, if one is wanted, or a recording."""
-    if not wanted and out is None:
-        return None, None
-    from fpplab.report.live_view import LiveViewer
-    from fpplab.report.viewer import Viewer
+) -> Viewer[LiveView]:
+    """The viewer, once it is open: its page is part of the set-up's."""
+    from fpplab.viewer.live import MOST_WAITING, LiveView
+    from fpplab.viewer.viewer import Viewer
 
-    viewer = stack.enter_context(Viewer.open(out))
-    geometry = working.geometry if working else None
-    return viewer, LiveViewer(viewer, geometry, working.distance_mm if working else None)
+    viewer = Viewer(LiveView, "anywhere" if wanted else None, out, most_waiting=MOST_WAITING)
+    stack.enter_context(viewer)
+    viewer.wait_open()
+    if working:
+        viewer.show(LiveView.scene, working.geometry, working.distance_mm)
+    return viewer
 
 
 class _Observer:
     """Shows the set-up on the page, in the viewer and in one line of the terminal."""
 
-    def __init__(self, page: SetUpPage, viewer: Viewer | None, drawn: LiveViewer | None) -> None:
-        self._page, self._viewer, self._drawn = page, viewer, drawn
+    def __init__(self, page: SetUpPage, viewer: Viewer[LiveView], recorded: bool) -> None:
+        from fpplab.viewer.live import LiveFrames
+
+        self._page, self._viewer, self._recorded = page, viewer, recorded
+        self._frames = LiveFrames(viewer)
         self._said, self._line_s = "", 0.0
 
     def __call__(
         self, status: LiveStatus, frame: Frame | None, pattern: Pattern | None, dark: Mask | None
     ) -> bool:
         self._page.show(status)
-        looked_at = self._page.seen or _page_of(self._viewer) is None  # no backlog for who comes later
-        if self._drawn is not None and frame is not None and pattern is not None and looked_at:
-            self._drawn.show(status, frame, pattern, dark)
+        # No backlog for who opens the page later.
+        looked_at = self._page.seen or self._recorded or _page_of(self._viewer) is None
+        if self._viewer.runs and frame is not None and pattern is not None and looked_at:
+            self._frames.show(status, frame, pattern, dark)
         self._say(status)
-        return not (self._page.closed or (self._viewer is not None and self._viewer.closed))
+        return not (self._page.closed or self._viewer.window_closed)
 
     def _say(self, status: LiveStatus) -> None:
         said = f"paused: {status.paused_for} has the rig" if status.paused_for else status.message

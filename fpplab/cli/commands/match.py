@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,11 +13,16 @@ from fpplab.cli.app import TWIN, Force, Json, Out, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
 from fpplab.cli.pose_causes import with_causes
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import CalibrationError, ConfigError
+
+if TYPE_CHECKING:
+    from fpplab.matching.reference import Reference
 
 
 @app.command("match", cls=TakesLists, rich_help_panel=TWIN)
 def match_command(
+    context: typer.Context,
     twin: Annotated[
         str,
         typer.Option(
@@ -53,7 +58,8 @@ def match_command(
     ] = 900.0,
     alpha: Annotated[float, typer.Option("--alpha", min=0, help="Of log(1 + |ε_d|) in the loss.")] = 0.2,
     beta: Annotated[float, typer.Option("--beta", min=0, help="Of 1 - SSIM in the loss.")] = 0.8,
-    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -90,11 +96,11 @@ def match_command(
 
         from fpplab.matching.record import MatchingEpoch
         from fpplab.report.matching import write_matching_report
-        from fpplab.report.viewer import Viewer
+        from fpplab.viewer.matching import MatchingView, show_twin
+        from fpplab.viewer.recorded import RECORDING
 
-        viewer = stack.enter_context(Viewer.open()) if view else None
-        if viewer and viewer.fault is None:
-            console.say(f"Watch it at {viewer.where}")
+        viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
+        references: list[Reference] = []
 
         def observe(epoch: MatchingEpoch) -> None:
             loss = epoch.loss
@@ -103,13 +109,18 @@ def match_command(
                 f"{loss['loss_board']:.4f}, SSIM {loss['ssim']:.4f} / {loss['ssim_board']:.4f}, ε_d "
                 f"{loss['epsilon_d_px']:.4f} px{'' if epoch.accepted else ', taken back'}"
             )
-            if viewer:
-                viewer.epoch(epoch)
+            viewer.show(MatchingView.epoch, epoch)
+            if view or keep_open:
+                show_twin(viewer, references[0], known)
 
         try:
             with console.telling_progress("Matching") as (report, tell):
                 found = match_sessions(
-                    known, sessions, board, out, wanted, progress=report, observe=observe, tell=tell
+                    *(known, sessions, board, out, wanted),
+                    progress=report,
+                    observe=observe,
+                    tell=tell,
+                    prepared=references.append,
                 )
         except CalibrationError as error:
             raise with_causes(error, sessions) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 from fpplab.cli import console
 from fpplab.cli.app import TWIN, Force, Json, RigName, app
 from fpplab.cli.completion import names_of
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError
 from fpplab.optimisation.scope import SearchScope
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 @app.command("optimise", rich_help_panel=TWIN)
 def optimise_command(
+    context: typer.Context,
     what: Annotated[SearchScope, typer.Argument(help="What to search.")],
     rig: RigName,
     out: Annotated[
@@ -58,7 +59,8 @@ def optimise_command(
             autocompletion=names_of("rig"),
         ),
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -85,19 +87,17 @@ def optimise_command(
     from fpplab.optimisation import confirm_result, run
     from fpplab.optimisation.verdict import diagnose_search
     from fpplab.report.optimisation import measure_search_maps, write_optimisation_report
-    from fpplab.report.viewer import Viewer
+    from fpplab.viewer.search import SearchView
 
     if confirm:
         confirm_result.check_confirmable(confirm, wanted, name)
-    with ExitStack() as stack, console.stopwatch() as elapsed:
-        viewer = stack.enter_context(Viewer.open()) if view else None
-        if viewer and viewer.fault is None:
-            console.say(f"Watch it at {viewer.where}")
+    with console.stopwatch() as elapsed:
+        page = run.report_path(what, out)
+        viewer = open_viewer(context, SearchView, view, keep_open, page.with_suffix(".rrd"))
 
         def observe(epoch: SearchEpoch) -> None:
             console.say(_words(epoch))
-            if viewer:
-                viewer.search(epoch)
+            viewer.show(SearchView.epoch, epoch)
 
         with console.progress("Searching") as report:
             found = run.run_search(
@@ -117,7 +117,6 @@ def optimise_command(
                 confirmed = confirm_result.confirm_result(
                     confirm, found, run.work_folder(out) / "confirm", report
                 )
-        page = run.report_path(what, out)
         diagnosis = diagnose_search(found, confirmed)
         if diagnosis.is_useless:
             for path in found.plans:

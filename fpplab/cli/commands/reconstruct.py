@@ -10,10 +10,12 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, AsRecorded, CalibrationOption, DepthOption, Force, Json, Out, app
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 
 @app.command("reconstruct", rich_help_panel=MEASURE)
 def reconstruct_command(
+    context: typer.Context,
     session: Annotated[Path, typer.Argument(help="A recorded session.")],
     calibration: CalibrationOption,
     out: Out,
@@ -23,6 +25,8 @@ def reconstruct_command(
     ] = None,
     depth: DepthOption = None,
     as_recorded: AsRecorded = False,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -42,6 +46,7 @@ def reconstruct_command(
     from fpplab.report import write_scan_report
     from fpplab.report.provenance import session_provenance
     from fpplab.sessions.session import Session
+    from fpplab.viewer.measurement import MeasurementView
 
     page = out.with_suffix(".html")
     need_suffix(out, *CLOUD_SUFFIXES)
@@ -50,11 +55,18 @@ def reconstruct_command(
     known = Calibration.load(calibration)
     recorded = Session.open(session)
     used = pipeline.depth_range_of(recorded, depth)
+    viewer = open_viewer(context, MeasurementView, view, keep_open, out.with_suffix(".rrd"))
+    viewer.show(MeasurementView.plan, recorded.plan, *recorded.projector())
+    viewer.show(MeasurementView.calibration, known)
     with console.stopwatch() as seconds, console.progress("Reconstructing") as report:
         source = session_provenance(recorded, known, calibration)
         try:
             decoded, cloud = pipeline.reconstruct(
-                *(recorded, known, report), filtering=filtering, depth_mm=depth, as_recorded=as_recorded
+                *(recorded, known, report),
+                filtering=filtering,
+                depth_mm=depth,
+                as_recorded=as_recorded,
+                maps_ready=lambda maps: viewer.show(MeasurementView.maps, maps),
             )
         except UselessScanError as error:
             found = error.diagnosis
@@ -62,6 +74,7 @@ def reconstruct_command(
                 *(page, recorded, None, None, used, found), provenance=source, answer=found.summary()
             )
             raise
+        viewer.show(MeasurementView.results, None, cloud, used, None)
         diagnosis = pipeline.diagnose(recorded, decoded, cloud, known)
         result = {
             **diagnosis.summary(),

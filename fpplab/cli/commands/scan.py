@@ -10,6 +10,7 @@ import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, CalibrationOption, DepthOption, Force, Json, Out, PlanName, RigName, app
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 
 if TYPE_CHECKING:
     from fpplab.clouds import Cloud
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 @app.command("scan", rich_help_panel=MEASURE)
 def scan_command(
+    context: typer.Context,
     rig: RigName,
     calibration: CalibrationOption,
     out: Out,
@@ -27,7 +29,8 @@ def scan_command(
         str | None, typer.Option("--item", help="Have the rig's fixture put this up first.")
     ] = None,
     pose: Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")] = 0,
-    view: Annotated[bool, typer.Option("--view", help="Watch it live in the viewer.")] = False,
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     depth: DepthOption = None,
     force: Force = False,
     json: Json = False,
@@ -61,25 +64,22 @@ def scan_command(
             bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once.
-        from fpplab.core.progress import ignore
         from fpplab.diagnosis import UselessScanError
         from fpplab.phase.precision import uncertain_orders
         from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
         from fpplab.reconstruction.filtering import removal
         from fpplab.report import write_scan_report
         from fpplab.report.provenance import session_provenance
-        from fpplab.report.viewer import Viewer
         from fpplab.sessions.lock import only_writer
+        from fpplab.viewer.measurement import MeasurementView, frame_observer
+        from fpplab.viewer.recorded import RECORDING
 
         # The report is written last: without it, all that is left may be to finish.
         finished = (out / REPORT).is_file()
-        viewer = stack.enter_context(Viewer.open()) if view else None
-        if viewer and viewer.fault is None:
-            console.say(f"Watch it at {viewer.where}")
-            viewer.plan(wanted, caps.size, caps.lattice)
-            viewer.calibration(known)
+        viewer = open_viewer(context, MeasurementView, view, keep_open, out / RECORDING)
+        viewer.show(MeasurementView.plan, wanted, caps.size, caps.lattice)
+        viewer.show(MeasurementView.calibration, known)
         mount = (item, pose) if item else None
-        observe = viewer.frame if viewer else ignore
         with only_writer(out):
             with console.progress("Scanning") as report:
                 session = take(
@@ -90,13 +90,18 @@ def scan_command(
                     force=force,
                     complete_too=not finished,
                     progress=report,
-                    observe_frame=observe,
+                    observe_frame=frame_observer(viewer),
                 )
             with console.progress("Reconstructing") as report:
                 used, source = depth_range_of(session, depth), session_provenance(session, known, calibration)
                 judged: list[tuple[Decoded, Cloud, Diagnosis]] = []
+
+                def found(decoded: Decoded, cloud: Cloud, diagnosis: Diagnosis) -> None:
+                    judged.append((decoded, cloud, diagnosis))
+                    viewer.show(MeasurementView.results, decoded, cloud, used, None)
+
                 try:
-                    finish_scan(session, known, report, lambda *results: judged.append(results))
+                    finish_scan(session, known, report, found)
                 except UselessScanError as error:
                     results = judged[0][:2] if judged else (None, None)
                     write_scan_report(
@@ -122,10 +127,6 @@ def scan_command(
                     provenance=source,
                     answer=result,
                 )
-        if viewer and viewer.fault is None:
-            viewer.decoded(decoded)
-            viewer.cloud(cloud)
-            viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
     console.say(diagnosis.sentence)
     files = {"cloud": str(out / CLOUD), "report": str(out / REPORT)}
     console.answer({**result, "provenance": source.summary(), **files}, json)

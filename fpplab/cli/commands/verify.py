@@ -12,6 +12,7 @@ from fpplab.cli import console
 from fpplab.cli.app import JUDGE, Force, Json, Out, PlanName, app
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import TakesLists
+from fpplab.cli.viewing import KeepOpen, ViewOption, open_viewer
 from fpplab.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -19,10 +20,13 @@ if TYPE_CHECKING:
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import Cloud
     from fpplab.patterns.plan import Plan
+    from fpplab.viewer.acceptance import AcceptanceView
+    from fpplab.viewer.viewer import Viewer
 
 
 @app.command("verify", cls=TakesLists, rich_help_panel=JUDGE)
 def verify_command(
+    context: typer.Context,
     standard: Annotated[
         str,
         typer.Option(
@@ -57,6 +61,8 @@ def verify_command(
         Path | None, typer.Option("--calibration", help="Of the rig, or of sessions without a cloud.")
     ] = None,
     plan: PlanName = "plan_paper.yaml",
+    view: ViewOption = False,
+    keep_open: KeepOpen = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -84,10 +90,13 @@ def verify_command(
         raise ConfigError("give either --spheres and --planes, or --rig, to say where the points come from")
     known = Standard.load(standard).with_mpe(_words(mpe)).with_positions(_words(positions))
     model = Calibration.load(calibration) if calibration else None
+    from fpplab.viewer.acceptance import AcceptanceView
+
+    viewer = open_viewer(context, AcceptanceView, view, keep_open, out.with_suffix(".rrd"))
     with console.stopwatch() as seconds:
         bars, flats = _named(spheres or []), _named(planes or [])
         if rig:
-            bars, flats = _measured(rig, known, model, Plan.load(plan), out, force)
+            bars, flats = _measured(rig, known, model, Plan.load(plan), out, force, viewer)
         from fpplab.acceptance import verify as judge
         from fpplab.diagnosis.acceptance import diagnose_acceptance
         from fpplab.report.acceptance import write_acceptance_report
@@ -95,6 +104,7 @@ def verify_command(
         with console.progress("Verifying"):
             again = None if rig else model
             result = judge(known, _clouds(bars, again), _clouds(flats, again))
+            viewer.show(AcceptanceView.result, result)
             diagnosis = diagnose_acceptance(result)
             answer = {**diagnosis.summary(), **result.summary(), "seconds": seconds(), "report": str(out)}
             write_acceptance_report(out, result, diagnosis, answer)
@@ -137,7 +147,13 @@ def _cloud(path: Path, calibration: Calibration | None) -> Cloud:
 
 
 def _measured(
-    rig: str, standard: Standard, calibration: Calibration | None, plan: Plan, out: Path, force: bool
+    rig: str,
+    standard: Standard,
+    calibration: Calibration | None,
+    plan: Plan,
+    out: Path,
+    force: bool,
+    viewer: Viewer[AcceptanceView],
 ) -> tuple[dict[str, Path], dict[str, Path]]:
     """Sessions of every item that the standard names, by item, scanned into a folder beside the report."""
     if calibration is None:
@@ -149,6 +165,8 @@ def _measured(
         )
     from fpplab.devices.rig import Rig
     from fpplab.pipeline import check_plan, check_space, finish_scan, take
+    from fpplab.viewer.acceptance import AcceptanceView
+    from fpplab.viewer.measurement import frame_observer
 
     loaded = Rig.load(rig)
     check_plan(plan, "--plan", calibration, loaded)
@@ -161,12 +179,19 @@ def _measured(
         for item in (*items.ball_bar, *items.plane):
             fixture.check(item)
         check_space(bench, plan, [folder / item for item in (*items.ball_bar, *items.plane)], force)
+        viewer.show(AcceptanceView.plan, plan, caps.size, caps.lattice)
+        viewer.show(AcceptanceView.calibration, calibration)
         for item in (*items.ball_bar, *items.plane):
             with console.progress(f"Scanning {item}") as report:
                 session = take(
-                    bench, plan, folder / item, (item, 0), force=force, complete_too=True, progress=report
+                    *(bench, plan, folder / item, (item, 0)),
+                    force=force,
+                    complete_too=True,
+                    progress=report,
+                    observe_frame=frame_observer(viewer),
                 )
-                finish_scan(session, calibration)
+                decoded, cloud = finish_scan(session, calibration)
+                viewer.show(AcceptanceView.position, item, decoded, cloud)
     return {name: folder / name for name in items.ball_bar}, {name: folder / name for name in items.plane}
 
 

@@ -1,43 +1,80 @@
-"""`fpplab view`: a session in the rerun viewer."""
+"""`fpplab view`: a session, or a recording that `--view` left, in the rerun viewer."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fpplab.cli import console
 from fpplab.cli.app import MEASURE, Force, Json, app
+from fpplab.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fpplab.viewer.recorded import CloudErrors
 
 
 @app.command("view", rich_help_panel=MEASURE)
 def view_command(
-    session: Annotated[Path, typer.Argument(help="A recorded session.")],
+    session: Annotated[
+        Path,
+        typer.Argument(help="A session; or what `--view` left, as a file (.rrd) or its folder."),
+    ],
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Default: the one in the session.")
     ] = None,
+    mesh: Annotated[
+        Path | None, typer.Option("--mesh", help="True shape: the cloud is coloured by its distance from it.")
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Move the cloud onto the mesh first, as `compare` does.")
+    ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="Save as .rrd instead of showing.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Show a session in the rerun viewer: images, phase, modulation, cloud and both devices in place.
+    """Show a session in the rerun viewer: images, phase, maps, the cloud by uncertainty, and both devices.
 
-    Without a display it is served to a browser on this computer, at the address that is printed.
+    Without a display it is served to a browser on this computer, at the address that is printed. It ends when
+    its window or page is closed, or by Ctrl-C. A folder that is no session is shown by its `view.rrd`.
+
+    Example: `fpplab view pyramid --mesh pyramid.stl --align`
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.pipeline import CALIBRATION
-    from fpplab.report import viewer
-    from fpplab.sessions.session import Session
+    from fpplab.sessions.session import JOURNAL, Session
+    from fpplab.viewer.recorded import RECORDING, view_recording, view_session
 
+    def announce(where: str) -> None:
+        console.say(f"Shown at {where}")
+
+    recording = session if session.suffix == ".rrd" else session / RECORDING
+    if recording.is_file() and not (session / JOURNAL).is_file():
+        if out or mesh or calibration:
+            raise ConfigError(f"{recording}: is a recording, shown as it is; give a session instead")
+        console.answer({"session": str(session), "shown": view_recording(recording, announce=announce)}, json)
+        return
+    if align and not mesh:
+        raise ConfigError("--align needs --mesh, the true shape that the cloud is moved onto")
     if out:
         need_suffix(out, ".rrd")
         refuse_existing(out, force)
     beside = session / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
     known = Calibration.load(source) if source else None
-    shown = viewer.view_session(
-        Session.open(session), known, out, lambda where: console.say(f"Shown at {where}")
-    )
+    opened = Session.open(session)
+    errors = _errors(mesh, align) if mesh else None
+    with console.progress("Reading the session") as report:
+        shown = view_session(opened, known, out or "anywhere", announce, errors, report)
     console.answer({"session": str(session), "shown": shown}, json)
+
+
+def _errors(mesh: Path, align: bool) -> CloudErrors:
+    """What gives a cloud's distances from a true shape. Raises `ConfigError`, `DataError`."""
+    from fpplab.clouds import load_mesh
+    from fpplab.comparison import compare
+
+    shape = load_mesh(mesh)
+    return lambda cloud: 1e3 * compare(cloud, shape, align=align).distances_mm

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 from fpplab.live.expectation import RigGeometry, WorkingPoint
 from fpplab.live.orders import Order
-from fpplab.report.live_view import DARK, SATURATED, SHOWN_COLUMNS, LiveViewer, painted
-from fpplab.report.viewer import Viewer
+from fpplab.viewer.canvas import SHOWN_COLUMNS
+from fpplab.viewer.live import DARK, SATURATED, LitImage, LiveFrames, LiveView
+from fpplab.viewer.viewer import Viewer
 from tests.live.benches import PLAN, Operator, operate, rig_file
 from tests.live.test_expectation import converging
-from tests.report.test_viewer import Recording
+from tests.viewer.test_viewer import Recording
 
 
 def test_saturated_and_dark_pixels_are_painted_in() -> None:
     image = np.full((40, 3 * SHOWN_COLUMNS), 100, np.uint16) << 4
     image[20, 7] = 4095  # one pixel, which the reduction to a third would lose
     image[0] = 0
-    rgb = painted(image, 12, image < 50)
+    rgb = LitImage.of(image, 12, image < 50).painted()
     assert rgb.shape == (14, SHOWN_COLUMNS, 3)
     assert tuple(rgb[6, 2]) == SATURATED
     assert tuple(rgb[5, 5]) == (100, 100, 100)
     assert np.abs(rgb[0, 0].astype(int) - np.array(DARK) // 2).max() <= 1
-    assert not (painted(image, 12, None)[0] != 0).any()
+    assert not LitImage.of(image, 12, None).painted()[0].any()
 
 
 def test_the_recording_has_image_focus_histogram_and_scene(tmp_path: Path) -> None:
     path, geometry = tmp_path / "live.rrd", RigGeometry(converging(18.0))
-    with Viewer.open(path) as viewer:
-        shown = LiveViewer(viewer, geometry, 400.0)
+    with Viewer(LiveView, None, keep=path, complete=True) as viewer:
+        viewer.show(LiveView.scene, geometry, 400.0)
+        shown = LiveFrames(viewer, most_hz=math.inf)
 
         class Watching(Operator):
             def __call__(self, status, frame, pattern, dark):  # type: ignore[no-untyped-def]
@@ -46,7 +49,7 @@ def test_the_recording_has_image_focus_histogram_and_scene(tmp_path: Path) -> No
         working = WorkingPoint(geometry, PLAN, 400.0)
         operator = Watching(Order.WHITE, Order.QUIT, after=17)
         operate(rig, operator, working=working)
-        assert viewer.fault is None
+    assert viewer.fault is None
     found = Recording(path)
     frames = len(operator.frames)
     assert found.frames("world/camera/image") == list(range(1, frames + 1))

@@ -5,10 +5,15 @@ from __future__ import annotations
 import io
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +35,17 @@ from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
 from fpplab.pipeline import CLOUD, DECODED
-from fpplab.report import viewer as live
-from fpplab.report import viewer_server
 from fpplab.sessions.session import Session
+from fpplab.viewer import server as servers
+from fpplab.viewer import viewer as viewers
+from fpplab.viewer.canvas import Canvas
+from fpplab.viewer.colours import BAR_SIZE, UNMEASURED
+from fpplab.viewer.matching import MatchingView
+from fpplab.viewer.measurement import MeasurementView, ShownFrame
+from fpplab.viewer.outbox import Message, Outbox
+from fpplab.viewer.recorded import view_recording, view_session
+from fpplab.viewer.server import ViewerServer, has_display
+from fpplab.viewer.viewer import Viewer
 from tests.support.plane_twin import CAMERA, nominal, tilted
 
 SIZE, MIRRORS = (64, 48), (90, 70)
@@ -100,19 +113,22 @@ class Recording:
         data = np.array(self.value(entity, "ImageBuffer", row))
         return data.reshape(form["height"], form["width"], 3).astype(np.int64)
 
+    def map(self, entity: str, row: int | None = None) -> NDArray[np.int64]:
+        """A coloured map without its colour bar, at one pixel for each of its own."""
+        larger = -(-BAR_SIZE[0] // SIZE[0])
+        return self.rgb(entity, row)[: larger * SIZE[1] : larger, ::larger]
+
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("live") / "scan.rrd"
-    with live.Viewer.open(path) as viewer:
-        viewer.plan(PLAN, MIRRORS, Lattice.SQUARE)
+    with Canvas(file=path) as canvas:
+        view = MeasurementView(canvas)
+        view.plan(PLAN, MIRRORS, Lattice.SQUARE)
         for i in range(PLAN.images):
-            viewer.frame(frame(i, bits=12))
-        viewer.calibration(calibration())
-        viewer.decoded(decoded())
-        viewer.cloud(cloud())
-        assert viewer.fault is None
-        assert viewer.where == str(path)
+            view.frame(ShownFrame.of(frame(i, bits=12)))
+        view.calibration(calibration())
+        view.results(decoded(), cloud(), None, None)
     return Recording(path)
 
 
@@ -128,7 +144,7 @@ def test_every_frame_is_there_with_its_pattern(recording: Recording) -> None:
 def test_the_phase_follows_the_last_frame_of_each_set(recording: Recording) -> None:
     assert recording.frames("maps/phase") == [2, 6]
     # Six stripes over 90 mirrors: the phase, and so its colour, repeats every 15 pixels.
-    fine = recording.rgb("maps/phase", 1)
+    fine = recording.map("maps/phase", 1)
     assert np.abs(fine[:, 15:60] - fine[:, :45]).mean() < 6
     assert np.abs(fine[:, 7:52] - fine[:, :45]).mean() > 30
 
@@ -152,8 +168,8 @@ def test_devices_are_placed_by_the_calibration(recording: Recording) -> None:
 def test_results_are_logged_as_static(recording: Recording) -> None:
     points = np.array(recording.value("world/cloud", "Position3D"), np.float32)
     assert np.array_equal(points, cloud().points)
-    u = recording.rgb("maps/u")
-    assert np.array_equal(u[5, 5], live.UNMEASURED)
+    u = recording.map("maps/u")
+    assert np.array_equal(u[5, 5], UNMEASURED)
     assert not np.array_equal(u[20, 5], u[20, 60])
 
 
@@ -161,23 +177,24 @@ def test_the_cloud_is_coloured_by_errors(tmp_path: Path) -> None:
     path = tmp_path / "errors.rrd"
     errors = np.linspace(-0.05, 0.05, 200)
     errors[7] = np.nan
-    with live.Viewer.open(path) as viewer:
-        viewer.cloud(cloud(), errors)
-    packed = np.array(Recording(path).value("world/cloud", "Color"), np.int64)
+    with Canvas(file=path) as canvas:
+        MeasurementView(canvas).results(None, cloud(), None, errors)
+    packed = np.array(Recording(path).value("world/coloured/Error", "Color"), np.int64)
     red, blue = packed >> 24, (packed >> 8) & 255
     assert red[0] < 60 < 90 < blue[0]
     assert blue[-1] < 60 < 90 < red[-1]
-    assert (red[7], blue[7]) == (live.UNMEASURED[0], live.UNMEASURED[2])
+    assert (red[7], blue[7]) == (UNMEASURED[0], UNMEASURED[2])
 
 
 def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
     path, parameters = tmp_path / "match.rrd", ParametersFile.of(nominal(tilted(2)))
     losses = [0.4, 0.2, 0.1]
     names = ("loss", "loss_board", "ssim", "ssim_board", "epsilon_d_px")
-    with live.Viewer.open(path) as viewer:
+    with Canvas(file=path) as canvas:
+        view = MatchingView(canvas)
         for number, loss in enumerate(losses):
             figures = dict.fromkeys(names, 1.0) | {"loss": loss}
-            viewer.epoch(
+            view.epoch(
                 MatchingEpoch(
                     epoch=number,
                     step="light",
@@ -188,7 +205,6 @@ def test_epochs_of_a_matching_are_curves(tmp_path: Path) -> None:
                     parameters=parameters,
                 )
             )
-        assert viewer.fault is None
     found = Recording(path)
     assert found.frames("match/loss", "epoch") == [0, 1, 2]
     assert [found.value("match/loss", "Scalar", n, "epoch") for n in range(3)] == losses
@@ -211,15 +227,15 @@ def test_a_session_is_shown_with_its_results(tmp_path: Path) -> None:
     made = session(tmp_path / "scan", sized)
     decoded().save(made.path / DECODED)
     save_cloud(cloud(), made.path / CLOUD)
-    assert live.view_session(made, calibration(), tmp_path / "s.rrd") == str(tmp_path / "s.rrd")
+    assert view_session(made, calibration(), tmp_path / "s.rrd") == str(tmp_path / "s.rrd")
     found = Recording(tmp_path / "s.rrd")
     assert found.frames("world/projector/pattern") == list(range(7))
     assert len(found.value("world/cloud", "Position3D")) == 200
-    assert found.rgb("maps/modulation").shape == (48, 64, 3)
+    assert found.map("maps/modulation").shape == (48, 64, 3)
 
 
 def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> None:
-    live.view_session(session(tmp_path / "scan", PLAN), None, tmp_path / "s.rrd")
+    view_session(session(tmp_path / "scan", PLAN), None, tmp_path / "s.rrd")
     found = Recording(tmp_path / "s.rrd")
     assert found.frames("world/camera/image") == list(range(7))
     entities = {c.entity_path for c in found.data.schema().component_columns()}
@@ -230,65 +246,163 @@ def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> N
 
 
 @pytest.fixture
-def served() -> Iterator[live.Viewer]:
-    with live.Viewer.open("browser") as viewer:
-        assert viewer.fault is None
+def served() -> Iterator[Viewer[MeasurementView]]:
+    with Viewer(MeasurementView, "browser") as viewer:
+        show(viewer, 0)
+        until(lambda: viewer.where)
         yield viewer
 
 
-def process(viewer: live.Viewer) -> psutil.Process:
-    assert viewer._server is not None
-    return psutil.Process(viewer._server.pid)
+def show(viewer: Viewer[MeasurementView], index: int) -> None:
+    viewer.show_one_of_many(MeasurementView.frame, ShownFrame.of(frame(index)))
 
 
-def test_the_server_is_reached_from_this_computer_alone_and_ends(served: live.Viewer) -> None:
-    server = process(served)
-    served.frame(frame(0))
-    listening = {c.laddr for c in server.net_connections("inet") if c.status == psutil.CONN_LISTEN}
-    assert len(listening) == 2
-    assert {address.ip for address in listening} == {"127.0.0.1"}
-    assert any(f"http://127.0.0.1:{address.port}/" in served.where for address in listening)
+def until(done: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 60
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def processes() -> list[psutil.Process]:
+    return psutil.Process().children(recursive=True)
+
+
+def listening() -> list[Any]:
+    found = [c for p in processes() for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+    return [connection.laddr for connection in found]
+
+
+def test_the_viewer_is_reached_from_this_computer_alone_and_ends(served: Viewer[MeasurementView]) -> None:
+    addresses, started = listening(), processes()
+    assert len(addresses) == 3  # data, rerun's own page, and the page that is announced
+    assert {address.ip for address in addresses} == {"127.0.0.1"}
+    assert any(f"http://127.0.0.1:{address.port}/" == served.where for address in addresses)
     served.close()
-    assert not server.is_running()
+    assert len(started) == 3
+    assert not any(one.is_running() for one in started)
     served.close()
 
 
+def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementView]) -> None:
+    with urllib.request.urlopen(served.where) as page:
+        policy, text = page.headers["Content-Security-Policy"], page.read().decode()
+    assert "default-src 'none'" in policy
+    assert set(re.findall(r"https?://([^:;/ ]+)", policy)) == {"127.0.0.1"}
+    assert "https:" not in text
+    foreign = urllib.request.Request(served.where, headers={"Host": "example.com"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(foreign)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "rerun",
+        pytest.param("host.py", marks=pytest.mark.slow),
+        pytest.param("fpplab.viewer.process", marks=pytest.mark.slow),
+    ],
+)
 def test_a_viewer_that_dies_does_not_stop_the_measurement(
-    served: live.Viewer, caplog: pytest.LogCaptureFixture
+    name: str, served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
 ) -> None:
-    served.frame(frame(0))
-    server = process(served)
-    server.kill()
-    psutil.wait_procs([server], timeout=10)
+    started = processes()
+    is_it = {"rerun": lambda p: p.name() == "rerun"}.get(name, lambda p: any(name in w for w in p.cmdline()))
+    next(p for p in started if is_it(p) and (name == "rerun" or p.name() != "rerun")).kill()
     with caplog.at_level(logging.WARNING, "fpplab"):
-        for i in (1, 2):
-            served.frame(frame(i))
+        for i in (1, 2) * 50:
+            show(served, i)
+            time.sleep(0.02)
         served.close()
     assert served.fault is not None
     assert [r.getMessage() for r in caplog.records] == [f"the viewer is switched off: {served.fault}"]
     assert "\n" not in served.fault
+    _, alive = psutil.wait_procs(started, timeout=10)
+    assert not alive
 
 
-def test_bad_data_switch_the_viewer_off(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with live.Viewer.open(tmp_path / "s.rrd") as viewer:
-        viewer.cloud(cloud(), np.zeros((3, 3)))
-    assert viewer.fault is not None
+@pytest.mark.slow
+def test_a_viewer_that_hangs_is_not_waited_for(
+    served: Viewer[MeasurementView], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewers, "QUIET_S", 1.0)
+    started = processes()
+    for one in started:
+        one.suspend()
+    since = time.monotonic()
+    served.close()
+    assert time.monotonic() - since < 0.2 * viewers.FINISH_S
+    for one in started:
+        with suppress(psutil.NoSuchProcess):
+            one.resume()  # what was suspended could not notice that the process above it has ended
+    assert not psutil.wait_procs(started, timeout=30)[1]
+
+
+def test_bad_data_switch_the_viewer_off(
+    served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
+) -> None:
+    served.show(MeasurementView.frame, ShownFrame(np.zeros((3, 3)), 0, 8))  # no integers
+    served.close()
+    assert served.fault is not None
     assert len(caplog.records) == 1
 
 
-def test_a_viewer_that_does_not_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_full_queue_drops_images_and_never_waits() -> None:
+    outbox = Outbox(most=3)
+    for k in range(6):
+        outbox.add(Message(k, droppable=k != 1))
+    outbox.end()
+    left = []
+    while (message := outbox.take()) is not None:
+        left.append(message.content)
+    assert left == [1, 4, 5]
+    assert outbox.dropped == 3
+
+
+MEASURING = """
+import sys, time
+from pathlib import Path
+from fpplab.viewer.view import CommandView
+from fpplab.viewer.viewer import Viewer
+from tests.viewer.test_viewer import MeasurementView, calibration
+viewer = Viewer(MeasurementView, "browser", Path(sys.argv[1]), lambda where: print(where, flush=True))
+viewer.show(MeasurementView.calibration, calibration())
+time.sleep(120)
+"""
+
+
+@pytest.mark.slow
+def test_a_measurement_that_is_killed_leaves_no_process_and_its_recording(tmp_path: Path) -> None:
+    kept = tmp_path / "view.rrd"
+    command = [sys.executable, "-c", MEASURING, str(kept)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline().startswith("http://127.0.0.1:")
+        started = psutil.Process(program.pid).children(recursive=True)
+        time.sleep(1.0)  # what was shown is in the pipe by then
+        program.kill()
+    assert len(started) == 3
+    _, alive = psutil.wait_procs(started, timeout=20)
+    assert not alive
+    assert Recording(kept).value("world/camera", "Resolution") == [64, 48]
+    seen: list[str] = []
+
+    def close_at_once(where: str) -> None:
+        seen.append(where)
+        raise KeyboardInterrupt
+
+    view_recording(kept, "browser", close_at_once)
+    assert seen[0].startswith("http://127.0.0.1:")
+
+
+def test_a_viewer_that_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = tmp_path / "rerun"
     fake.write_text('#!/bin/sh\n[ "$1" = analytics ] && exit 0\necho "no such driver" >&2\nexit 3\n')
     fake.chmod(0o755)
-    monkeypatch.setattr(viewer_server, "_program", lambda: str(fake))
-    with live.Viewer.open("window") as viewer:
-        viewer.frame(frame(0))
-    assert viewer.fault == "viewer: open: rerun ended: no such driver"
-    assert len(caplog.records) == 1
-    with pytest.raises(DeviceError, match="no such driver"):
-        live.view_session(session(tmp_path / "scan", PLAN), None, "browser")
+    monkeypatch.setattr(servers, "_program", lambda: str(fake))
+    for kind in ("window", "browser"):
+        with pytest.raises(DeviceError, match="viewer: open: rerun ended: no such driver"):
+            ViewerServer(kind)
 
 
 @pytest.mark.parametrize(
@@ -302,13 +416,13 @@ def test_without_a_display_a_browser_is_served(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert live.has_display() is display
+    assert has_display() is display
 
 
 WAITING = """
 import sys
 from pathlib import Path
-from fpplab.report.viewer import view_session
+from fpplab.viewer.recorded import view_session
 from fpplab.sessions.session import Session
 print(view_session(Session.open(Path(sys.argv[1])), None, "browser", lambda where: print(where, flush=True)))
 """

@@ -1,0 +1,69 @@
+"""`--view` and `--keep-open`: what every command that shows its work does alike."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from fpplab.cli import console
+
+if TYPE_CHECKING:
+    from fpplab.viewer.server import Shown
+    from fpplab.viewer.view import CommandView
+    from fpplab.viewer.viewer import Viewer
+
+    V = TypeVar("V", bound=CommandView)
+else:
+    V = TypeVar("V")
+
+ViewOption = Annotated[
+    bool,
+    typer.Option("--view", help="Watch it live in the viewer; a recording is left for `fpplab view`."),
+]
+KeepOpen = Annotated[
+    bool,
+    typer.Option("--keep-open", help="The same; the viewer stays until it is closed, or Ctrl-C."),
+]
+
+
+def open_viewer(
+    context: typer.Context, view: type[V], wanted: bool, keep_open: bool, recording: Path | None
+) -> Viewer[V]:
+    """Make the viewer of a command; it is closed when the command has ended, after its answer.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Of the command.
+    view : type
+        What it shows.
+    wanted : bool
+        Whether `--view` was given; without, the viewer shows nothing.
+    keep_open : bool
+        Whether `--keep-open` was given, and the command waits until the operator closes the viewer.
+    recording : Path or None
+        Where the recording (.rrd) is left, if anywhere.
+
+    Returns
+    -------
+    Viewer
+        Starts when there is something to show.
+    """
+    from fpplab.viewer.viewer import Viewer
+
+    shown: Shown | None = "anywhere" if wanted or keep_open else None
+    keep = recording if shown else None
+    viewer = Viewer(view, shown, keep, lambda where: console.say(f"Watch it at {where}"))
+
+    def finish() -> None:
+        succeeded = sys.exc_info()[0] is None
+        if keep_open and succeeded:
+            sys.stdout.flush()
+            viewer.wait(lambda where: console.say(f"{where}: close it, or press Ctrl-C, to end."))
+        viewer.close(hurry=not succeeded)
+
+    context.call_on_close(finish)
+    return viewer

@@ -1,0 +1,63 @@
+"""The probability, by noise alone, that the fringe order of a pixel is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import erfc
+
+from fpplab.core.conventions import Axis, Map
+from fpplab.patterns.plan import Plan
+from fpplab.phase.alternatives import alternatives_of
+from fpplab.phase.decoded import Decoded
+from fpplab.phase.precision import coordinate_spread
+from fpplab.phase.unwrapping import wavelength_sequence
+
+
+def order_risk(
+    decoded: Decoded,
+    plan: Plan,
+    projector_size: tuple[int, int],
+    widths: Mapping[Axis, float | None] | None = None,
+) -> Map:
+    """Estimate the probability that noise gives a pixel a wrong fringe order, from its uncertainty.
+
+    A shifted position whose phases are χ² = d² away, in units of their noise, is the likelier one with the
+    probability `erfc(d / √8) / 2`; the sum over all shifts, in both directions, bounds the risk from above.
+    Shifts that only pixels near the projector's edges can suffer are not counted.
+
+    Parameters
+    ----------
+    decoded : Decoded
+        Maps of the plan.
+    plan : Plan
+        The plan.
+    projector_size : tuple of int
+        (width, height) in px.
+    widths : mapping of str to float, optional
+        By axis the greatest width of the interval of possible positions, as a share of the projector's
+        length, as for `wavelength_sequence`.
+
+    Returns
+    -------
+    ndarray of float32, (height, width)
+        Of the axis that risks more, at most 1; NaN where the pixel is not measured.
+
+    Raises
+    ------
+    ConfigError
+        The plan cannot be unwrapped, as `wavelength_sequence`.
+    """
+    risk = np.where(decoded.valid, np.float32(0.0), np.float32(np.nan))
+    for axis in plan.axes:
+        sequence = wavelength_sequence(plan, axis, "plan", (widths or {}).get(axis))
+        known = alternatives_of(plan, sequence)
+        counted = known.separations[known.separations >= 0.99 * known.least_separation]
+        # Uncertainty of the first coded axis, and from it the noise of a grey level over its modulation.
+        sigma = decoded.sigma if axis == plan.axes[0] else decoded.sigma * np.float32(decoded.v_per_u)
+        noise = sigma / coordinate_spread(plan, axis, projector_size)
+        with np.errstate(divide="ignore"):
+            of_axis = sum(erfc(np.sqrt(one / 8.0) / noise) for one in counted)
+        risk = np.maximum(risk, np.minimum(of_axis, 1.0).astype(np.float32) if len(counted) else risk)
+    return risk

@@ -1,0 +1,391 @@
+"""What all views draw with: pictures, maps with their colour bars, curves, points, devices, in rerun's terms.
+
+A canvas writes to one or more of rerun's streams at once: the server's, and a file's.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Image, Map
+from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.viewer.colours import ColourScale
+
+SHOWN_COLUMNS = 1600
+"""Columns beyond which an image or map is subsampled before it is shown."""
+SHOWN_POINTS = 300_000
+"""Points beyond which a cloud is thinned before it is shown."""
+RECORDING_BYTES = 128 * 2**20
+"""Size of a recording beyond which no more pictures of single moments go into it."""
+BACKGROUND = (38, 41, 46)
+Opened = Literal["rig", "part"]
+"""Scenes of the rig with all that is around it, and scenes of the part alone."""
+REACH: dict[Opened, str] = {"rig": "world/reach/rig", "part": "world/reach/part"}
+"""Entities of unseen points, which scenes contain so that they open on all that is to be seen in them."""
+OPENS_WIDE = 1.45
+"""Size of what such a scene counts, over the size of what is in it: rerun looks from 1.5 half diagonals away
+at an angle of 55 degrees, which would cut off a third."""
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class Canvas:
+    """Streams of rerun that are drawn on; used in a `with` block, which completes them.
+
+    Parameters
+    ----------
+    address : str, optional
+        Of a server.
+    file : Path, optional
+        A recording (.rrd) that is written; the folder exists.
+    """
+
+    def __init__(self, address: str | None = None, file: Path | None = None) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # what rerun would print says no more than an error does
+        import rerun as rr
+
+        rr.set_strict_mode(True)
+        self._live = rr.RecordingStream("fpplab") if address else None
+        self._kept = rr.RecordingStream("fpplab") if file else None
+        if self._live:
+            self._live.connect_grpc(address)
+        if self._kept and file:
+            self._kept.save(file)
+        self._bytes = 0
+        self._there: dict[Opened, dict[str, Floats]] = {"rig": {}, "part": {}}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for stream in self._streams:
+            stream.flush(blocking=True)
+            stream.disconnect()
+        self._live = self._kept = None
+
+    @property
+    def _streams(self) -> tuple[Any, ...]:
+        return tuple(stream for stream in (self._live, self._kept) if stream is not None)
+
+    def leave_server(self) -> None:
+        """Draw on the file alone from now on: the server has ended."""
+        live, self._live = self._live, None
+        if live is not None:
+            live.disconnect()
+
+    def layout(self, content: Any) -> None:
+        """Arrange the views.
+
+        Parameters
+        ----------
+        content : rerun.blueprint container or view
+            See `fpplab.viewer.layouts`.
+        """
+        import rerun.blueprint as rrb
+
+        plan = rrb.Blueprint(
+            content,
+            rrb.BlueprintPanel(state="collapsed"),
+            rrb.SelectionPanel(state="collapsed"),
+            rrb.TimePanel(state="collapsed"),
+        )
+        for stream in self._streams:
+            stream.send_blueprint(plan)
+
+    def at(self, timeline: str, number: int) -> None:
+        """Say when all that follows happened.
+
+        Parameters
+        ----------
+        timeline : str
+            `frame`, `epoch`, `pose` or `sample`.
+        number : int
+            Counted from 0.
+        """
+        for stream in self._streams:
+            stream.set_time(timeline, sequence=number)
+
+    def log(self, entity: str, what: Any, *, static: bool = False, bulky: bool = False) -> None:
+        """Draw one of rerun's archetypes.
+
+        Parameters
+        ----------
+        entity : str
+            Its place in the tree of entities.
+        what : object
+            An archetype.
+        static : bool
+            Whether it is the same at all times.
+        bulky : bool
+            Whether a recording that has reached its greatest size goes without.
+        """
+        if self._live:
+            self._live.log(entity, what, static=static)
+        if self._kept and not (bulky and self._bytes > RECORDING_BYTES):
+            self._kept.log(entity, what, static=static)
+
+    def picture(self, entity: str, pixels: NDArray[np.uint8], *, static: bool = False) -> None:
+        """Show an image, compressed as JPEG, a tenth of the size, since it is only for display.
+
+        Parameters
+        ----------
+        entity : str
+            Its place.
+        pixels : NDArray of uint8
+            (h, w) or (h, w, 3).
+        static : bool
+            Whether it is the same at all times.
+        """
+        import rerun as rr
+
+        packed = rr.Image(np.ascontiguousarray(pixels)).compress(jpeg_quality=90)
+        self._bytes += pixels.size // 8
+        self.log(entity, packed, static=static, bulky=not static)
+
+    def map(self, entity: str, values: Map, scale: ColourScale, *, static: bool = False) -> None:
+        """Show a map in colours, with its colour bar beneath.
+
+        Parameters
+        ----------
+        entity : str
+            Its place.
+        values : Map
+            (h, w), NaN where not known.
+        scale : ColourScale
+            Its colours.
+        static : bool
+            Whether it is the same at all times.
+        """
+        import rerun as rr
+
+        sheet = scale.above_its_bar(subsampled(values))
+        self._bytes += sheet.nbytes
+        self.log(entity, rr.Image(sheet), static=static, bulky=not static)
+
+    def figure(self, entity: str, png: bytes, *, static: bool = False) -> None:
+        """Show a drawn figure.
+
+        Parameters
+        ----------
+        entity : str
+            Its place.
+        png : bytes
+            PNG file, as the figures of `fpplab.report` are.
+        static : bool
+            Whether it is the same at all times.
+        """
+        import rerun as rr
+
+        self._bytes += len(png)
+        packed = rr.EncodedImage(contents=png, media_type="image/png")
+        self.log(entity, packed, static=static, bulky=not static)
+
+    def bar(self, entity: str, scale: ColourScale) -> None:
+        """Show a colour bar alone.
+
+        Parameters
+        ----------
+        entity : str
+            Its place.
+        scale : ColourScale
+            Its colours.
+        """
+        import rerun as rr
+
+        self.log(entity, rr.Image(scale.bar()), static=True)
+
+    def cloud(
+        self, entity: str, points: NDArray[np.floating[Any]], colours: NDArray[np.uint8], static: bool = True
+    ) -> None:
+        """Show points in space.
+
+        Parameters
+        ----------
+        entity : str
+            Their place.
+        points : NDArray of float
+            (N, 3) in mm.
+        colours : NDArray of uint8
+            (N, 3).
+        static : bool
+            Whether they are the same at all times.
+        """
+        import rerun as rr
+
+        step = max(1, math.ceil(len(points) / SHOWN_POINTS))
+        shown = rr.Points3D(points[::step], colors=colours[::step], radii=rr.Radius.ui_points(1.2))
+        self.log(entity, shown, static=static)
+
+    def value(self, entity: str, value: float) -> None:
+        """Continue a curve.
+
+        Parameters
+        ----------
+        entity : str
+            The curve's place.
+        value : float
+            At the moment of `at`.
+        """
+        import rerun as rr
+
+        self.log(entity, rr.Scalars(value))
+
+    def curve_style(self, entity: str, name: str, colour: tuple[int, int, int]) -> None:
+        """Name a curve.
+
+        Parameters
+        ----------
+        entity : str
+            The curve's place.
+        name : str
+            In its legend.
+        colour : tuple of int
+            RGB.
+        """
+        import rerun as rr
+
+        self.log(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0), static=True)
+
+    def text(self, entity: str, markdown: str, *, static: bool = True) -> None:
+        """Show words.
+
+        Parameters
+        ----------
+        entity : str
+            Their place.
+        markdown : str
+            The words.
+        static : bool
+            Whether they are the same at all times.
+        """
+        import rerun as rr
+
+        self.log(entity, rr.TextDocument(markdown, media_type="text/markdown"), static=static)
+
+    def device(self, entity: str, device: Pinhole, T_world_device: RigidTransform, reach_mm: float) -> None:
+        """Show a camera or projector at its pose, with its pyramid of sight, which views open on.
+
+        Pinholes are drawn without distortion, so the edge of an image may lie beside the cloud.
+
+        Parameters
+        ----------
+        entity : str
+            Its place.
+        device : Pinhole
+            Its lens and image.
+        T_world_device : RigidTransform
+            Its pose.
+        reach_mm : float
+            Length of the pyramid.
+        """
+        import rerun as rr
+
+        step = shown_step(device.size[0])
+        matrix = device.matrix.copy()
+        matrix[:2, 2] += 0.5  # rerun counts from the corner of the first pixel, not from its centre
+        matrix[:2] /= step  # the images are shown with every n-th pixel
+        pose = rr.Transform3D(translation=T_world_device.translation, mat3x3=T_world_device.rotation)
+        model = rr.Pinhole(
+            image_from_camera=matrix,
+            resolution=[-(-n // step) for n in device.size],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=reach_mm,
+        )
+        self.log(entity, pose, static=True)
+        self.log(entity, model, static=True)
+        corners = np.array([[x, y] for x in (0, device.size[0]) for y in (0, device.size[1])], np.float64)
+        rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(device.matrix).T
+        self.open_on("rig", entity, T_world_device.apply(np.vstack([np.zeros(3), reach_mm * rays])))
+
+    def open_on(self, scene: Opened, name: str, points: NDArray[np.floating[Any]]) -> None:
+        """Have scenes open on these points, and on what else was named so.
+
+        Parameters
+        ----------
+        scene : str
+            Which ones.
+        name : str
+            Of what is there; given again, it replaces what was.
+        points : NDArray of float
+            (N, 3) in mm; the outermost half percent does not count.
+        """
+        if not len(points):
+            return
+        self._there[scene][name] = np.percentile(points, (0.5, 99.5), axis=0)
+        ends = np.concatenate(list(self._there[scene].values()))
+        middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
+        half = OPENS_WIDE * float(np.linalg.norm(ends - middle, axis=1).max()) / math.sqrt(3.0)
+        corners = middle + half * np.array([[-1.0], [1.0]])
+        self.cloud(REACH[scene], corners, np.full((2, 3), BACKGROUND, np.uint8))
+
+    def directions(self, entity: str) -> None:
+        """Say that x points right, y down and z forward, as in the camera's frame.
+
+        Parameters
+        ----------
+        entity : str
+            The root of what is in that frame.
+        """
+        import rerun as rr
+
+        self.log(entity, rr.ViewCoordinates.RDF, static=True)
+
+
+def shown_step(columns: int) -> int:
+    """Give the step at which pixels of an image are shown.
+
+    Parameters
+    ----------
+    columns : int
+        Width of the image in px.
+
+    Returns
+    -------
+    int
+        1, or more where there are more than `SHOWN_COLUMNS`.
+    """
+    return max(1, -(-columns // SHOWN_COLUMNS))
+
+
+def subsampled(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Take every n-th pixel, so that at most `SHOWN_COLUMNS` columns remain.
+
+    Parameters
+    ----------
+    values : NDArray
+        (h, w) or (h, w, 3).
+
+    Returns
+    -------
+    NDArray
+        A view of them.
+    """
+    step = shown_step(values.shape[1])
+    return values[::step, ::step]
+
+
+def eight_bits(image: Image, bits: int) -> NDArray[np.uint8]:
+    """Give the upper eight bits of raw levels.
+
+    Parameters
+    ----------
+    image : Image
+        Raw levels.
+    bits : int
+        Their depth.
+
+    Returns
+    -------
+    NDArray of uint8
+        Of the same shape.
+    """
+    return (image >> (bits - 8)).astype(np.uint8)

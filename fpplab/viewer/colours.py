@@ -1,0 +1,150 @@
+"""Colours of values, and the colour bars that say which value and unit a colour means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Pixels
+from PIL import ImageDraw, ImageFont
+
+from fpplab.core.conventions import Floats
+
+UNMEASURED = (185, 188, 192)
+"""RGB of what was not measured."""
+BAR_SIZE = (560, 92)
+"""Width and height of a colour bar in px."""
+BAR_TICKS = 5
+_PAPER, _INK = (24, 27, 31), (225, 228, 232)
+_MARGIN, _HEIGHT = 60, 30
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """What a range of values looks like.
+
+    Attributes
+    ----------
+    quantity : str
+        What is shown, as the colour bar says it.
+    unit : str
+        Of the values; empty for a pure number.
+    colours : str
+        Name of a colour map of matplotlib.
+    low, high : float
+        Values of its ends; what lies beyond looks like them.
+    """
+
+    quantity: str
+    unit: str
+    colours: str
+    low: float
+    high: float
+
+    @classmethod
+    def spanning(
+        cls, quantity: str, unit: str, colours: str, values: NDArray[np.floating[Any]]
+    ) -> ColourScale:
+        """Make a scale over nearly all of some values.
+
+        Parameters
+        ----------
+        quantity, unit, colours : str
+            As the attributes.
+        values : NDArray of float
+            NaN where not known.
+
+        Returns
+        -------
+        ColourScale
+            Without the half percent at either end; from 0 to 1 where no value is known.
+        """
+        known = values[np.isfinite(values)]
+        low, high = np.percentile(known, (0.5, 99.5)) if len(known) else (0.0, 1.0)
+        return cls(quantity, unit, colours, float(low), float(high))
+
+    def colours_of(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+        """Give the colours of values.
+
+        Parameters
+        ----------
+        values : NDArray of float
+            Of any shape.
+
+        Returns
+        -------
+        NDArray of uint8
+            RGB, of that shape and 3 more; grey where they are not finite.
+        """
+        level: Floats = np.clip((values - self.low) / max(self.high - self.low, 1e-12), 0.0, 1.0)
+        known = np.isfinite(level)
+        rgb: NDArray[np.uint8] = self._table()[np.rint(np.where(known, level, 0.0) * 255).astype(np.intp)]
+        rgb[~known] = UNMEASURED
+        return rgb
+
+    def above_its_bar(self, values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+        """Give the colours of a map, with the colour bar beneath it.
+
+        Parameters
+        ----------
+        values : NDArray of float
+            (h, w).
+
+        Returns
+        -------
+        NDArray of uint8
+            RGB, at least as wide as the colour bar: a smaller map is drawn with larger pixels.
+        """
+        shown = self.colours_of(values)
+        larger = -(-BAR_SIZE[0] // shown.shape[1])
+        shown = shown.repeat(larger, axis=0).repeat(larger, axis=1)
+        bar = Pixels.fromarray(self.bar())
+        across = shown.shape[1]
+        bar = bar.resize((across, round(bar.height * across / bar.width)), Pixels.Resampling.BILINEAR)
+        return np.concatenate([shown, np.asarray(bar)])
+
+    def bar(self) -> NDArray[np.uint8]:
+        """Draw the colour bar, with numbers, quantity and unit.
+
+        Returns
+        -------
+        NDArray of uint8
+            RGB, of `BAR_SIZE`.
+        """
+        width, height = BAR_SIZE
+        sheet = Pixels.new("RGB", BAR_SIZE, _PAPER)
+        across = width - 2 * _MARGIN
+        ramp = self._table()[np.linspace(0, 255, across).astype(np.intp)]
+        sheet.paste(Pixels.fromarray(np.repeat(ramp[None], _HEIGHT, axis=0)), (_MARGIN, 2))
+        draw, font = ImageDraw.Draw(sheet), _font()
+        for k in range(BAR_TICKS):
+            share = k / (BAR_TICKS - 1)
+            x = _MARGIN + share * (across - 1)
+            draw.line([(x, _HEIGHT), (x, _HEIGHT + 7)], fill=_INK, width=2)
+            value = self.low + share * (self.high - self.low)
+            draw.text((x, _HEIGHT + 8), self._number(value), _INK, font, anchor="ma")
+        words = f"{self.quantity} in {self.unit}" if self.unit else self.quantity
+        draw.text((width / 2, height - 3), words, _INK, font, anchor="mb")
+        return np.asarray(sheet)
+
+    def _number(self, value: float) -> str:
+        span = abs(self.high - self.low)
+        if span >= 1e5 or 0 < span < 1e-3:
+            return f"{value:.2g}"
+        places = int(np.clip(2 - np.floor(np.log10(max(span, 1e-12))), 0, 5))
+        return f"{value:.{places}f}"
+
+    def _table(self) -> NDArray[np.uint8]:
+        import matplotlib as mpl
+
+        table = np.asarray(mpl.colormaps[self.colours](np.linspace(0, 1, 256)))[:, :3]
+        return np.asarray(table * 255, np.uint8)
+
+
+def _font() -> ImageFont.FreeTypeFont:
+    """Matplotlib's own font, which has every letter of a unit."""
+    import matplotlib as mpl
+
+    return ImageFont.truetype(f"{mpl.get_data_path()}/fonts/ttf/DejaVuSans.ttf", 19)

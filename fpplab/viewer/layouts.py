@@ -1,0 +1,121 @@
+"""Arrangements of views that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fpplab.viewer.canvas import BACKGROUND
+
+BAR_SHARE = 10
+"""A scene is so many times as high as the colour bar beneath it."""
+
+
+def image(name: str, origin: str) -> Any:
+    """View an image, a map or a diagram.
+
+    Parameters
+    ----------
+    name : str
+        Heading.
+    origin : str
+        Entity.
+
+    Returns
+    -------
+    rerun.blueprint.Spatial2DView
+        Fits what is there.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial2DView(origin=origin, name=name, background=BACKGROUND)
+
+
+def scene(name: str, contents: Sequence[str], origin: str = "/world") -> Any:
+    """View entities in space; it opens on all that it contains.
+
+    Parameters
+    ----------
+    name : str
+        Heading.
+    contents : sequence of str
+        Entities, such as `/world/cloud` or `/world/camera/**`.
+    origin : str
+        Whose frame it is in.
+
+    Returns
+    -------
+    rerun.blueprint.Spatial3DView
+        Without a grid.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=list(contents),
+        name=name,
+        background=BACKGROUND,
+        line_grid=rrb.archetypes.LineGrid3D(visible=False),
+    )
+
+
+def with_bar(content: Any, bar: str, name: str) -> Any:
+    """Put a colour bar beneath a view.
+
+    Parameters
+    ----------
+    content : rerun.blueprint view
+        The view.
+    bar : str
+        Entity of the colour bar.
+    name : str
+        Heading of both, as a tab shows it.
+
+    Returns
+    -------
+    rerun.blueprint.Vertical
+        Both.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.Vertical(content, image("Colours", bar), row_shares=[BAR_SHARE, 1], name=name)
+
+
+def curves(name: str, contents: Mapping[str, Sequence[str]] | Sequence[str]) -> Any:
+    """View curves over the timeline, all of them from the beginning.
+
+    Parameters
+    ----------
+    name : str
+        Heading, with the unit.
+    contents : sequence of str
+        Entities.
+
+    Returns
+    -------
+    rerun.blueprint.TimeSeriesView
+        With a legend.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(origin="/", contents=list(contents), name=name)
+
+
+def words(name: str, origin: str) -> Any:
+    """View a text.
+
+    Parameters
+    ----------
+    name : str
+        Heading.
+    origin : str
+        Entity.
+
+    Returns
+    -------
+    rerun.blueprint.TextDocumentView
+        Of the text.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.TextDocumentView(origin=origin, name=name)

@@ -1,0 +1,363 @@
+"""The set-up as it goes: the image with what is saturated or dark painted in, histogram, focus, the scene.
+
+Red is saturated, blue stays dark in the projector's light. The timeline `frame` counts the frames.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Floats, Image, Mask, full_scale
+from fpplab.devices import Frame
+from fpplab.live.expectation import RigGeometry
+from fpplab.live.exposure import LightLevels
+from fpplab.live.focus import FocusMeasure, FocusTracker
+from fpplab.live.regions import REGIONS
+from fpplab.live.status import LiveStatus
+from fpplab.patterns.fringes import Pattern
+from fpplab.viewer import layouts
+from fpplab.viewer.canvas import REACH, eight_bits, shown_step, subsampled
+from fpplab.viewer.measurement import CAMERA, IMAGE, PATTERN, PROJECTOR, show_devices
+from fpplab.viewer.view import CommandView
+from fpplab.viewer.viewer import Viewer
+
+SATURATED, DARK = (255, 48, 32), (24, 60, 150)
+"""RGB of pixels at full scale, and of those that stay dark."""
+
+UNKNOWN_FOCUS = (72, 76, 82)
+"""RGB of a region whose focus is not known."""
+
+CELL_PX = 40
+"""Side of a region in the maps, in px."""
+
+BINS = 64
+"""Bins of the histogram."""
+
+MOST_WAITING = 3
+"""Frames that may wait to be drawn: what is shown of a set-up shall be new rather than whole."""
+
+MOST_HZ = 10.0
+"""Most frames per s that are shown: a browser falls behind with more."""
+
+SLICES = 7
+"""Planes of the depth range in which the overlap of both fields is drawn."""
+
+OVERLAP_COLOUR, WORKING_COLOUR = (90, 170, 110), (250, 200, 60)
+"""RGB of the fields' overlap, and of that at the working distance."""
+
+CURVES = {
+    "focus/camera": ("camera", (51, 120, 184)),
+    "focus/projector": ("projector", (222, 130, 48)),
+    "light/peak": ("peak", (122, 171, 89)),
+    "light/saturated": ("saturated pixels", (200, 84, 110)),
+}
+"""By entity: the curve's name and RGB; in percent."""
+
+
+@dataclass(frozen=True, eq=False)
+class LitImage:
+    """A camera image as it is sent to be shown, with what is saturated or dark in it.
+
+    Attributes
+    ----------
+    grey : ndarray of uint8, (rows, columns)
+        Upper eight bits of every n-th pixel.
+    saturated : ndarray of bool, (rows, columns)
+        Where one of the pixels that this one stands for is at full scale.
+    dark : ndarray of bool, (rows, columns), or None
+        Where it stays dark in the projector's light.
+    """
+
+    grey: NDArray[np.uint8]
+    saturated: Mask
+    dark: Mask | None
+
+    @classmethod
+    def of(cls, image: Image, bits: int, dark: Mask | None) -> LitImage:
+        """Reduce an image to what is shown of it; no saturated pixel is lost by that.
+
+        Parameters
+        ----------
+        image : ndarray of uint8 or uint16, (height, width)
+            Raw levels.
+        bits : int
+            Their depth.
+        dark : ndarray of bool, (height, width), or None
+            Pixels that count as dark.
+
+        Returns
+        -------
+        LitImage
+            A copy: a camera may reuse the image's memory.
+        """
+        step = shown_step(image.shape[1])
+        grey = eight_bits(image[::step, ::step], bits)
+        saturated = np.zeros(grey.shape, np.bool_)
+        v, u = np.nonzero(image >= full_scale(bits))
+        saturated[v // step, u // step] = True
+        return cls(grey, saturated, None if dark is None else subsampled(dark).copy())
+
+    def painted(self) -> NDArray[np.uint8]:
+        """Paint in what is saturated or dark.
+
+        Returns
+        -------
+        ndarray of uint8, (rows, columns, 3)
+            RGB.
+        """
+        rgb = np.repeat(self.grey[..., None], 3, axis=2)
+        if self.dark is not None:
+            rgb[self.dark] = rgb[self.dark] // 2 + np.array(DARK, np.uint8) // 2
+        rgb[self.saturated] = SATURATED
+        return rgb
+
+
+@dataclass(frozen=True, eq=False)
+class FocusShares:
+    """Focus of a device as a share of its best.
+
+    Attributes
+    ----------
+    whole : float or None
+        Of the whole image.
+    regions : ndarray of float64, `REGIONS`
+        Of each region, NaN where not known.
+    """
+
+    whole: float | None
+    regions: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSnapshot:
+    """What is shown of the set-up after a frame.
+
+    Attributes
+    ----------
+    number : int
+        Of the frame.
+    image : LitImage
+        What the camera sees.
+    pattern : ndarray of uint8
+        What the projector shows, subsampled.
+    pattern_id : str
+        Tells whether that has changed.
+    focus : dict of str to FocusShares
+        By device, where it was measured with this frame.
+    levels : LightLevels or None
+        Light, where it was measured with this frame.
+    words : str
+        The state in Markdown.
+    """
+
+    number: int
+    image: LitImage
+    pattern: NDArray[np.uint8]
+    pattern_id: str
+    focus: dict[str, FocusShares]
+    levels: LightLevels | None
+    words: str
+
+
+class LiveView(CommandView):
+    """The image large, pattern or scene and histogram below it, and the measures at the side."""
+
+    def begin(self) -> None:
+        """Arrange the views."""
+        self._pattern_id = self._words = ""
+        for entity, (name, colour) in CURVES.items():
+            self.canvas.curve_style(entity, name, colour)
+        self.canvas.layout(self.arrangement(layouts.image("Projector", f"/{PATTERN}")))
+
+    def arrangement(self, below: Any) -> Any:
+        """Lay out the views.
+
+        Parameters
+        ----------
+        below : rerun.blueprint view
+            What stands below the image.
+
+        Returns
+        -------
+        rerun.blueprint.Horizontal
+            The layout.
+        """
+        import rerun.blueprint as rrb
+
+        camera = layouts.image("Camera: red saturated, blue dark", f"/{IMAGE}")
+        histogram = rrb.BarChartView(origin="/light/histogram", name="Histogram (log), black to full scale")
+        maps = [
+            layouts.image(f"Focus of the {name}, % of best", f"/maps/{name}_focus")
+            for name in ("camera", "projector")
+        ]
+        focus = rrb.TimeSeriesView(
+            origin="/focus",
+            name="Focus, % of best",
+            axis_y=rrb.ScalarAxis(range=(0.0, 105.0), zoom_lock=True),
+        )
+        light = layouts.curves("Light, %", ["/light/peak", "/light/saturated"])
+        measures = rrb.Vertical(
+            rrb.Horizontal(focus, light), *maps, layouts.words("State", "/words"), row_shares=[3, 4, 4, 3]
+        )
+        return rrb.Horizontal(
+            rrb.Vertical(camera, rrb.Horizontal(below, histogram), row_shares=[3, 2]),
+            measures,
+            column_shares=[3, 2],
+        )
+
+    def scene(self, geometry: RigGeometry, distance_mm: float | None) -> None:
+        """Show both devices, and the part of space that both see.
+
+        Parameters
+        ----------
+        geometry : RigGeometry
+            Of the calibration.
+        distance_mm : float or None
+            The working distance, in mm.
+        """
+        self.canvas.directions("world")
+        show_devices(self.canvas, geometry.calibration)
+        self._draw_overlap(geometry, distance_mm)
+        contents = [
+            f"/{CAMERA}/**",
+            f"/{PROJECTOR}/**",
+            f"/{REACH['rig']}",
+            "/world/overlap",
+            "/world/working",
+        ]
+        scene = layouts.scene("Scene: overlap green, working distance yellow", contents)
+        self.canvas.layout(self.arrangement(scene))
+
+    def _draw_overlap(self, geometry: RigGeometry, distance_mm: float | None) -> None:
+        """The part of space that both devices see, plane by plane, and its part at the working distance."""
+        import rerun as rr
+
+        near, far = geometry.depth_mm
+        outlines = [geometry.outline(float(d)) for d in np.linspace(near, far, SLICES)]
+        strips = [one for one in outlines if len(one)]
+        overlap = rr.LineStrips3D(strips, colors=OVERLAP_COLOUR, radii=rr.Radius.ui_points(1.0))
+        self.canvas.log("world/overlap", overlap, static=True)
+        if strips:
+            self.canvas.open_on("rig", "overlap", np.concatenate(strips))
+        if distance_mm is not None and len(here := geometry.outline(distance_mm)):
+            working = rr.LineStrips3D([here], colors=WORKING_COLOUR, radii=rr.Radius.ui_points(2.0))
+            self.canvas.log("world/working", working, static=True)
+
+    def snapshot(self, now: LiveSnapshot) -> None:
+        """Show a frame with the state after it.
+
+        Parameters
+        ----------
+        now : LiveSnapshot
+            The latest.
+        """
+        import rerun as rr
+
+        self.canvas.at("frame", now.number)
+        self.canvas.picture(IMAGE, now.image.painted())
+        counts = np.bincount(now.image.grey.ravel() // (256 // BINS), minlength=BINS)
+        self.canvas.log("light/histogram", rr.BarChart(np.log10(1.0 + counts)))
+        if now.pattern_id != self._pattern_id:
+            self._pattern_id = now.pattern_id
+            self.canvas.picture(PATTERN, now.pattern)
+        for name, shares in now.focus.items():
+            self._draw_focus(name, shares)
+        if now.levels is not None:
+            self.canvas.value("light/peak", 100.0 * now.levels.peak)
+            self.canvas.value("light/saturated", 100.0 * now.levels.saturated)
+        if now.words != self._words:
+            self._words = now.words
+            self.canvas.text("words", now.words, static=False)
+
+    def _draw_focus(self, name: str, focus: FocusShares) -> None:
+        """The focus of each region as a share of its best: colours, and figures on them."""
+        import rerun as rr
+
+        if focus.whole is not None:
+            self.canvas.value(f"focus/{name}", 100.0 * focus.whole)
+        known = np.isfinite(focus.regions)
+        table = mpl.colormaps["RdYlGn"](np.clip(np.nan_to_num(focus.regions), 0.0, 1.0))[..., :3]
+        rgb = np.rint(200 * table).astype(np.uint8)
+        rgb[~known] = UNKNOWN_FOCUS
+        entity = f"maps/{name}_focus"
+        self.canvas.log(entity, rr.Image(rgb.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)))
+        v, u = np.meshgrid(*((np.arange(n) + 0.5) * CELL_PX for n in REGIONS), indexing="ij")
+        labels = [f"{100 * share:.0f}" if share == share else "–" for share in focus.regions.ravel()]
+        centres = np.stack([u.ravel(), v.ravel()], axis=1)
+        points = rr.Points2D(centres, labels=labels, show_labels=True, radii=0.0, colors=(255, 255, 255))
+        self.canvas.log(f"{entity}/share", points)
+
+
+class LiveFrames:
+    """Sends frames of the set-up to a viewer, with what was measured since the one before.
+
+    Parameters
+    ----------
+    viewer : Viewer
+        Of a `LiveView`.
+    most_hz : float
+        Frames per s beyond which they are left out.
+    """
+
+    def __init__(self, viewer: Viewer[LiveView], most_hz: float = MOST_HZ) -> None:
+        self._viewer, self._most_hz = viewer, most_hz
+        self._last_s = -math.inf
+        self._levels: LightLevels | None = None
+        self._focus: dict[str, FocusMeasure] = {}
+
+    def show(self, status: LiveStatus, frame: Frame, pattern: Pattern, dark: Mask | None) -> None:
+        """Show a frame with the state after it; one that comes too soon is left out.
+
+        Parameters
+        ----------
+        status : LiveStatus
+            The snapshot.
+        frame : Frame
+            The frame.
+        pattern : Pattern
+            What it shows.
+        dark : ndarray of bool, (height, width), or None
+            Pixels that stay dark in the view's light.
+        """
+        now = time.monotonic()
+        if now - self._last_s < 1.0 / self._most_hz:
+            return
+        self._last_s = now
+        levels = None if status.levels is self._levels else status.levels
+        self._levels = status.levels
+        snapshot = LiveSnapshot(
+            number=status.frames,
+            image=LitImage.of(frame.image, frame.settings.bits, dark),
+            pattern=subsampled(pattern.image),
+            pattern_id=pattern.id,
+            focus=self._measured(status),
+            levels=levels,
+            words=_words(status),
+        )
+        self._viewer.show_one_of_many(LiveView.snapshot, snapshot)
+
+    def _measured(self, status: LiveStatus) -> dict[str, FocusShares]:
+        """The focus that was measured since the last frame that was shown."""
+        trackers: dict[str, FocusTracker] = {
+            "camera": status.camera_focus,
+            "projector": status.projector_focus,
+        }
+        new = {name: one for name, one in trackers.items() if one.now is not self._focus.get(name)}
+        self._focus |= {name: one.now for name, one in new.items()}
+        return {name: FocusShares(one.share, one.shares) for name, one in new.items()}
+
+
+def _words(status: LiveStatus) -> str:
+    """The state in Markdown."""
+    lines = [status.line().replace(" | ", "  \n")]
+    if status.advice is not None:
+        lines += [f"**{one}**" for one in status.advice.limits]
+    lines += [f"**{one.cause}**: {one.evidence}; {one.remedy}" for one in status.findings]
+    return "\n\n".join(lines)

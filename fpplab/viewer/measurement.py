@@ -1,0 +1,412 @@
+"""A measurement as it grows, or a recorded one: images, phase, coordinates, the cloud and both devices.
+
+The scene is in the camera's frame (x right, y down, z forward). The timeline `frame` runs over the images of
+the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.acquisition.acquire import FrameObserver
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import TWO_PI, Axis, Lattice, Map, raw_per_grey
+from fpplab.core.errors import FppError
+from fpplab.core.geometry import RigidTransform
+from fpplab.devices import Frame
+from fpplab.patterns.fringes import pattern_image
+from fpplab.patterns.plan import Plan
+from fpplab.phase import Decoded, Wrapped, wrapped_phase
+from fpplab.phase.bounds import widest
+from fpplab.phase.order_risk import order_risk
+from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
+from fpplab.report.figures import error_limit
+from fpplab.viewer import layouts
+from fpplab.viewer.canvas import REACH, Canvas, eight_bits, subsampled
+from fpplab.viewer.colours import ColourScale
+from fpplab.viewer.view import CommandView
+from fpplab.viewer.viewer import Viewer
+
+MIN_MODULATION = 2.0
+"""Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""
+LEAST_RISK, GREATEST_RISK = -12.0, -3.0
+"""Decimal logarithms of the probabilities at the ends of the colour bar of the order risk."""
+CAMERA, PROJECTOR, CLOUD = "world/camera", "world/projector", "world/cloud"
+IMAGE, PATTERN = f"{CAMERA}/image", f"{PROJECTOR}/pattern"
+
+
+@dataclass(frozen=True)
+class ShownFrame:
+    """A camera image as it is sent to be shown.
+
+    Attributes
+    ----------
+    image : ndarray
+        Raw levels, with at most `SHOWN_COLUMNS` columns.
+    index : int
+        Of the image in the plan.
+    bits : int
+        Bit depth of the levels.
+    """
+
+    image: NDArray[Any]
+    index: int
+    bits: int
+
+    @classmethod
+    def of(cls, frame: Frame) -> ShownFrame:
+        """Take what is shown of a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            Of the camera.
+
+        Returns
+        -------
+        ShownFrame
+            A copy: a camera may reuse the frame's memory.
+        """
+        return cls(subsampled(frame.image).copy(), frame.index, frame.settings.bits)
+
+
+@dataclass(frozen=True, eq=False)
+class Colouring:
+    """Values of points as their colours.
+
+    Attributes
+    ----------
+    name : str
+        Heading, and name of the entity.
+    values : ndarray of float
+        (N,), NaN where not known.
+    scale : ColourScale
+        Their colours.
+    """
+
+    name: str
+    values: NDArray[np.floating[Any]]
+    scale: ColourScale
+
+    @property
+    def entity(self) -> str:
+        """Place of the coloured cloud."""
+        return f"world/coloured/{self.name.replace(' ', '_')}"
+
+
+@dataclass
+class _Known:
+    """What has been shown so far, and decides how the next is."""
+
+    plan: tuple[Plan, tuple[int, int], Lattice] | None = None
+    calibration: Calibration | None = None
+    frames: dict[int, NDArray[np.generic]] = field(default_factory=dict)
+
+
+class MeasurementView(CommandView):
+    """Images and maps on the right; on the left the part, in several colourings, and the rig."""
+
+    def begin(self) -> None:
+        """Arrange the views and say which way the axes point."""
+        self._known = _Known()
+        self.canvas.directions("world")
+        self.canvas.layout(self.arrangement())
+
+    def arrangement(self, colourings: Sequence[Colouring] = ()) -> Any:
+        """Lay out scenes on the left and images on the right; coordinates of the coded axes only.
+
+        Parameters
+        ----------
+        colourings : sequence of Colouring
+            Each becomes a tab.
+
+        Returns
+        -------
+        rerun.blueprint.Horizontal
+            The layout.
+        """
+        import rerun.blueprint as rrb
+
+        return rrb.Horizontal(
+            self.scenes(colourings),
+            rrb.Grid(*self.pictures(), grid_columns=2, name="Images"),
+            column_shares=[5, 4],
+        )
+
+    def scenes(self, colourings: Sequence[Colouring] = ()) -> Any:
+        """Lay out the scenes, as tabs.
+
+        Parameters
+        ----------
+        colourings : sequence of Colouring
+            Each becomes a tab, after the part and before the rig.
+
+        Returns
+        -------
+        rerun.blueprint.Tabs
+            It opens on the part where there is one, and on the rig before that.
+        """
+        import rerun.blueprint as rrb
+
+        around = f"/{REACH['part']}"
+        coloured = [
+            layouts.with_bar(
+                layouts.scene(one.name, [f"/{one.entity}", around]), f"/bars/{one.entity}", one.name
+            )
+            for one in colourings
+        ]
+        rig = layouts.scene("Rig", [f"/{CAMERA}/**", f"/{PROJECTOR}/**", f"/{CLOUD}", f"/{REACH['rig']}"])
+        part = layouts.scene("Part", [f"/{CLOUD}", around])
+        if not colourings:
+            return rrb.Tabs(rig, part, active_tab=0, name="Scene")
+        first = 1 if colourings[0].name == "Error" else 0
+        return rrb.Tabs(part, *coloured, rig, active_tab=first, name="Scene")
+
+    def pictures(self) -> list[Any]:
+        """List the views of images and maps.
+
+        Returns
+        -------
+        list of rerun.blueprint views
+            In their order.
+        """
+        axes: tuple[Axis, ...] = self._known.plan[0].axes if self._known.plan else ("x", "y")
+        coordinates = {"x": ("Projector columns u", "/maps/u"), "y": ("Projector rows v", "/maps/v")}
+        listed = [
+            ("Camera", f"/{IMAGE}"),
+            ("Pattern", f"/{PATTERN}"),
+            ("Wrapped phase", "/maps/phase"),
+            ("Modulation", "/maps/modulation"),
+            *(coordinates[axis] for axis in axes),
+        ]
+        return [layouts.image(name, origin) for name, origin in listed]
+
+    def plan(self, plan: Plan, size: tuple[int, int], lattice: Lattice) -> None:
+        """Announce what the projector will show, so that frames are shown with their pattern and phase.
+
+        Parameters
+        ----------
+        plan : Plan
+            Of the measurement.
+        size : tuple of int
+            Width and height of the projector in mirrors.
+        lattice : Lattice
+            Of the projector's mirrors.
+        """
+        self._known.plan = (plan, size, lattice)
+        self.canvas.layout(self.arrangement())
+
+    def frame(self, frame: ShownFrame) -> None:
+        """Show a camera image, the pattern that it shows, and the phase once its fringe set is complete.
+
+        Parameters
+        ----------
+        frame : ShownFrame
+            Its index is that of the image in the plan.
+        """
+        self.canvas.at("frame", frame.index)
+        self.canvas.picture(IMAGE, eight_bits(frame.image, frame.bits))
+        if self._known.plan is not None:
+            plan, size, lattice = self._known.plan
+            index, step, _ = list(plan.steps())[frame.index]
+            self.canvas.picture(PATTERN, subsampled(pattern_image(plan, index, step, size, lattice)))
+            self._collect(frame, plan, index, step)
+
+    def _collect(self, frame: ShownFrame, plan: Plan, index: int, step: int) -> None:
+        """Show the wrapped phase of a fringe set once its last frame is in."""
+        fringe, frames = plan.fringes[index], self._known.frames
+        if step == 0:
+            frames.clear()
+        frames[step] = frame.image
+        if len(frames) == fringe.images:
+            self._phase(wrapped_phase([frames[n] for n in range(fringe.images)], fringe), frame.bits)
+
+    def _phase(self, wrapped: Wrapped, bits: int) -> None:
+        faint = MIN_MODULATION * raw_per_grey(bits)
+        phase = np.where(wrapped.modulation >= faint, wrapped.phase, np.float32(np.nan))
+        self.canvas.map("maps/phase", phase, ColourScale("Phase", "rad", "twilight", 0.0, TWO_PI))
+
+    def calibration(self, calibration: Calibration) -> None:
+        """Show camera and projector at their poses.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            In the camera's frame.
+        """
+        self._known.calibration = calibration
+        show_devices(self.canvas, calibration)
+
+    def maps(self, decoded: Decoded) -> None:
+        """Show projector coordinates and modulation.
+
+        Parameters
+        ----------
+        decoded : Decoded
+            Maps (h, w), NaN where not measured.
+        """
+        shown = (
+            ("u", decoded.u, "Projector column u", "px", "viridis"),
+            ("v", decoded.v, "Projector row v", "px", "viridis"),
+            ("modulation", decoded.modulation, "Modulation", "grey levels of 255", "inferno"),
+        )
+        for name, values, quantity, unit, colours in shown:
+            if np.isfinite(values).any():
+                scale = ColourScale.spanning(quantity, unit, colours, values)
+                self.canvas.map(f"maps/{name}", values, scale, static=True)
+
+    def results(
+        self,
+        decoded: Decoded | None,
+        cloud: Cloud,
+        depth: DepthRange | None,
+        errors_um: NDArray[np.floating[Any]] | None,
+    ) -> None:
+        """Show the points in the camera's grey levels, by uncertainty, by order risk and by error.
+
+        Parameters
+        ----------
+        decoded : Decoded or None
+            The maps that they come from.
+        cloud : Cloud
+            N points in mm in the camera's frame.
+        depth : DepthRange or None
+            Range that they were reconstructed with.
+        errors_um : NDArray of float, or None
+            Signed distances (N,) from the true shape in µm, NaN where not known.
+        """
+        if decoded is not None:
+            self.maps(decoded)
+        self.cloud(cloud)
+        risk = None if decoded is None else self._risk(decoded, cloud, depth)
+        found = colourings(cloud, risk, errors_um)
+        for one in found:
+            self.canvas.cloud(one.entity, cloud.points, one.scale.colours_of(one.values))
+            self.canvas.bar(f"bars/{one.entity}", one.scale)
+        self.canvas.layout(self.arrangement(found))
+
+    def cloud(self, cloud: Cloud) -> None:
+        """Show the points in the camera's grey levels, or else by their depth.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            N points in mm in the camera's frame.
+        """
+        if cloud.colour is not None:
+            bright = max(float(np.percentile(cloud.colour, 98)), 1.0)
+            colours = ColourScale("Grey level", "", "gray", 0.0, bright).colours_of(
+                cloud.colour.astype(np.float32)
+            )
+        else:
+            colours = depth_scale(cloud).colours_of(cloud.points[:, 2])
+        self.canvas.cloud(CLOUD, cloud.points, colours)
+        self.canvas.open_on("part", CLOUD, cloud.points)
+        self.canvas.open_on("rig", CLOUD, cloud.points)
+
+    def _risk(self, decoded: Decoded, cloud: Cloud, depth: DepthRange | None) -> Map | None:
+        """Order risk of every point, where plan and pixels are known."""
+        if self._known.plan is None or cloud.pixels is None:
+            return None
+        plan, size, _ = self._known.plan
+        with suppress(FppError):  # a plan that this calibration cannot unwrap has no known risk
+            bounds = self._known.calibration and depth_bounds(plan, self._known.calibration, depth)
+            widths = {axis: widest(bounds or None, axis, size) for axis in plan.axes}
+            u, v = cloud.pixels.T
+            return np.asarray(order_risk(decoded, plan, size, widths)[v, u])
+        return None
+
+
+def show_devices(canvas: Canvas, calibration: Calibration) -> None:
+    """Show camera and projector at their poses in the camera's frame.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        What is drawn on.
+    calibration : Calibration
+        Of both.
+    """
+    reach = 0.5 * calibration.baseline_mm
+    canvas.device(CAMERA, calibration.camera, RigidTransform.identity(), reach)
+    canvas.device(PROJECTOR, calibration.projector, calibration.T_projector_camera.inverse(), reach)
+
+
+def depth_scale(cloud: Cloud) -> ColourScale:
+    """Make the colours of a cloud by depth.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In the camera's frame.
+
+    Returns
+    -------
+    ColourScale
+        In mm.
+    """
+    return ColourScale.spanning("Distance z from the camera", "mm", "viridis_r", cloud.points[:, 2])
+
+
+def colourings(
+    cloud: Cloud, risk: NDArray[np.floating[Any]] | None, errors_um: NDArray[np.floating[Any]] | None
+) -> list[Colouring]:
+    """List the colourings of a cloud that are known, the most telling first.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        N points.
+    risk : NDArray of float, or None
+        Probability (N,) of a wrong fringe order.
+    errors_um : NDArray of float, or None
+        Signed distances (N,) from the true shape in µm.
+
+    Returns
+    -------
+    list of Colouring
+        Error, uncertainty, order risk and depth.
+    """
+    found = []
+    if errors_um is not None:
+        limit = error_limit(errors_um)
+        scale = ColourScale("Signed distance from the true shape", "µm", "RdBu_r", -limit, limit)
+        found.append(Colouring("Error", errors_um, scale))
+    sigma_mm = cloud.sigma_mm if cloud.sigma_mm is not None else cloud.sigma_along_ray_mm
+    if sigma_mm is not None:
+        sigma_um = 1e3 * sigma_mm
+        words = "Standard uncertainty" + ("" if cloud.sigma_mm is not None else " by noise")
+        found.append(Colouring("Uncertainty", sigma_um, ColourScale.spanning(words, "µm", "magma", sigma_um)))
+    if risk is not None:
+        with np.errstate(divide="ignore"):
+            exponent = np.maximum(np.log10(risk), LEAST_RISK)
+        words = "Probability of a wrong fringe order, decimal logarithm"
+        scale = ColourScale(words, "", "plasma", LEAST_RISK, GREATEST_RISK)
+        found.append(Colouring("Order risk", exponent, scale))
+    found.append(Colouring("Depth", cloud.points[:, 2], depth_scale(cloud)))
+    return found
+
+
+def frame_observer(viewer: Viewer[Any], view: type[MeasurementView] = MeasurementView) -> FrameObserver:
+    """Make the observer of an acquisition that shows its frames.
+
+    Parameters
+    ----------
+    viewer : Viewer
+        Of such a view.
+    view : type
+        The view.
+
+    Returns
+    -------
+    callable
+        Takes each frame, and returns at once.
+    """
+    return lambda frame: viewer.show_one_of_many(view.frame, ShownFrame.of(frame))

@@ -1,0 +1,148 @@
+"""Recorded sessions, and recordings that a view left, in the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud, load_cloud
+from fpplab.core.errors import DataError, DeviceError
+from fpplab.core.progress import Progress, no_progress
+from fpplab.devices import Frame
+from fpplab.phase import Decoded
+from fpplab.pipeline import CLOUD, DECODED, depth_range_of
+from fpplab.reconstruction.depth_range import DepthRange
+from fpplab.sessions.session import Session
+from fpplab.viewer.canvas import Canvas
+from fpplab.viewer.measurement import MeasurementView, ShownFrame
+from fpplab.viewer.server import Shown, open_server
+from fpplab.viewer.viewer import Viewer
+
+RECORDING = "view.rrd"
+"""Name of the recording in a folder of results."""
+CloudErrors = Callable[[Cloud], NDArray[np.floating[Any]]]
+"""Gives the signed distances (N,) of a cloud from the true shape in µm, NaN where not known."""
+
+
+def view_session(
+    session: Session,
+    calibration: Calibration | None = None,
+    to: Shown | Path = "anywhere",
+    announce: Callable[[str], object] = print,
+    errors: CloudErrors | None = None,
+    progress: Progress = no_progress,
+) -> str:
+    """Show a recorded session with the results that are saved in it.
+
+    A file is complete on return. A window or page is announced, and stays until it is closed or Ctrl-C is
+    pressed.
+
+    Parameters
+    ----------
+    session : Session
+        Frames are read without verification of their checksums.
+    calibration : Calibration, optional
+        Of the rig; without it the devices are not shown.
+    to : str or Path
+        Where; a path is a recording (.rrd) to be written.
+    announce : callable
+        Told the address or window; printed by default.
+    errors : callable, optional
+        Gives the colours by error.
+    progress : callable
+        Told the share of the frames that are shown, 0 … 1.
+
+    Returns
+    -------
+    str
+        The address, file or window that showed it.
+
+    Raises
+    ------
+    DataError
+        The session is damaged.
+    DeviceError
+        The viewer fails.
+    """
+    if isinstance(to, Path):
+        to.parent.mkdir(parents=True, exist_ok=True)
+        with Canvas(file=to) as canvas:
+            view = MeasurementView(canvas)
+            _replay(session, calibration, errors, lambda method, *args: method(view, *args), progress)
+        return str(to)
+    with Viewer(MeasurementView, to, complete=True) as viewer:
+        _replay(session, calibration, errors, viewer.show, progress)
+        viewer.wait(announce)
+        if viewer.fault is not None:
+            raise DeviceError("viewer", "show", viewer.fault, "save to a file instead")
+        return viewer.where
+
+
+def view_recording(path: Path, shown: Shown = "anywhere", announce: Callable[[str], object] = print) -> str:
+    """Show a recording until its window or page is closed or Ctrl-C is pressed.
+
+    Parameters
+    ----------
+    path : Path
+        A file (.rrd).
+    shown : str
+        Where.
+    announce : callable
+        Told the address or window; printed by default.
+
+    Returns
+    -------
+    str
+        The address, or "window".
+
+    Raises
+    ------
+    DataError
+        It is no recording.
+    DeviceError
+        The viewer does not start.
+    """
+    with path.open("rb") as stream:
+        if stream.read(4) != b"RRF2":
+            raise DataError(f"{path}: is no recording of the viewer, or is damaged; view its session instead")
+    server = open_server(shown, (path,))
+    try:
+        with suppress(KeyboardInterrupt):
+            announce(server.page)
+            server.wait()
+        return server.page
+    finally:
+        server.stop()
+
+
+def _replay(
+    session: Session,
+    calibration: Calibration | None,
+    errors: CloudErrors | None,
+    show: Callable[..., None],
+    progress: Progress,
+) -> None:
+    """Show everything that a session holds."""
+    depth: DepthRange | None = None
+    with suppress(DataError):  # a session may not know its projector; its images are shown all the same
+        show(MeasurementView.plan, session.plan, *session.projector())
+        depth = depth_range_of(session)
+    if calibration is not None:
+        show(MeasurementView.calibration, calibration)
+    for number, record in enumerate(session.records, 1):
+        image = session.read(record.index, verify=False)
+        frame = Frame(image, record.index, record.settings, record.host_time_s)
+        show(MeasurementView.frame, ShownFrame.of(frame))
+        progress(number / len(session.records))
+    decoded = Decoded.load(session.path / DECODED) if (session.path / DECODED).is_file() else None
+    if (session.path / CLOUD).is_file():
+        cloud = load_cloud(session.path / CLOUD)
+        show(MeasurementView.results, decoded, cloud, depth, errors(cloud) if errors else None)
+    elif decoded is not None:
+        show(MeasurementView.maps, decoded)

@@ -1,0 +1,116 @@
+"""A search as it goes: all candidates with their front and optimum, and the best by epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure as Sheet
+
+from fpplab.optimisation.candidate_runner import SearchEpoch
+from fpplab.optimisation.objectives import CandidateFigures, MeasuredCandidate
+from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, single_axes
+from fpplab.viewer import layouts
+from fpplab.viewer.view import CommandView
+
+CURVES = {
+    "surface_smcd_um": "mean distance to the surface in µm",
+    "images": "images",
+    "completeness": "completeness",
+    "wrong_orders": "share of wrong orders",
+}
+"""Figures of the best candidate that are curves, and their names."""
+
+
+class SearchView(CommandView):
+    """The front on the left, the optimum and curves on the right; the timeline is `epoch`."""
+
+    def begin(self) -> None:
+        """Arrange the views."""
+        import rerun.blueprint as rrb
+
+        self._measured: list[MeasuredCandidate] = []
+        for key, name in CURVES.items():
+            self.canvas.curve_style(f"search/{key}", f"best: {name}", (51, 120, 184))
+        curves = [
+            layouts.curves(f"{name[:1].upper()}{name[1:]}", [f"/search/{key}"])
+            for key, name in CURVES.items()
+        ]
+        left = rrb.Vertical(
+            layouts.image("Candidates, front and optimum", "/diagrams/front"),
+            layouts.words("Optimum and front", "/words/optimum"),
+            row_shares=[3, 2],
+        )
+        self.canvas.layout(rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[5, 4]))
+
+    def epoch(self, epoch: SearchEpoch) -> None:
+        """Show an epoch of a search.
+
+        Parameters
+        ----------
+        epoch : SearchEpoch
+            The latest.
+        """
+        self._measured += [trial for trial in epoch.trials if trial.measured]
+        self.canvas.at("epoch", epoch.number)
+        for key in CURVES:
+            self.canvas.value(f"search/{key}", float(getattr(epoch.best.figures, key)))
+        self.canvas.figure("diagrams/front", front_so_far(self._measured, epoch.front, epoch.best))
+        listed = [("optimum", epoch.best), *((f"front {k}", one) for k, one in enumerate(epoch.front, 1))]
+        rows = "\n".join(_row(name, one) for name, one in listed)
+        self.canvas.text(
+            "words/optimum",
+            f"**Epoch {epoch.number}**, {epoch.step}: {epoch.measured} candidates measured\n\n"
+            "| plan | images | stripes | steps | stage mm | distance µm | completeness |\n"
+            f"|---|---|---|---|---|---|---|\n{rows}",
+            static=False,
+        )
+
+
+def _row(name: str, trial: MeasuredCandidate) -> str:
+    found, one = trial.figures, trial.candidate
+    cells = (
+        name,
+        str(found.images),
+        " ".join(f"{f.stripes:g}" for f in one.fringes),
+        " ".join(str(f.steps) for f in one.fringes),
+        "" if one.stage_mm is None else f"{one.stage_mm:g}",
+        f"{found.surface_smcd_um:.2f}",
+        f"{found.completeness:.3f}",
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+@as_png
+def front_so_far(
+    measured: Sequence[MeasuredCandidate], front: Sequence[MeasuredCandidate], best: MeasuredCandidate
+) -> Sheet:
+    """Draw candidates by images and distance, with their front and the optimum.
+
+    Parameters
+    ----------
+    measured : sequence of MeasuredCandidate
+        All so far.
+    front : sequence of MeasuredCandidate
+        The Pareto front.
+    best : MeasuredCandidate
+        The optimum.
+
+    Returns
+    -------
+    bytes
+        PNG file.
+    """
+
+    def places(trials: Sequence[MeasuredCandidate]) -> tuple[list[int], list[float]]:
+        known: list[CandidateFigures] = [one.figures for one in trials]
+        return [one.images for one in known], [one.surface_smcd_um for one in known]
+
+    figure, axes = single_axes(FULL, 4.0)
+    axes.plot(*places(measured), "o", color="#9aa1a9", markersize=3.5, label="candidates")
+    ordered = sorted(front, key=lambda one: one.figures.images)
+    axes.plot(*places(ordered), "o-", color=ACCENT, markersize=5, linewidth=1.2, label="front")
+    axes.plot(*places([best]), "*", color=ALARM, markersize=13, label="optimum")
+    axes.plot(*places(measured[:1]), "s", color=SECOND, markersize=6, label="start")
+    axes.set(xlabel="images", ylabel="mean distance to the surface in µm")
+    axes.legend(loc="upper right")
+    return figure

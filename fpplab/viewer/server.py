@@ -1,0 +1,150 @@
+"""The server of the viewer: rerun's own program, in a window or behind a page, on this computer alone."""
+
+from __future__ import annotations
+
+import atexit
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from fpplab.core.errors import DeviceError
+from fpplab.viewer import host
+
+ServerKind = Literal["window", "browser"]
+"""A window on this display, or a page for a browser on this computer."""
+Shown = Literal["window", "browser", "anywhere"]
+"""A window, a page, or a window where there is a display and one can be opened, and a page otherwise."""
+OWN_GROUP = 0 if os.name == "posix" else None
+"""Process group of what is started, so that Ctrl-C is for the command alone. A session of its own would have
+a share of the processor of its own on Linux, whatever its niceness."""
+ENDS_WITHIN_S = 5.0
+"""Time in s that the process is given to end by itself."""
+
+
+class ViewerServer:
+    """The process of rerun, reachable from this computer only; it ends with the process that started it.
+
+    Parameters
+    ----------
+    kind : {"window", "browser"}
+        Whether it shows a window or serves a page.
+    files : sequence of Path
+        Recordings (.rrd) that it opens; none, and it waits for what is sent to it.
+
+    Attributes
+    ----------
+    data : str
+        Address to which a recording is sent.
+    page : str
+        Address that the operator opens; "window" for a window.
+
+    Raises
+    ------
+    DeviceError
+        The program is not installed, or does not start.
+    """
+
+    def __init__(self, kind: ServerKind, files: Sequence[Path] = ()) -> None:
+        command = [sys.executable, "-I", host.__file__, _program(), kind, *(str(path) for path in files)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=OWN_GROUP, bufsize=0
+        )
+        atexit.register(self.stop)
+        where = self._next_words()
+        if "data" not in where:
+            self.stop()
+            raise DeviceError("viewer", "open", where.get("fault", "its process ended"))
+        self.data, self.page, self._pid = str(where["data"]), str(where["page"]), int(where["pid"])
+
+    @property
+    def pid(self) -> int:
+        """Identifier of rerun's process."""
+        return self._pid
+
+    @property
+    def runs(self) -> bool:
+        """Whether the process is running: an operator may have closed the window."""
+        return self._process.poll() is None
+
+    def wait(self) -> None:
+        """Wait until the window, or the last page that was open, has been closed."""
+        while words := self._next_words():
+            if "closed" in words:
+                return
+
+    def stop(self) -> None:
+        """End the process and delete its files; may be called any number of times."""
+        atexit.unregister(self.stop)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+    def _next_words(self) -> dict[str, Any]:
+        """What the process says next; nothing where it has ended."""
+        assert self._process.stdout is not None
+        with suppress(OSError, ValueError):  # `stop` has closed it in another thread
+            line = self._process.stdout.readline()
+            return dict(json.loads(line)) if line else {}
+        return {}
+
+
+def open_server(shown: Shown, files: Sequence[Path] = ()) -> ViewerServer:
+    """Open a window or a page.
+
+    Parameters
+    ----------
+    shown : str
+        Where.
+    files : sequence of Path
+        Recordings that it opens.
+
+    Returns
+    -------
+    ViewerServer
+        Running.
+
+    Raises
+    ------
+    DeviceError
+        It does not start.
+    """
+    if shown != "anywhere":
+        return ViewerServer(shown, files)
+    if has_display():
+        with suppress(DeviceError):
+            return ViewerServer("window", files)
+    return ViewerServer("browser", files)
+
+
+def has_display() -> bool:
+    """Tell whether a window can be shown here.
+
+    Returns
+    -------
+    bool
+        On Linux, whether DISPLAY or WAYLAND_DISPLAY is set; True elsewhere.
+    """
+    if sys.platform.startswith("linux"):
+        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return True
+
+
+def _program() -> str:
+    """Find the program itself, not the script around it, which would not end the program with it."""
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise DeviceError("viewer", "open", "rerun-sdk is not installed", "install fpplab again")
+    return str(Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun"))
