@@ -8,10 +8,10 @@ BASLER, BASLER_FEATURES, BASLER_FRAMES, BASLER_OPTIONS, BASLER_GAIN = (
     f"drivers/basler/{name}.py" for name in ("camera", "features", "frames", "options", "gain")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
-DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO, DLP_DISPLAY, DLP_SCREEN = (
-    f"drivers/dlp4500/{name}.py"
-    for name in ("transport", "controller", "sequence", "device", "on_video", "display", "screen")
+DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO = (
+    f"drivers/dlp4500/{name}.py" for name in ("transport", "controller", "sequence", "device", "on_video")
 )
+DISPLAY_WINDOW, DISPLAY_SCREEN = "drivers/display/window.py", "drivers/display/screen.py"
 
 DRIVER_OF_BASLER = [
     Fault(
@@ -616,7 +616,7 @@ VIDEO_PORT_OF_DLP4500 = [
     ),
     Fault(
         "dlp4500: the display is not waited for",
-        DLP_DISPLAY,
+        DISPLAY_WINDOW,
         "SdlDisplay.show",
         'self._answer("video", SHOW_S)',
         "",
@@ -673,14 +673,14 @@ VIDEO_PORT_OF_DLP4500 = [
     Fault("dlp4500: the display is kept", DLP_VIDEO, "OnVideo.close", "self._display.close()", ""),
     Fault(
         "dlp4500: frames that do not wait pass",
-        DLP_SCREEN,
+        DISPLAY_SCREEN,
         "Screen._locked_period_s",
         "if measured_s < ...:",
         "if measured_s < 0.0:",
     ),
     Fault(
         "dlp4500: a display of any size",
-        DLP_SCREEN,
+        DISPLAY_SCREEN,
         "Screen",
         "if sizes[found[0]] != self._size:",
         "if not sizes[found[0]]:",

@@ -62,15 +62,13 @@ class Suite:
     tests: tuple[str, ...] = ()
 
 
-VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py", "test_dlp4500_display.py"))
+VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
     "drivers/basler/": Suite(
         ("rig_pylon.yaml",), ("test_basler.py", "test_basler_faults.py", "test_basler_features.py")
     ),
     "drivers/dlp4500/on_video.py": VIDEO_PORT,
-    "drivers/dlp4500/display.py": VIDEO_PORT,
-    "drivers/dlp4500/screen.py": VIDEO_PORT,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
         (

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.display import VideoFrame
+from drivers.display.window import VideoFrame
 from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.dlp4500.protocol import (
     COLOURS,
