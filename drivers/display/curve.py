@@ -56,7 +56,7 @@ def pixel_table(is_srgb: bool) -> NDArray[np.uint8]:
         Pixel values.
     """
     greys = np.arange(256) / 255.0
-    return np.rint(255.0 * (srgb_values(greys) if is_srgb else greys)).astype(np.uint8)
+    return np.asarray(np.rint(255.0 * (srgb_values(greys) if is_srgb else greys)), np.uint8)
 
 
 def light_table(is_srgb: bool) -> NDArray[np.uint8]:
@@ -73,4 +73,4 @@ def light_table(is_srgb: bool) -> NDArray[np.uint8]:
         Light, rounded to 255 for white.
     """
     values = np.arange(256) / 255.0
-    return np.rint(255.0 * (srgb_light(values) if is_srgb else values)).astype(np.uint8)
+    return np.asarray(np.rint(255.0 * (srgb_light(values) if is_srgb else values)), np.uint8)

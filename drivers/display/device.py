@@ -27,7 +27,8 @@ from fpplab.core.conventions import Lattice
 from fpplab.devices import DeviceInfo, FlashingProjector, ProjectorCaps
 from fpplab.patterns.fringes import Pattern, quantise
 
-CHANNELS = ("red", "green", "blue")
+Channel = Literal["red", "green", "blue"]
+CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
 """Of a pixel, in the order of a frame."""
 MOST_PATTERNS = 1024
 """Patterns that are held at once, in the computer's memory."""
@@ -50,7 +51,7 @@ class Options(Document):
     curve: Literal["linear", "srgb"] = "linear"
     """How light follows pixel values: with `srgb` the patterns are drawn so that their light is as the plan
     has it; with `linear` they are drawn as they are, for a response measured by `fpplab gamma`."""
-    channels: Annotated[tuple[Literal["red", "green", "blue"], ...], Field(min_length=1)] = CHANNELS
+    channels: Annotated[tuple[Channel, ...], Field(min_length=1)] = CHANNELS
     """Colours in which patterns are drawn: all give white."""
     steady: bool = False
     """Whether the light is the same at all times within a refresh, as of LCD and LCoS without a colour wheel;

@@ -20,8 +20,8 @@ from typing import Annotated, Any, Literal, Protocol, Self
 from pydantic import Field, model_validator
 
 from drivers.clock import Clock, RealClock
-from drivers.dlp4500.controller import Controller
 from drivers.display.window import Display, SdlDisplay
+from drivers.dlp4500.controller import Controller
 from drivers.dlp4500.in_flash import InFlash
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo

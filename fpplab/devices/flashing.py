@@ -1,4 +1,4 @@
-"""Projectors that can show a pattern for a number of refreshes, so that a camera can measure how long one is."""
+"""Projectors that can show a pattern for some refreshes, so that a camera can measure how long one is."""
 
 from __future__ import annotations
 

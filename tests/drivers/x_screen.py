@@ -1,4 +1,4 @@
-"""A virtual X server whose screen can be read, and a camera that photographs it through another rig's optics."""
+"""A virtual X server whose screen can be read, and a camera that sees it through another rig's optics."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class XScreenBench:
         self._size = tuple(options.pop("size"))
         self._optics = options.pop("optics")
         self.curve = options.pop("curve", "linear")
-        self.spoil = SPOILED[options["spoiled"]] if options.pop("is_spoiled", "spoiled" in options) else None
+        self.spoil = SPOILED.get(options.pop("spoiled", ""), lambda pixels: pixels)
         self.latency_s = options.pop("latency_s", 0.0)
 
     def open(self) -> None:
@@ -106,10 +106,7 @@ class XScreenBench:
 
     def light(self) -> Floats:
         """Of the screen, 255 for white; (height, width)."""
-        pixels = self.server.screen()
-        if self.spoil is not None:
-            pixels = self.spoil(pixels)
-        values = pixels.mean(axis=2)
+        values = self.spoil(self.server.screen()).mean(axis=2)
         return 255.0 * srgb_light(values / 255.0) if self.curve == "srgb" else values
 
 
