@@ -1,4 +1,4 @@
-"""Discovery of what the computer itself offers: displays, V4L2 cameras, and producers of the GenTL standard."""
+"""Discovery of what the computer itself offers: displays, V4L2 cameras, and GenTL producers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Discovery of connected devices: through pylon, USB HID and serial ports, and what the computer itself offers.
+"""Discovery of connected devices: through pylon, USB HID and serial ports, and what the computer offers.
 
 Nothing is sent to a device. USB itself is queried through pyusb: the speed of each connection, and whether a
 device is present that its own library does not list. docs/hardware.md explains how to grant permissions.
@@ -118,7 +118,7 @@ def find_devices() -> FoundDevices:
 
 
 def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> FoundDevice:
-    """A LightCrafter that is to take its patterns from the display that its video port is, if there is one."""
+    """A LightCrafter that takes its patterns from the display that its video port is, if there is one."""
     if device.section.get("backend") != LIGHTCRAFTER_DRIVER:
         return device
     size = list(LIGHTCRAFTER)

@@ -29,7 +29,6 @@ SPOILED: dict[str, Callable[[NDArray[np.uint8]], NDArray[np.uint8]]] = {
     "scaled": lambda p: p[np.ix_(*(np.arange(n) * 15 // 16 for n in p.shape[:2]))],
     "offset": lambda p: np.roll(p, 8, axis=1),
     "colour-managed": lambda p: np.rint(255.0 * (p / 255.0) ** (1 / 2.2)).astype(np.uint8),
-    "limited range": lambda p: np.rint(16 + p * (219 / 255)).astype(np.uint8),
 }
 """What goes wrong on the way from the computer to the projector."""
 
@@ -91,7 +90,6 @@ class XScreenBench:
         self._optics = options.pop("optics")
         self.curve = options.pop("curve", "linear")
         self.spoil = SPOILED.get(options.pop("spoiled", ""), lambda pixels: pixels)
-        self.latency_s = options.pop("latency_s", 0.0)
 
     def open(self) -> None:
         with ExitStack() as stack:
@@ -137,7 +135,6 @@ class XScreenCamera(Camera):
 
     def _read(self, timeout_s: float) -> Frame:
         settings, bench = self._configured("read"), self._bench
-        time.sleep(bench.latency_s)
         image = bench.optics.capture(settings, self._collected(settings.exposure_s), lambda: ())
         index, self._index = self._index, self._index + 1
         return Frame(image, index, settings, time.time())

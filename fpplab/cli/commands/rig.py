@@ -60,7 +60,7 @@ def new_command(
 
     need_suffix(out, ".yaml")
     refuse_existing(out, force)
-    if not no_questions and not sys.stdin.isatty():
+    if not no_questions and not _has_terminal():
         raise ConfigError(
             "there is nobody at the terminal to be asked; add --no-questions and name the devices"
         )
@@ -108,6 +108,10 @@ def _show_timing(found: DisplayTiming) -> None:
         say(f"refresh: {seen:.2f} ms as the camera sees it, {told:.2f} ms as the display tells it")
     if not found.agrees:
         say("they differ: something between computer and projector converts the rate; set both to one rate")
+
+
+def _has_terminal() -> bool:
+    return sys.stdin.isatty()
 
 
 def _ask(question: str, answers: Sequence[str]) -> int:
