@@ -137,7 +137,7 @@ def test_plan_sets_the_stage_position(tmp_path: Path, monkeypatch: pytest.Monkey
         assert rig.stage is not None
         stood.append(rig.stage.position_mm)
 
-    monkeypatch.setattr("fpplab.pipeline.acquire", acquired)
+    monkeypatch.setattr("fpplab.pipeline.taking.acquire", acquired)
     with Rig.load("rig_demo_quick") as rig:
         take(rig, plan, tmp_path / "s")
         with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
@@ -149,7 +149,7 @@ def test_session_is_kept_when_the_stage_position_is_out_of_range(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = config.validate({"fringes": FRINGES, "stage_mm": 12.5}, Plan, "plan.yaml")
-    monkeypatch.setattr("fpplab.pipeline.acquire", lambda *others: None)
+    monkeypatch.setattr("fpplab.pipeline.taking.acquire", lambda *others: None)
     with Rig.load("rig_demo_quick") as rig:
         take(rig, plan, tmp_path / "s")
         for beyond in (61.0, -61.0):

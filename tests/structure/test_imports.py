@@ -137,4 +137,4 @@ def test_the_house_is_as_small_as_it_was_drawn() -> None:
     assert max(layer(name) for name in rooms()) <= 12
     assert layer("sim") <= 6
     loose = {path.name for path in (ROOT / "fpplab").iterdir() if path.is_file()}
-    assert loose == {"__init__.py", "__main__.py", "pipeline.py", "py.typed"}
+    assert loose == {"__init__.py", "__main__.py", "py.typed"}

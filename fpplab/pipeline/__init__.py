@@ -1,0 +1,51 @@
+"""The steps of a measurement, each from open devices or recorded sessions to a result.
+
+One code for the command line, the demonstration, programs and tests; nothing here knows what kind of rig it
+runs on.
+"""
+
+from fpplab.pipeline.characterising import (
+    characterise_sessions,
+    judge_sessions,
+    observe_session,
+    require_plan_fits,
+)
+from fpplab.pipeline.checking import doubts
+from fpplab.pipeline.decoding import decode_session
+from fpplab.pipeline.depth import check_plan, depth_range_of, plan_with_depth
+from fpplab.pipeline.measuring import (
+    CALIBRATION,
+    CLOUD,
+    DECODED,
+    REPORT,
+    diagnose,
+    finish_scan,
+    reconstruct,
+    scan,
+)
+from fpplab.pipeline.response import measure_response
+from fpplab.pipeline.taking import check_space, take, take_poses
+
+__all__ = [
+    "CALIBRATION",
+    "CLOUD",
+    "DECODED",
+    "REPORT",
+    "characterise_sessions",
+    "check_plan",
+    "check_space",
+    "decode_session",
+    "depth_range_of",
+    "diagnose",
+    "doubts",
+    "finish_scan",
+    "judge_sessions",
+    "measure_response",
+    "observe_session",
+    "plan_with_depth",
+    "reconstruct",
+    "require_plan_fits",
+    "scan",
+    "take",
+    "take_poses",
+]

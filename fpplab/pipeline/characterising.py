@@ -1,0 +1,183 @@
+"""A calibration from sessions of a target, and judged by others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation import (
+    Characterisation,
+    DistortionModel,
+    Judgement,
+    Observation,
+    characterise,
+    finest_periods,
+    judge,
+    judged_board,
+    observe,
+)
+from fpplab.core import config
+from fpplab.core.errors import CalibrationError
+from fpplab.core.progress import Progress, no_progress
+from fpplab.phase import decode
+from fpplab.pipeline.checking import fault_in_step, plan_fault
+from fpplab.sessions.origin import calibration_origin
+from fpplab.sessions.session import Session
+from fpplab.targets import Target
+
+
+def characterise_sessions(
+    sessions: Sequence[Session],
+    target: Target,
+    progress: Progress = no_progress,
+    *,
+    level: DistortionModel | Literal["auto"] = "auto",
+    refine_board: bool | None = None,
+) -> Characterisation:
+    """Find camera, projector and the pose between them from one session for each pose of a target.
+
+    A pose in which the target is not found, or whose frames are out of step with the plan, is left out and
+    named, as long as enough remain.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Complete, of one plan and format.
+    target : Target
+        The board.
+    progress : callable
+        Told the share done, 0 … 1.
+    level : DistortionModel or str
+        Which distortion is fitted; `auto` takes k3 and gives the errors of all.
+    refine_board : bool, optional
+        Whether the board's shape is fitted too; by default it is.
+
+    Returns
+    -------
+    Characterisation
+        The calibration, and how well it is known.
+
+    Raises
+    ------
+    CalibrationError
+        Too few poses remain, or the models do not fit.
+    """
+    require_plan_fits(sessions[0])
+    size, lattice = sessions[0].projector()
+    observations, left_out = _observe_sessions(sessions, target, lambda share: progress(0.8 * share))
+    width, height, _ = sessions[0].format
+    result = characterise(
+        observations,
+        target,
+        (width, height),
+        size,
+        lattice,
+        left_out=left_out,
+        level=level,
+        refine_board=refine_board,
+    )
+    progress(1.0)
+    return replace(result, calibration=replace(result.calibration, origin=calibration_origin(sessions)))
+
+
+def require_plan_fits(session: Session) -> None:
+    """Refuse a plan that does not describe the images, before many poses are decoded by it.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+
+    Raises
+    ------
+    CalibrationError
+        Another plan fits the images far better.
+    """
+    if fault := plan_fault(session.recording(verify=False)):
+        raise CalibrationError(f"{session.path}: {fault}")
+
+
+def judge_sessions(
+    sessions: Sequence[Session],
+    calibration: Calibration,
+    source: Path | str,
+    progress: Progress = no_progress,
+) -> Judgement:
+    """Judge a calibration by poses of its board that it was not fitted to, one session each.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Complete, of one plan and format.
+    calibration : Calibration
+        With its board.
+    source : Path or str
+        Name of the calibration, for errors.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    Judgement
+        Errors in these poses beside those predicted.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is for another camera or projector, does not say what its board was, or the board is
+        found in no pose.
+    """
+    board = judged_board(calibration, str(source))
+    width, height, _ = sessions[0].format
+    calibration.check_camera((width, height), sessions[0].path)
+    calibration.check_projector(*sessions[0].projector(), sessions[0].path)
+    target = config.validate(board.target, Target, f"{source}: board.target")
+    observations, left_out = _observe_sessions(sessions, target, progress)
+    return judge(calibration, observations, left_out, str(source))
+
+
+def _observe_sessions(
+    sessions: Sequence[Session], target: Target, progress: Progress
+) -> tuple[list[Observation], dict[str, str]]:
+    """What each pose tells, and by name why others tell nothing."""
+    periods = finest_periods(sessions[0].plan, sessions[0].projector()[0])
+    observations: list[Observation] = []
+    left_out: dict[str, str] = {}
+    for k, session in enumerate(sessions):
+        try:
+            observations.append(observe_session(session, target, periods))
+        except CalibrationError as error:
+            left_out[session.path.name] = str(error)
+        progress((k + 1) / len(sessions))
+    return observations, left_out
+
+
+def observe_session(session: Session, target: Target, periods: tuple[float, float]) -> Observation:
+    """Find a board in one pose, and its points in camera and projector.
+
+    Parameters
+    ----------
+    session : Session
+        A complete one.
+    target : Target
+        The board.
+    periods : tuple of float
+        Of the finest fringes, from `finest_periods`.
+
+    Returns
+    -------
+    Observation
+        What the pose tells.
+
+    Raises
+    ------
+    CalibrationError
+        It tells nothing: the message names the pose, and says why.
+    """
+    name, recording = session.path.name, session.recording()
+    if fault := fault_in_step(session, recording):
+        raise CalibrationError(f"{name}: {fault}; take this pose again")
+    return observe(name, recording.mean_image(), decode(recording), target, periods)

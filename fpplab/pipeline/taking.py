@@ -1,0 +1,159 @@
+"""Frames of a plan, acquired on an open rig into sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fpplab.acquisition.acquire import FrameObserver, acquire
+from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.devices import Frame
+from fpplab.devices.rig import Mounted, Rig
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.lock import only_writer
+from fpplab.sessions.origin import record_origin
+from fpplab.sessions.session import Session, need_space_for_frames
+
+
+def take(
+    rig: Rig,
+    plan: Plan,
+    out: Path,
+    mount: Mounted | None = None,
+    *,
+    force: bool = False,
+    complete_too: bool = False,
+    bring: Callable[[], object] | None = None,
+    progress: Progress = no_progress,
+    observe_frame: FrameObserver = ignore,
+) -> Session:
+    """Acquire a plan on an open rig, or complete an interrupted session.
+
+    Where the stage cannot go nothing is replaced.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What to project and capture.
+    out : path
+        Folder of the session.
+    mount : tuple of str and int, optional
+        Item and pose that the rig's fixture puts up first.
+    force : bool
+        Whether a session that is there already is replaced.
+    complete_too : bool
+        Whether a session that is complete is left as it is, instead of refused.
+    bring : callable, optional
+        Puts up the item, in place of the fixture's own poses by number.
+    progress : callable
+        Told the share of the frames that are on disk, 0 … 1.
+    observe_frame : callable
+        Given every frame once it is on disk.
+
+    Returns
+    -------
+    Session
+        Complete.
+
+    Raises
+    ------
+    ConfigError
+        The output exists, or the rig lacks what the plan or the item needs.
+    DeviceError
+        A device failed; the frames until then are kept.
+    DataError
+        The session there is of another plan, rig or item, another process writes into it, or the disk is
+        full.
+    """
+    if plan.stage_mm is not None:
+        rig.need_stage(plan.stage_mm)
+    with only_writer(out):
+        check_space(rig, plan, [out], force)
+        session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+        record_origin(out, rig)
+        if plan.stage_mm is not None and session.missing():
+            rig.place_stage(plan.stage_mm)
+        if mount is not None and session.missing():
+            fixture = rig.need_fixture(f"mounting the {mount[0]}")
+            bring() if bring else fixture.mount(*mount)
+
+        def seen(frame: Frame) -> None:
+            progress(1.0 - len(session.missing()) / plan.images)
+            observe_frame(frame)
+
+        acquire(rig, plan, session, seen)
+    return session
+
+
+def check_space(rig: Rig, plan: Plan, paths: Sequence[Path], force: bool) -> None:
+    """Refuse sessions that do not fit on the disk, before anything is projected or written.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        What each session records.
+    paths : sequence of path
+        Folders of the sessions.
+    force : bool
+        Whether sessions that are there already are replaced.
+
+    Raises
+    ------
+    DataError
+        Names what the frames need, what is free, and the folder.
+    """
+    bits = rig.camera_settings(plan.exposure_s, plan.bits).bits
+    need_space_for_frames(paths, plan, rig.camera.caps.size, bits, force)
+
+
+def take_poses(
+    rig: Rig, plan: Plan, item: str, poses: int, folder: Path, force: bool, progress: Progress = no_progress
+) -> list[Session]:
+    """Take one session for each pose of a target that the rig's fixture holds.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, with a fixture.
+    plan : Plan
+        With fringes along x and y.
+    item : str
+        What the fixture calls the target.
+    poses : int
+        How many.
+    folder : path
+        Their folder: `pose_00`, `pose_01` … in it.
+    force : bool
+        Whether poses taken before are taken again; they are kept otherwise.
+    progress : callable
+        Told the share done, 0 … 1.
+
+    Returns
+    -------
+    list of Session
+        In the order of the poses.
+
+    Raises
+    ------
+    ConfigError, DeviceError, DataError
+        As `take`.
+    """
+    paths = [folder / f"pose_{pose:02d}" for pose in range(poses)]
+    check_space(rig, plan, paths, force)
+
+    def one(pose: int) -> Session:
+        return take(
+            rig,
+            plan,
+            paths[pose],
+            (item, pose),
+            force=force,
+            complete_too=True,
+            progress=lambda share: progress((pose + share) / poses),
+        )
+
+    return [one(pose) for pose in range(poses)]
