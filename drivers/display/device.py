@@ -38,7 +38,7 @@ CURVED_DEPTHS = (1, 8)
 Side = Annotated[int, Field(ge=16, le=16384)]
 
 
-class Options(Document):
+class DisplayOptions(Document):
     """The projector's section in a rig file."""
 
     display: Annotated[int, Field(ge=0)] | str
@@ -66,7 +66,7 @@ class DisplayProjector(FlashingProjector):
     """
 
     def _setup(self, options: dict[str, Any], shared: Any) -> None:
-        self._options = chosen = config.validate(options, Options, self.name)
+        self._options = chosen = config.validate(options, DisplayOptions, self.name)
         self._display: SdlDisplay = getattr(shared, "display", None) or SdlDisplay(
             self.name, chosen.display, chosen.size
         )

@@ -23,7 +23,7 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 from fpplab.devices.rig import RigFile, load_backend
 from fpplab.patterns.fringes import uniform_patterns
 
-Dev = TypeVar("Dev", bound=Device)
+Chosen = TypeVar("Chosen", bound=Device)
 Ask = Callable[[str, Sequence[str]], int]
 """Asks a question with some answers, and gives the index of the one that was chosen."""
 
@@ -208,14 +208,14 @@ class RigSetup:
         return draft
 
     def _device(
-        self, stack: ExitStack, draft: RigDraft, kind: str, base: type[Dev], test: Callable[[Dev], Any]
-    ) -> Dev | None:
+        self, stack: ExitStack, draft: RigDraft, kind: str, base: type[Chosen], test: Callable[[Chosen], Any]
+    ) -> Chosen | None:
         """One device that has passed its test, open until the stack ends; None for none."""
         while (chosen := self._chosen(kind)) is not None:
             try:
                 with ExitStack() as attempt:
                     self._tell(f"{kind}: {chosen.title}")
-                    device: Dev = self._made(chosen, kind, base)
+                    device: Chosen = self._made(chosen, kind, base)
                     attempt.enter_context(device)
                     draft.tests[kind] = test(device)
                     stack.push(attempt.pop_all())
@@ -248,7 +248,7 @@ class RigSetup:
         k = self._ask(f"Which {kind}?", answers)
         return all_of_kind[k] if k < len(all_of_kind) else None
 
-    def _made(self, chosen: FoundDevice, kind: str, base: type[Dev]) -> Dev:
+    def _made(self, chosen: FoundDevice, kind: str, base: type[Chosen]) -> Chosen:
         options = dict(chosen.section)
         name = options.pop("backend")
         backend = load_backend(name, "rig", kind)
@@ -257,7 +257,7 @@ class RigSetup:
         for key, value in options.items():
             if isinstance(value, str):
                 options[key] = config.resolve_beside(value, self._folder)
-        device: Dev = backend(kind, options, None)
+        device: Chosen = backend(kind, options, None)
         return device
 
     def _stage(self, stage: Stage, home: bool) -> StageTest:

@@ -618,7 +618,7 @@ VIDEO_PORT_OF_DLP4500 = [
         "dlp4500: the display is not waited for",
         DISPLAY_WINDOW,
         "SdlDisplay.show",
-        'self._answer("video", SHOW_S)',
+        'self._answer("video", SHOW_S + ...)',
         "",
     ),
     Fault(
@@ -681,8 +681,8 @@ VIDEO_PORT_OF_DLP4500 = [
     Fault(
         "dlp4500: a display of any size",
         DISPLAY_SCREEN,
-        "Screen",
-        "if sizes[found[0]] != self._size:",
-        "if not sizes[found[0]]:",
+        "_chosen",
+        "if size is not None and found[0].size != size:",
+        "if not found[0].size:",
     ),
 ]

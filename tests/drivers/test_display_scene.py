@@ -24,6 +24,7 @@ from sim.items import item_poses
 from sim.world import World
 from tests.drivers.x_screen import SPOILED
 
+WORLD = Path(__file__).parents[1] / "conformance" / "rigs" / "world.yaml"
 SIZES = {"square": [320, 200], "diamond": [160, 200]}
 PLAN = Plan(
     fringes=(Sinusoid(axis="x", stripes=1, steps=6), Sinusoid(axis="x", stripes=10, steps=4)),
@@ -39,15 +40,14 @@ def lattice(request: pytest.FixtureRequest) -> str:
 
 def optics(folder: Path, lattice: str) -> World:
     """A tilted card, and the rig that sees it, in a folder."""
-    world = config.parse_yaml(
-        (Path(__file__).parents[1] / "conformance/rigs/world.yaml").read_text(), "world"
-    )
+    world = config.parse_yaml(WORLD.read_text(), "world")
     width, height = SIZES[lattice]
     world["camera"] |= {"sensor_size": [192, 128], "pixel_um": 68.4}
     world["projector"] |= {"size": [width, height], "lattice": lattice}
     world["projector"]["centre_px"] = [(width - 1) / 2, (height - 1) / 2]
     world["projector"]["leds"]["green"]["lumens"] = 0.15
     world["items"]["card"]["pose"]["rotation_deg"] = [12.0, -20.0, 0.0]
+    world["mounted"] = "card"
     (folder / "world.yaml").write_text(config.to_yaml(world))
     own = "sim.devices:"
     rig = {
@@ -95,9 +95,7 @@ def error_mm(frames: list[np.ndarray], world: World, plan: Plan = PLAN) -> float
     return float(np.sqrt(np.mean(((cloud.points - pose.translation) @ pose.rotation[:, 2]) ** 2)))
 
 
-def test_frames_are_those_of_the_twin_itself_and_the_card_is_where_it_is(
-    lattice: str, tmp_path: Path
-) -> None:
+def test_frames_are_the_twins_own_and_the_card_is_where_it_is(lattice: str, tmp_path: Path) -> None:
     world = optics(tmp_path, lattice)
     with Rig.load(tmp_path / "rig.yaml") as twin:
         expected = capture(twin, PLAN)
