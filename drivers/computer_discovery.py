@@ -67,7 +67,7 @@ def video_cameras() -> FoundDevices:
         if _text(entry / "index") not in ("0", ""):
             continue  # a further node of the same camera: metadata
         node = VIDEO_NODES / entry.name
-        section = {"backend": OPENCV_CAMERA, "device": str(node)}
+        section = {"backend": "drivers.video_camera:VideoCamera", "device": str(node)}
         found.devices.append(
             FoundDevice("camera", _text(entry / "name"), "", f"V4L2 {node}", section, "rig_webcam.yaml")
         )
@@ -91,9 +91,9 @@ def producers() -> FoundDevices:
     for name in filter(None, os.environ.get(PRODUCER_PATH, "").split(os.pathsep)):
         files = sorted(Path(name).glob("*.cti"))
         for file in files:
-            section = {"backend": GENTL_CAMERA, "producer": str(file)}
+            # Which cameras it has, its own library tells: the rig file needs the serial number of one.
             found.devices.append(
-                FoundDevice("camera", f"GenTL producer {file.stem}", "", str(file), section, "rig_gentl.yaml")
+                FoundDevice("camera", f"GenTL producer {file.stem}", "", str(file), {}, "rig_gentl.yaml")
             )
         if not files:
             found.missing.append(
@@ -101,10 +101,6 @@ def producers() -> FoundDevices:
                 "camera maker's software again"
             )
     return found
-
-
-OPENCV_CAMERA, GENTL_CAMERA = "drivers.video_camera:VideoCamera", "drivers.gentl:GentlCamera"
-"""Drivers of these cameras."""
 
 
 def _text(file: Path) -> str:

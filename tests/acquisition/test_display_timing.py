@@ -40,6 +40,7 @@ class Screen:
         self.latency_s, self.period_s = options.pop("latency_s", 0.0), options.pop("period_s", 1 / 60)
         self.told_s, self.gain = options.pop("told_s", 1 / 60), options.pop("gain", 1.0)
         self.longest_s = options.pop("longest_s", 2.0)
+        self.fall_s = options.pop("fall_s", self.latency_s)
         self.changes = [(-1.0, 0.0)]
         self.now_s, self.begin_s = 0.0, None
         BENCHES.append(self)
@@ -54,7 +55,7 @@ class Screen:
         self.now_s += seconds
 
     def put_up(self, level: float, at_s: float) -> None:
-        self.changes.append((at_s + self.latency_s, level))
+        self.changes.append((at_s + (self.latency_s if level else self.fall_s), level))
 
     def collected(self, begin_s: float, end_s: float) -> float:
         total = 0.0
@@ -183,6 +184,11 @@ def test_the_latency_is_found_to_two_milliseconds_or_a_twentieth(latency_s: floa
     with rig(latency_s=latency_s) as opened:
         found = measure_display(opened, PLAN, no_progress)
     assert latency_s - 0.05 * 0.02 - 1e-9 <= found.settle_s <= latency_s + max(0.004, 0.06 * latency_s)
+
+
+def test_a_display_that_darkens_more_slowly_is_waited_for() -> None:
+    with rig(latency_s=0.01, fall_s=0.06) as opened:
+        assert measure_display(opened, PLAN, no_progress).settle_s >= 0.058
 
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.075])

@@ -124,12 +124,12 @@ class RailStage(Logged, Stage):
     def _caps(self) -> StageCaps:
         return StageCaps((0.0, 100.0))
 
-    def _home(self, timeout_s: float) -> None:
+    def _home(self) -> None:
         LIGHT.log.append("home")
 
-    def _move_to(self, mm: float, timeout_s: float) -> None: ...
+    def _move_to(self, mm: float, deadline_s: float) -> None: ...
 
-    def _position(self) -> float:
+    def _position_mm(self) -> float:
         return 0.0
 
     def _halt(self) -> None: ...

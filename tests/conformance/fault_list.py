@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.conformance.display_faults import DISPLAYS, RIG_FILES, TIMING
 from tests.conformance.driver_faults import (
     DRIVER_OF_BASLER,
     DRIVER_OF_DLP4500,
@@ -29,4 +30,7 @@ FAULTS: list[Fault] = (
     + DRIVER_OF_DLP4500
     + VIDEO_PORT_OF_DLP4500
     + DRIVER_OF_GRBL
+    + DISPLAYS
+    + TIMING
+    + RIG_FILES
 )

@@ -63,12 +63,27 @@ class Suite:
 
 
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
+DISPLAY = Suite(
+    ("rig_dlp4500_video.yaml",),
+    ("test_display_device.py", "test_display_window.py", "test_dlp4500_video.py"),
+)
+FOUND = Suite(("rig_reference.yaml",), ("test_discovery.py",))
+SET_UP = Suite(("rig_reference.yaml",), ("../acquisition/test_rig_setup.py",))
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
     "drivers/basler/": Suite(
         ("rig_pylon.yaml",), ("test_basler.py", "test_basler_faults.py", "test_basler_features.py")
     ),
     "drivers/dlp4500/on_video.py": VIDEO_PORT,
+    "drivers/display/": DISPLAY,
+    "fpplab/devices/flashing.py": DISPLAY,
+    "drivers/computer_discovery.py": FOUND,
+    "drivers/discovery.py": FOUND,
+    "fpplab/acquisition/display_timing.py": Suite(
+        ("rig_reference.yaml",), ("../acquisition/test_display_timing.py",)
+    ),
+    "fpplab/acquisition/rig_setup.py": SET_UP,
+    "fpplab/cli/commands/rig.py": SET_UP,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
         (

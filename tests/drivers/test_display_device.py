@@ -103,6 +103,16 @@ def test_with_srgb_the_light_is_as_the_plan_has_it() -> None:
         assert set(projector.caps.bit_depths) == {1, 8}
 
 
+@pytest.mark.parametrize("bits", [1, 3, 7])
+def test_fewer_bits_are_drawn_as_they_are_told(bits: int) -> None:
+    bench = Bench()
+    with made(bench) as projector:
+        (shown,) = projector.load([Pattern("ramp", RAMP, bits)])
+        projector.show(0)
+        assert len(np.unique(bench.display.shown[-1][0])) == 2**bits
+        np.testing.assert_array_equal(bench.display.shown[-1][0][..., 0], shown.image)
+
+
 def test_other_colours_stay_dark() -> None:
     bench = Bench()
     with made(bench, channels=["green"]) as projector:
