@@ -63,10 +63,7 @@ class Suite:
 
 
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
-DISPLAY = Suite(
-    ("rig_dlp4500_video.yaml",),
-    ("test_display_device.py", "test_display_window.py", "test_dlp4500_video.py"),
-)
+DISPLAY = Suite(("rig_reference.yaml",), ("test_display_device.py", "test_display_window.py"))
 FOUND = Suite(("rig_reference.yaml",), ("test_discovery.py",))
 SET_UP = Suite(("rig_reference.yaml",), ("../acquisition/test_rig_setup.py",))
 SUITES = {
