@@ -1,4 +1,4 @@
-"""Discovery of connected devices: cameras through pylon, projectors through USB HID, stages on serial ports.
+"""Discovery of connected devices: through pylon, USB HID and serial ports, and what the computer offers.
 
 Nothing is sent to a device. USB itself is queried through pyusb: the speed of each connection, and whether a
 device is present that its own library does not list. docs/hardware.md explains how to grant permissions.
@@ -7,16 +7,19 @@ device is present that its own library does not list. docs/hardware.md explains 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fpplab.devices import DeviceInfo
-from fpplab.devices.discovery import FoundDevices
+from drivers import computer_discovery
+from drivers.dlp4500.sequence import SIZE as LIGHTCRAFTER
+from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 DLP4500_VENDOR, DLP4500_PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350, the LightCrafter 4500's controller."""
+LIGHTCRAFTER_DRIVER = "drivers.dlp4500:Dlp4500"
+"""Its driver, as rig files name it."""
 BASLER_VENDOR = 0x2676
 """USB vendor id of Basler."""
 SERIAL_ADAPTERS = {
@@ -38,6 +41,8 @@ SPEEDS = {
 """Descriptions of libusb's speed numbers."""
 USB_3 = 4
 """libusb's number of the slowest USB 3 speed."""
+BENCH = "rig_bench.yaml"
+"""Rig file that comes with fpplab, of a bench of these devices."""
 RULES = "copy the udev rules of docs/hardware.md, and plug it in again"
 
 
@@ -91,9 +96,17 @@ def find_devices() -> FoundDevices:
     """
     usb, missing = usb_devices()
     found = FoundDevices([], missing)
-    for kind, search in (("cameras", cameras), ("projectors", projectors), ("stages", stages)):
+    searches: dict[str, Callable[[], FoundDevices]] = {
+        "cameras": lambda: cameras(usb),
+        "V4L2 cameras": computer_discovery.video_cameras,
+        "GenTL producers": computer_discovery.producers,
+        "projectors": lambda: projectors(usb),
+        "displays": computer_discovery.displays,
+        "stages": lambda: stages(usb),
+    }
+    for kind, search in searches.items():
         try:
-            part = search(usb)
+            part = search()
         except ImportError as error:
             found.missing.append(
                 f"{kind} are not looked for: {error.name or error} does not load; install it"
@@ -101,7 +114,19 @@ def find_devices() -> FoundDevices:
             continue
         found.devices.extend(part.devices)
         found.missing.extend(part.missing)
-    return found
+    return FoundDevices([_with_video_port(one, found.devices) for one in found.devices], found.missing)
+
+
+def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> FoundDevice:
+    """A LightCrafter that takes its patterns from the display that its video port is, if there is one."""
+    if device.section.get("backend") != LIGHTCRAFTER_DRIVER:
+        return device
+    size = list(LIGHTCRAFTER)
+    ports = [d.section["display"] for d in all_found if d.is_certain and d.section.get("size") == size]
+    if len(ports) != 1:
+        return device
+    named = {key: value for key, value in device.section.items() if key != "flash"}
+    return replace(device, section={**named, "video": {"display": ports[0]}})
 
 
 def usb_devices() -> tuple[list[UsbDevice], list[str]]:
@@ -177,7 +202,9 @@ def cameras(usb: Iterable[UsbDevice]) -> FoundDevices:
     found = FoundDevices([], [])
     for camera in seen:
         link = _link(camera.GetDeviceClass(), speeds.get(camera.GetSerialNumber()))
-        found.devices.append(DeviceInfo("camera", camera.GetModelName(), camera.GetSerialNumber(), link))
+        model, serial = camera.GetModelName(), camera.GetSerialNumber()
+        section = {"backend": "drivers.basler:BaslerCamera", "serial": serial}
+        found.devices.append(FoundDevice("camera", model, serial, link, section, BENCH))
     serials = {device.serial for device in found.devices}
     for device in plugged:
         if not device.is_accessible:
@@ -222,7 +249,10 @@ def projectors(usb: Iterable[UsbDevice]) -> FoundDevices:
             serial = one["serial_number"] or ""
             speed = next((d.speed for d in plugged if d.serial == serial or len(plugged) == 1), None)
             link = _link(f"USB {one['path'].decode()}", speed)
-            found.devices.append(DeviceInfo("projector", one["product_string"] or "DLPC350", serial, link))
+            named = {"serial": serial} if serial else {}
+            section = {"backend": LIGHTCRAFTER_DRIVER, "flash": "patterns.yaml", **named}
+            model = one["product_string"] or "DLPC350"
+            found.devices.append(FoundDevice("projector", model, serial, link, section, BENCH))
     for device in plugged:
         if not device.is_accessible:
             found.missing.append(f"projector {device.label}: this user may not open it; {RULES}")
@@ -261,7 +291,10 @@ def stages(usb: Iterable[UsbDevice]) -> FoundDevices:
     for port in ports:
         ids = "" if port.vid is None else f" (USB {port.vid:04x}:{port.pid:04x})"
         link = f"serial {port.device}{ids}"
-        found.devices.append(DeviceInfo("stage", port.description, port.serial_number or "", link))
+        section = {"backend": "drivers.stage_grbl:GrblStage", "port": port.device}
+        found.devices.append(
+            FoundDevice("stage", port.description, port.serial_number or "", link, section, BENCH, False)
+        )
         if not _may_use(Path(port.device)):
             found.missing.append(
                 f"stage on {port.device}: this user may not open it; add yourself to its group "

@@ -20,8 +20,8 @@ from typing import Annotated, Any, Literal, Protocol, Self
 from pydantic import Field, model_validator
 
 from drivers.clock import Clock, RealClock
+from drivers.display.window import Display, SdlDisplay
 from drivers.dlp4500.controller import Controller
-from drivers.dlp4500.display import Display, SdlDisplay
 from drivers.dlp4500.in_flash import InFlash
 from drivers.dlp4500.index import shown_image
 from drivers.dlp4500.on_video import OnVideo
@@ -281,7 +281,7 @@ class Dlp4500(Projector):
         if options.video is None:
             assert options.flash is not None
             return InFlash(self.name, options.flash, options.leds)
-        display = display or SdlDisplay(self.name, options.video.display)
+        display = display or SdlDisplay(self.name, options.video.display, SIZE)
         return OnVideo(self.name, display, self._clock, options.leds)
 
     @property

@@ -12,8 +12,8 @@ from itertools import groupby
 import numpy as np
 
 from drivers.clock import Clock
+from drivers.display.window import Display
 from drivers.dlp4500.controller import Controller
-from drivers.dlp4500.display import Display
 from drivers.dlp4500.packing import Planes, assign_slots, pack_images
 from drivers.dlp4500.protocol import DisplayMode
 from drivers.dlp4500.sequence import LEAST_EXPOSURE_US, Slot, pattern_numbers, video_program

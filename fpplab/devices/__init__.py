@@ -15,6 +15,7 @@ from __future__ import annotations
 from fpplab.devices.camera import Camera, CameraCaps, CameraSettings, Frame, Trigger
 from fpplab.devices.device import Device, DeviceInfo, State
 from fpplab.devices.fixture import Fixture, FixtureCaps
+from fpplab.devices.flashing import FlashingProjector
 from fpplab.devices.placing import InstructableFixture, PosableFixture
 from fpplab.devices.projector import PatternLoads, Projector, ProjectorCaps
 from fpplab.devices.stage import Stage, StageCaps
@@ -27,6 +28,7 @@ __all__ = [
     "DeviceInfo",
     "Fixture",
     "FixtureCaps",
+    "FlashingProjector",
     "Frame",
     "InstructableFixture",
     "PatternLoads",

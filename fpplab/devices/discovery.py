@@ -2,10 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from fpplab.devices.device import DeviceInfo
+
+
+@dataclass(frozen=True)
+class FoundDevice(DeviceInfo):
+    """A device that is connected, and how a rig file would name it.
+
+    Attributes
+    ----------
+    section : dict of str to Any
+        Its section in a rig file, as far as it can be told; empty where no driver opens it.
+    example : str
+        Rig file that comes with fpplab and has such a device; empty where there is none.
+    is_certain : bool
+        Whether it certainly is a device of that kind. A serial port may lead to anything, and the main
+        display is the operator's: such are taken only if they are named.
+    """
+
+    section: Mapping[str, Any] = field(default_factory=dict)
+    example: str = ""
+    is_certain: bool = True
+
+    @property
+    def title(self) -> str:
+        """What it is called in lists."""
+        serial = f", serial number {self.serial}" if self.serial else ""
+        return f"{self.model}{serial} ({self.link})"
+
+    def is_called(self, name: str) -> bool:
+        """Tell whether a name is this device's.
+
+        Parameters
+        ----------
+        name : str
+            Its serial number, model or link, or a value of its section, such as a port.
+
+        Returns
+        -------
+        bool
+            Whether it is.
+        """
+        return name in {self.serial, self.model, self.link, *map(str, self.section.values())} - {""}
 
 
 @dataclass(frozen=True)
@@ -14,13 +56,13 @@ class FoundDevices:
 
     Attributes
     ----------
-    devices : list of DeviceInfo
+    devices : list of FoundDevice
         What is connected.
     missing : list of str
         A sentence for everything that keeps devices from showing: a library, a permission.
     """
 
-    devices: list[DeviceInfo]
+    devices: list[FoundDevice]
     missing: list[str]
 
     @classmethod

@@ -22,6 +22,8 @@ from tests.conformance.dlp4500 import FLASH, flash
 
 RIGS = Path(__file__).parent / "rigs"
 RECORDED = RIGS / "rig_reference.yaml"
+ON_X_SERVER = "rig_display"
+"""A rig in real time, with a display process for each test: slow."""
 KINDS = ("camera", "projector", "stage", "fixture")
 
 
@@ -29,11 +31,22 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     wanted = [kind for kind in KINDS if kind in metafunc.fixturenames]
     files = [path for path in _rig_files(metafunc.config) if all(kind in _kinds(path) for kind in wanted)]
     if "device" in metafunc.fixturenames:
-        pairs = [(path, kind) for path in files for kind in _kinds(path)]
-        ids = [f"{path.stem}-{kind}" for path, kind in pairs]
-        metafunc.parametrize(("opened", "kind"), pairs, indirect=["opened"], ids=ids, scope="session")
+        pairs = [(path, kind) for path in files for kind in _kinds(path) if kind in _judged(path)]
+        given = [pytest.param(p, k, marks=_marks(p), id=f"{p.stem}-{k}") for p, k in pairs]
+        metafunc.parametrize(("opened", "kind"), given, indirect=["opened"], scope="session")
     elif "opened" in metafunc.fixturenames:
-        metafunc.parametrize("opened", files, indirect=True, ids=[p.stem for p in files], scope="session")
+        files = [path for path in files if not wanted or any(kind in _judged(path) for kind in wanted)]
+        given = [pytest.param(p, marks=_marks(p), id=p.stem) for p in files]
+        metafunc.parametrize("opened", given, indirect=True, scope="session")
+
+
+def _judged(path: Path) -> tuple[str, ...]:
+    """The kinds of devices that are on trial on a rig: not a camera that only serves its projector."""
+    return ("projector",) if path.stem == ON_X_SERVER else KINDS
+
+
+def _marks(path: Path) -> tuple[pytest.MarkDecorator, ...]:
+    return (pytest.mark.slow,) if path.stem == ON_X_SERVER else ()
 
 
 def _rig_files(settings: pytest.Config) -> list[Path]:

@@ -9,10 +9,10 @@ GENICAM, GENICAM_FEATURES, GENICAM_NAMES, GENICAM_GAIN, GENICAM_OPTIONS = (
     f"drivers/genicam/{name}.py" for name in ("camera", "features", "names", "gain", "options")
 )
 STAGE, STAGE_WIRE = "drivers/stage_grbl/device.py", "drivers/stage_grbl/wire.py"
-DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO, DLP_DISPLAY, DLP_SCREEN = (
-    f"drivers/dlp4500/{name}.py"
-    for name in ("transport", "controller", "sequence", "device", "on_video", "display", "screen")
+DLP_LINK, DLP_CONTROLLER, DLP_SEQUENCE, DLP_DEVICE, DLP_VIDEO = (
+    f"drivers/dlp4500/{name}.py" for name in ("transport", "controller", "sequence", "device", "on_video")
 )
+DISPLAY_WINDOW, DISPLAY_SCREEN = "drivers/display/window.py", "drivers/display/screen.py"
 
 DRIVER_OF_BASLER = [
     Fault(
@@ -610,9 +610,9 @@ VIDEO_PORT_OF_DLP4500 = [
     ),
     Fault(
         "dlp4500: the display is not waited for",
-        DLP_DISPLAY,
+        DISPLAY_WINDOW,
         "SdlDisplay.show",
-        'self._answer("video", SHOW_S)',
+        'self._answer("video", SHOW_S + ...)',
         "",
     ),
     Fault(
@@ -667,16 +667,16 @@ VIDEO_PORT_OF_DLP4500 = [
     Fault("dlp4500: the display is kept", DLP_VIDEO, "OnVideo.close", "self._display.close()", ""),
     Fault(
         "dlp4500: frames that do not wait pass",
-        DLP_SCREEN,
+        DISPLAY_SCREEN,
         "Screen._locked_period_s",
         "if measured_s < ...:",
         "if measured_s < 0.0:",
     ),
     Fault(
         "dlp4500: a display of any size",
-        DLP_SCREEN,
-        "Screen",
-        "if sizes[found[0]] != self._size:",
-        "if not sizes[found[0]]:",
+        DISPLAY_SCREEN,
+        "_chosen",
+        "if size is not None and found[0].size != size:",
+        "if not found[0].size:",
     ),
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tests.conformance.camera_faults import GENTL_AND_VIDEO, NODE_TABLES
+from tests.conformance.display_faults import DISPLAYS, RIG_FILES, TIMING
 from tests.conformance.driver_faults import (
     DRIVER_OF_BASLER,
     DRIVER_OF_DLP4500,
@@ -36,4 +37,7 @@ FAULTS: list[Fault] = (
     + TIMED
     + STARTED
     + CHECKED
+    + DISPLAYS
+    + TIMING
+    + RIG_FILES
 )

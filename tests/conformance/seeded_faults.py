@@ -66,11 +66,14 @@ NODE_MAPS = Suite(
     ("rig_pylon.yaml",),
     ("test_basler_families.py", "test_basler_features.py", "test_basler.py", "test_basler_faults.py"),
 )
-VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py", "test_dlp4500_display.py"))
+VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
 TRIGGER_CHECK = Suite(
     ("rig_reference.yaml",),
     ("../acquisition/test_exposure_shift.py", "test_emulated_check.py", "test_emulated_steps.py"),
 )
+DISPLAY = Suite(("rig_reference.yaml",), ("test_display_device.py", "test_display_window.py"))
+FOUND = Suite(("rig_reference.yaml",), ("test_discovery.py",))
+SET_UP = Suite(("rig_reference.yaml",), ("../acquisition/test_rig_setup.py",))
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
     "drivers/basler/": NODE_MAPS,
@@ -78,8 +81,15 @@ SUITES = {
     "drivers/gentl/": Suite(("rig_gentl.yaml",), ("test_gentl.py",)),
     "drivers/video_camera/": Suite(("rig_video.yaml",), ("test_video_camera.py",)),
     "drivers/dlp4500/on_video.py": VIDEO_PORT,
-    "drivers/dlp4500/display.py": VIDEO_PORT,
-    "drivers/dlp4500/screen.py": VIDEO_PORT,
+    "drivers/display/": DISPLAY,
+    "fpplab/devices/flashing.py": DISPLAY,
+    "drivers/computer_discovery.py": FOUND,
+    "drivers/discovery.py": FOUND,
+    "fpplab/acquisition/display_timing.py": Suite(
+        ("rig_reference.yaml",), ("../acquisition/test_display_timing.py",)
+    ),
+    "fpplab/acquisition/rig_setup.py": SET_UP,
+    "fpplab/cli/commands/rig.py": SET_UP,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
         (

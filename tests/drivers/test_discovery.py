@@ -14,10 +14,18 @@ import usb.core
 from pypylon import pylon
 from serial.tools import list_ports
 
-from drivers import discovery
+from drivers import computer_discovery, discovery
 from drivers.discovery import BASLER_VENDOR, DLP4500_PRODUCT, DLP4500_VENDOR
+from drivers.display import DisplayProjector, window
+from drivers.display.screen import DisplayInfo
+from drivers.dlp4500 import Dlp4500
+from fpplab.core.errors import DeviceError
 from fpplab.devices import DeviceInfo
+from fpplab.devices.discovery import FoundDevice
+from fpplab.devices.rig import Rig
 from tests.drivers.grbl_stage import Bench
+
+REAL_DISPLAYS = computer_discovery.displays
 
 
 class Computer:
@@ -84,8 +92,15 @@ def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
     monkeypatch.setattr(hid, "enumerate", lambda vendor, product: made.hid)
     monkeypatch.setattr(list_ports, "comports", lambda: made.ports)
     monkeypatch.setattr(usb.core, "find", lambda find_all: iter(made.usb))
+    monkeypatch.setattr(computer_discovery, "displays", lambda: discovery.FoundDevices([], []))
+    monkeypatch.setattr(computer_discovery, "VIDEO_CLASS", Path("/nowhere"))
+    monkeypatch.delenv(computer_discovery.PRODUCER_PATH, raising=False)
     monkeypatch.setattr(discovery, "_may_use", lambda node: str(node) not in made.forbidden)
     return made
+
+
+def plain(devices: list[FoundDevice]) -> list[DeviceInfo]:
+    return [DeviceInfo(d.kind, d.model, d.serial, d.link) for d in devices]
 
 
 def test_nothing_is_found_and_nothing_missed_where_nothing_is(computer: Computer) -> None:
@@ -98,7 +113,7 @@ def test_a_whole_bench_is_listed(computer: Computer) -> None:
     computer.plug_stage("/dev/ttyACM0")
     found = discovery.find_devices()
     assert found.missing == []
-    assert found.devices == [
+    assert plain(found.devices) == [
         DeviceInfo("camera", "acA5472-17um", "23456789", "BaslerUsb, USB 3, 5 Gbit/s"),
         DeviceInfo("projector", "DLPC350", "LCR3", "USB 1-2:1.0, USB 2, 480 Mbit/s"),
         DeviceInfo("stage", "Arduino Uno", "AB12", "serial /dev/ttyACM0 (USB 2341:0043)"),
@@ -225,3 +240,104 @@ def only(items: list[Any]) -> Any:
     """The one thing there is."""
     assert len(items) == 1, items
     return items[0]
+
+
+# --- what a rig file would say of them
+
+
+def display(index: int, size: tuple[int, int], is_main: bool = False) -> DisplayInfo:
+    return DisplayInfo(index, f"HDMI-{index}", size, 60, is_main)
+
+
+def test_every_device_has_a_section_that_its_driver_takes_and_an_example(computer: Computer) -> None:
+    computer.plug_camera("23456789")
+    computer.plug_projector()
+    computer.plug_stage("/dev/ttyACM0")
+    camera, projector, stage = discovery.find_devices().devices
+    assert camera.section == {"backend": "drivers.basler:BaslerCamera", "serial": "23456789"}
+    assert projector.section["flash"] == "patterns.yaml"
+    assert stage.section == {"backend": "drivers.stage_grbl:GrblStage", "port": "/dev/ttyACM0"}
+    assert (camera.is_certain, projector.is_certain, stage.is_certain) == (True, True, False)
+    for device in (camera, projector, stage):
+        used = Rig.load(device.example).file
+        assert getattr(used, device.kind) is not None or device.kind == "stage"
+
+
+@pytest.fixture
+def displays(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> list[DisplayInfo]:
+    listed: list[DisplayInfo] = []
+    monkeypatch.setattr(window, "connected_displays", lambda: listed)
+    monkeypatch.setattr(computer_discovery, "displays", REAL_DISPLAYS)
+    return listed
+
+
+def test_displays_are_projectors_but_the_main_one_is_not_taken_unasked(displays: list[DisplayInfo]) -> None:
+    displays += [display(0, (2560, 1440), is_main=True), display(1, (1920, 1080))]
+    main, second = discovery.find_devices().devices
+    assert main.link == "2560 x 1440, 60 Hz, the main display"
+    assert second.link == "1920 x 1080, 60 Hz"
+    assert (main.is_certain, second.is_certain) == (False, True)
+    assert second.section["display"] == 1
+    assert second.section["size"] == [1920, 1080]
+    DisplayProjector("projector", {k: v for k, v in second.section.items() if k != "backend"}, None)
+
+
+def test_a_lightcrafter_on_a_display_takes_its_patterns_from_it(
+    displays: list[DisplayInfo], computer: Computer
+) -> None:
+    computer.plug_projector()
+    displays += [display(0, (912, 1140), is_main=True), display(1, (1920, 1080))]
+    assert discovery.find_devices().devices[0].section["flash"] == "patterns.yaml"
+    displays.append(display(2, (912, 1140)))
+    projector = discovery.find_devices().devices[0]
+    assert projector.section["video"] == {"display": 2}
+    assert "flash" not in projector.section
+    Dlp4500("projector", {k: v for k, v in projector.section.items() if k != "backend"}, None)
+
+
+def test_without_a_graphical_session_displays_are_missing(
+    displays: list[DisplayInfo], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> list[DisplayInfo]:
+        raise DeviceError("displays", "list", "SDL finds no displays (none)", "start a graphical session")
+
+    monkeypatch.setattr(window, "connected_displays", refuse)
+    sentence = only(discovery.find_devices().missing)
+    assert sentence.startswith("displays are not looked for: SDL finds no displays")
+    assert sentence.endswith("start a graphical session")
+
+
+def test_video_cameras_are_listed_by_their_first_node(
+    computer: Computer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number, index, name in ((0, 0, "HD Webcam"), (1, 1, "HD Webcam"), (10, 0, "Second"), (2, 0, "First")):
+        entry = tmp_path / f"video{number}"
+        entry.mkdir()
+        (entry / "index").write_text(f"{index}\n")
+        (entry / "name").write_text(f"{name}\n")
+    nodes = tmp_path / "dev"
+    nodes.mkdir()
+    for number in (0, 1, 2):
+        (nodes / f"video{number}").touch()
+    monkeypatch.setattr(computer_discovery, "VIDEO_CLASS", tmp_path)
+    monkeypatch.setattr(computer_discovery, "VIDEO_NODES", nodes)
+    found = discovery.find_devices()
+    assert [d.model for d in found.devices] == ["HD Webcam", "First", "Second"]
+    assert found.devices[0].section == {
+        "backend": "drivers.video_camera:VideoCamera",
+        "device": str(nodes / "video0"),
+    }
+    assert only(found.missing).startswith(f"camera on {nodes / 'video10'}: this user may not open it")
+
+
+def test_producers_are_listed_and_empty_folders_said(
+    computer: Computer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "maker").mkdir()
+    (tmp_path / "empty").mkdir()
+    producer = tmp_path / "maker" / "vendor.cti"
+    producer.touch()
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", f"{tmp_path / 'maker'}:{tmp_path / 'empty'}:")
+    found = discovery.find_devices()
+    assert plain(found.devices) == [DeviceInfo("camera", "GenTL producer vendor", "", str(producer))]
+    assert "empty, which holds no producer" in only(found.missing)

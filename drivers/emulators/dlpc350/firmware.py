@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.clock import Clock
+from drivers.display.window import VideoFrame
 from drivers.dlp4500 import protocol
-from drivers.dlp4500.display import VideoFrame
 from drivers.dlp4500.framing import DESTINATION, ERROR, READ, REPLY_WANTED, UsbMessage
 from drivers.dlp4500.protocol import (
     COLOURS,

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.dlp4500.display import VideoFrame
+from drivers.display.window import VideoFrame
 from drivers.dlp4500.sequence import SIZE
 from drivers.emulators.dlpc350.light import FlashImage
 
@@ -120,7 +120,7 @@ class VideoReceiver(Protocol):
 
 
 class EmulatedDisplay:
-    """Stands in for `drivers.dlp4500.display.SdlDisplay`: what it shows is on the controller's video port.
+    """Stands in for `drivers.display.window.SdlDisplay`: what it shows is on the controller's video port.
 
     While it is not open the desktop is shown, a uniform grey-level image.
 

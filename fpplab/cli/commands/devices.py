@@ -11,17 +11,22 @@ from fpplab.core import plugins
 
 @app.command("devices", rich_help_panel=PREPARE)
 def devices_command(json: Json = False) -> None:
-    """List the cameras, projectors and stages that this computer sees, and what keeps others from showing."""
+    """List the cameras, projectors, displays and stages that this computer sees, and why others do not show.
+
+    With each device, the rig file that comes with fpplab and has such a device; `fpplab rig new` writes one.
+    """
     from fpplab.devices.discovery import FoundDevices
 
     found = FoundDevices.together(
         plugins.load_plugin(plugins.DISCOVERY, name)() for name in plugins.plugin_names(plugins.DISCOVERY)
     )
     rows = [asdict(d) for d in found.devices]
+    shown = [[d.kind, d.model, d.serial, d.link, d.example or "none"] for d in found.devices]
 
     def words() -> None:
         if rows:
-            console.table("Devices", ["kind", "model", "serial", "link"], [list(d.values()) for d in rows])
+            console.table("Devices", ["kind", "model", "serial", "link", "rig file for it"], shown)
+            console.say("`fpplab rig new --out rig.yaml` writes a rig file with those that you choose.")
         else:
             console.say("No camera, projector or stage is connected; see their power and cables.")
         for sentence in found.missing:

@@ -1,4 +1,4 @@
-"""The video port: a display of this computer that holds one frame at a time.
+"""A display of this computer that holds one frame at a time: of a projector, or of its video port.
 
 Tested with SDL's dummy display and a virtual X server only, not yet with a projector.
 """
@@ -10,13 +10,13 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.shared_memory import SharedMemory
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.dlp4500 import screen
-from drivers.dlp4500.sequence import SIZE
+from drivers.display import screen
+from drivers.display.screen import DisplayInfo, OpenedScreen, ShowFrame
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
 
 START_S, SHOW_S, STOP_S = 30.0, 5.0, 5.0
@@ -27,7 +27,7 @@ VideoFrame = NDArray[np.uint8]
 
 
 class Display(Protocol):
-    """The display that the projector's video port is connected to.
+    """A display that a projector shows, or that its video port is connected to.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Display(Protocol):
         Parameters
         ----------
         frame : ndarray
-            uint8 (1140, 912, 3): red, green, blue.
+            uint8 (height, width, 3): red, green, blue.
 
         Raises
         ------
@@ -69,19 +69,21 @@ class SdlDisplay:
         The projector's name, for errors.
     wanted : int or str
         Index or name of the display.
-    size : tuple of int
-        Width and height that the display must have, in px.
+    size : tuple of int or None
+        Width and height that the display must have, in px; None for any.
 
     Attributes
     ----------
     vsync_s : float
         Period of the video frames in s; known once open.
+    info : DisplayInfo or None
+        The display; known once open.
     """
 
-    def __init__(self, name: str, wanted: int | str, size: tuple[int, int] = SIZE) -> None:
-        self._name, self._wanted = name, wanted
-        self._shape = (size[1], size[0], 3)
+    def __init__(self, name: str, wanted: int | str, size: tuple[int, int] | None) -> None:
+        self._name, self._wanted, self._size = name, wanted, size
         self.vsync_s = 0.0
+        self.info: DisplayInfo | None = None
         self._process: BaseProcess | None = None
         self._connection: Connection | None = None
         self._memory: SharedMemory | None = None
@@ -105,29 +107,34 @@ class SdlDisplay:
             The process does not answer.
         """
         self.close()
-        height, width, _ = self._shape
         context = multiprocessing.get_context("spawn")  # SDL and threads do not survive a fork
         self._connection, theirs = context.Pipe()
-        self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
         try:
             self._process = context.Process(
                 target=screen.serve_screen,
-                args=(theirs, self._memory.name, self._wanted, (width, height)),
+                args=(theirs, self._wanted, self._size),
                 name="display",
                 daemon=True,
             )
             self._process.start()
         finally:
             theirs.close()  # so that the pipe ends when the process does
-        self.vsync_s = self._answer("open", START_S)
+        opened: OpenedScreen = self._answer("open", START_S)
+        self.vsync_s, self.info = opened.vsync_s, opened.display
+        width, height = opened.display.size
+        self._shape = (height, width, 3)
+        self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
+        self._connection.send(self._memory.name)
 
-    def show(self, frame: VideoFrame) -> None:
+    def show(self, frame: VideoFrame, refreshes: int | None = None) -> None:
         """Show one frame; return when it is transmitted. After an error of the device the display is closed.
 
         Parameters
         ----------
         frame : ndarray
             uint8 (height, width, 3): red, green, blue.
+        refreshes : int, optional
+            For how many refreshes, with black before and after; by default it stays.
 
         Raises
         ------
@@ -140,14 +147,14 @@ class SdlDisplay:
         DeviceTimeoutError
             The process does not answer.
         """
-        if frame.shape != self._shape or frame.dtype != np.uint8:
-            raise ValueError(f"a frame is uint8 {self._shape}, not {frame.dtype} {frame.shape}")
         if self._connection is None or self._memory is None:
             raise DisconnectedError(self._name, "video", "its display is not open", "open it first")
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"a frame is uint8 {self._shape}, not {frame.dtype} {frame.shape}")
         np.copyto(np.ndarray(self._shape, np.uint8, self._memory.buf), frame)
         with suppress(OSError):  # an answer sent before the process ended is still to be read
-            self._connection.send(screen.SHOW)
-        self._answer("video", SHOW_S)
+            self._connection.send(ShowFrame(refreshes))
+        self._answer("video", SHOW_S + (refreshes or 0) * self.vsync_s)
 
     def close(self) -> None:
         """Close the display and end the process; may be called at any time, any number of times."""
@@ -164,7 +171,7 @@ class SdlDisplay:
             self._memory.unlink()
         self._process = self._connection = self._memory = None
 
-    def _answer(self, operation: str, timeout_s: float) -> float:
+    def _answer(self, operation: str, timeout_s: float) -> Any:
         """Wait for the process's answer; any failure, including an interruption, ends the process."""
         assert self._connection is not None
         try:
@@ -178,7 +185,7 @@ class SdlDisplay:
             answer = self._connection.recv()
             if isinstance(answer, screen.ScreenFailure):
                 raise DeviceError(self._name, operation, answer.found, answer.remedy)
-            return float(answer)
+            return answer
         except (OSError, EOFError) as error:
             raise self._dead(operation) from error
         except BaseException:
@@ -193,3 +200,39 @@ class SdlDisplay:
         return DisconnectedError(
             self._name, operation, f"the process of its display has died (exit code {code})", "open it again"
         )
+
+
+def connected_displays() -> list[DisplayInfo]:
+    """List the displays of this computer, from a process of its own.
+
+    Returns
+    -------
+    list of DisplayInfo
+        All that SDL sees.
+
+    Raises
+    ------
+    DeviceError
+        SDL finds none, or does not answer.
+    """
+    context = multiprocessing.get_context("spawn")
+    mine, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=screen.serve_displays, args=(theirs,), name="displays", daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        found = mine.recv() if mine.poll(START_S) else None
+    except EOFError:
+        found = None
+    finally:
+        mine.close()
+        process.join(STOP_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+    if isinstance(found, screen.ScreenFailure):
+        raise DeviceError("displays", "list", found.found, found.remedy)
+    if found is None:
+        raise DeviceError("displays", "list", "SDL does not answer", "see that the graphical session runs")
+    listed: list[DisplayInfo] = found
+    return listed

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import shutil
 import signal
-import struct
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
-from drivers.dlp4500 import display as display_module
-from drivers.dlp4500 import screen
-from drivers.dlp4500.display import SdlDisplay, VideoFrame
+from drivers.display import screen
+from drivers.display import window as display_module
+from drivers.display.window import SdlDisplay, VideoFrame, connected_displays
 from drivers.dlp4500.sequence import SIZE
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
+from tests.drivers.x_screen import x_server
 
 DUMMY = (1024, 768)
 """The one size of SDL's dummy display."""
-XVFB = shutil.which("Xvfb")
 
 
 @pytest.fixture(autouse=True)
@@ -185,43 +181,45 @@ def test_an_interruption_of_the_operator_is_not_its_business(opened: SdlDisplay)
     opened.show(noise(DUMMY))
 
 
+def test_any_size_will_do_where_none_is_stated() -> None:
+    display = SdlDisplay("projector", 0, None)
+    display.open()
+    assert display.info is not None
+    assert display.info.size == DUMMY
+    display.show(noise(DUMMY))
+    display.close()
+
+
+def test_a_name_that_two_displays_have_is_refused() -> None:
+    alike = [screen.DisplayInfo(i, "HDMI", DUMMY, 60, i == 0) for i in range(2)]
+    with pytest.raises(screen.ScreenError, match="several displays are called 'HDMI'"):
+        screen._chosen(alike, "HDMI", None)
+    assert screen._chosen(alike, 1, DUMMY).index == 1
+
+
+def test_displays_are_listed_without_being_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    (only,) = connected_displays()
+    assert (only.index, only.size, only.is_main) == (0, DUMMY, True)
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none")
+    with pytest.raises(DeviceError, match="SDL finds no displays"):
+        connected_displays()
+
+
 # --- under an X server
 
 
-def screenshot(path: Path) -> NDArray[np.uint8]:
-    """What the server has on its screen, from its dump in XWD format: 25 numbers, a name, colours, pixels."""
-    data = path.read_bytes()
-    fields = struct.unpack(">25I", data[:100])
-    size, width, height, stride, colours = fields[0], fields[4], fields[5], fields[12], fields[19]
-    pixels = np.frombuffer(data, np.uint8, stride * height, size + 12 * colours).reshape(height, stride)
-    return pixels[:, : 4 * width].reshape(height, width, 4)[..., 2::-1]
-
-
-@pytest.mark.skipif(XVFB is None, reason="no Xvfb on this computer")
+@pytest.mark.parametrize("size", [SIZE, (1366, 768)])
 def test_every_pixel_of_a_frame_is_on_an_x_servers_screen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert XVFB is not None
-    width, height = SIZE
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        [XVFB, "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-fbdir", str(tmp_path)],
-        pass_fds=[write],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        os.close(write)
-        with os.fdopen(read) as told:
-            number = told.readline().strip()
-        monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
-        monkeypatch.setenv("DISPLAY", f":{number}")
-        frame = noise(SIZE)
-        display = SdlDisplay("projector", 0)
+    with x_server(size) as server:
+        server.use(monkeypatch)
+        frame = noise(size)
+        display = SdlDisplay("projector", 0, None)
         display.open()
-        assert not np.any(screenshot(tmp_path / "Xvfb_screen0"))
+        assert not np.any(server.screen())
         display.show(frame)
-        np.testing.assert_array_equal(screenshot(tmp_path / "Xvfb_screen0"), frame)
+        np.testing.assert_array_equal(server.screen(), frame)
+        display.show(frame, 3)
+        assert not np.any(server.screen())
         display.close()
-    finally:
-        server.terminate()
-        server.wait()

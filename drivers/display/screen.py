@@ -18,8 +18,6 @@ from multiprocessing.shared_memory import SharedMemory
 from statistics import median
 from typing import Any
 
-SHOW = "show"
-"""Command to show the frame in shared memory."""
 EVENTS_S = 0.02
 """Interval in s at which window events are processed while no command comes."""
 QUEUED_FRAMES = 3
@@ -38,6 +36,63 @@ HINTS = {
 }
 """SDL's hints, set before it starts."""
 REMEDY = "check the display's cable and settings"
+
+
+@dataclass(frozen=True)
+class DisplayInfo:
+    """A display of this computer, as SDL tells it.
+
+    Attributes
+    ----------
+    index : int
+        Its number, from 0.
+    name : str
+        Its name, such as that of its connector or model.
+    size : tuple of int
+        Width and height in px, as it is set.
+    refresh_hz : int
+        Refresh rate in Hz, television rates as the whole number below; 0 where it is not told.
+    is_main : bool
+        Whether its upper left corner is the desktop's origin.
+    """
+
+    index: int
+    name: str
+    size: tuple[int, int]
+    refresh_hz: int
+    is_main: bool
+
+    def __str__(self) -> str:
+        return "{} '{}' ({} x {})".format(self.index, self.name, *self.size)
+
+
+@dataclass(frozen=True)
+class OpenedScreen:
+    """What is known of a display once it is open, to be sent to the driver's process.
+
+    Attributes
+    ----------
+    display : DisplayInfo
+        The display.
+    vsync_s : float
+        Its refresh period in s.
+    """
+
+    display: DisplayInfo
+    vsync_s: float
+
+
+@dataclass(frozen=True)
+class ShowFrame:
+    """Command to show the frame in shared memory.
+
+    Attributes
+    ----------
+    refreshes : int or None
+        For how many refreshes, with black before and after; None until the next command.
+    """
+
+    refreshes: int | None = None
 
 
 @dataclass(frozen=True)
@@ -77,50 +132,94 @@ class ScreenError(Exception):
         self.failure = ScreenFailure(found, remedy)
 
 
-def serve_screen(connection: Connection, memory_name: str, wanted: int | str, size: tuple[int, int]) -> None:
+def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int] | None) -> None:
     """Drive the display until the connection is closed.
 
-    After opening, and after each frame shown, the refresh period in s is sent; a `ScreenFailure` is sent
-    instead if the display fails.
+    After opening an `OpenedScreen` is sent. The name of the shared memory for frames (red, green, blue of
+    each pixel, row by row) is expected first, and then `ShowFrame` commands; after each the refresh period
+    in s is sent. A `ScreenFailure` is sent instead if the display fails.
 
     Parameters
     ----------
     connection : Connection
         Receives the commands, sends the answers.
-    memory_name : str
-        Name of the shared memory that holds the frame: red, green, blue of each pixel, row by row.
     wanted : int or str
         Index or name of the display.
-    size : tuple of int
-        Width and height that the display must have, in px.
+    size : tuple of int or None
+        Width and height that the display must have, in px; None for any.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
-    memory = SharedMemory(memory_name)
-    assert memory.buf is not None
     with suppress(EOFError, OSError):
         try:
             with open_screen(wanted, size) as screen:
-                connection.send(screen.vsync_s)
+                connection.send(OpenedScreen(screen.display, screen.vsync_s))
+                memory = SharedMemory(connection.recv())
+                assert memory.buf is not None
                 while True:
                     while not connection.poll(EVENTS_S):
                         screen.process_events()
-                    connection.recv()
-                    screen.show(bytes(memory.buf[: screen.frame_bytes]))
+                    command = connection.recv()
+                    screen.show(bytes(memory.buf[: screen.frame_bytes]), command.refreshes)
                     connection.send(screen.vsync_s)
         except ScreenError as error:
             connection.send(error.failure)
 
 
+def serve_displays(connection: Connection) -> None:
+    """Send the list of displays, or a `ScreenFailure`.
+
+    Parameters
+    ----------
+    connection : Connection
+        Takes the answer.
+    """
+    try:
+        with _video() as sdl:
+            connection.send(_displays(sdl))
+    except ScreenError as error:
+        connection.send(error.failure)
+
+
+def _displays(sdl: Any) -> list[DisplayInfo]:
+    found = []
+    for index in range(sdl.SDL_GetNumVideoDisplays()):
+        mode, bounds = sdl.SDL_DisplayMode(), sdl.SDL_Rect()
+        sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
+        sdl.SDL_GetDisplayBounds(index, byref(bounds))
+        name = (sdl.SDL_GetDisplayName(index) or b"").decode()
+        is_main = (bounds.x, bounds.y) == (0, 0)
+        found.append(DisplayInfo(index, name, (mode.w, mode.h), mode.refresh_rate, is_main))
+    return found
+
+
 @contextmanager
-def open_screen(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
+def _video() -> Iterator[Any]:
+    """SDL with its video part, or `ScreenError`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PySDL2 warns about which SDL library it uses
+        import sdl2
+    for hint, value in HINTS.items():
+        sdl2.SDL_SetHint(hint, value)
+    if sdl2.SDL_Init(sdl2.SDL_INIT_VIDEO):
+        raise ScreenError(
+            f"SDL finds no displays ({sdl2.SDL_GetError().decode()})", "start a graphical session"
+        )
+    try:
+        yield sdl2
+    finally:
+        sdl2.SDL_Quit()
+
+
+@contextmanager
+def open_screen(wanted: int | str, size: tuple[int, int] | None = None) -> Iterator[Screen]:
     """Open a display and show black; the display is released at the end of the context.
 
     Parameters
     ----------
     wanted : int or str
         Index or name of the display.
-    size : tuple of int
-        Width and height that the display must have, in px.
+    size : tuple of int, optional
+        Width and height that the display must have, in px; any by default.
 
     Yields
     ------
@@ -132,19 +231,8 @@ def open_screen(wanted: int | str, size: tuple[int, int]) -> Iterator[Screen]:
     ScreenError
         There is no such display, or it cannot be used as required.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # PySDL2 warns about which SDL library it uses
-        import sdl2
-    for hint, value in HINTS.items():
-        sdl2.SDL_SetHint(hint, value)
-    if sdl2.SDL_Init(sdl2.SDL_INIT_VIDEO):
-        raise ScreenError(
-            f"SDL finds no displays ({sdl2.SDL_GetError().decode()})", "start a graphical session"
-        )
-    try:
-        yield Screen(sdl2, wanted, size)
-    finally:
-        sdl2.SDL_Quit()
+    with _video() as sdl:
+        yield Screen(sdl, wanted, size)
 
 
 class Screen:
@@ -156,50 +244,61 @@ class Screen:
         The module `sdl2`, initialised.
     wanted : int or str
         Index or name of the display.
-    size : tuple of int
-        Width and height that the display must have, in px.
+    size : tuple of int or None
+        Width and height that the display must have, in px; None for any.
 
     Attributes
     ----------
+    display : DisplayInfo
+        The display.
     frame_bytes : int
         Bytes of a frame.
     vsync_s : float
         Refresh period of the display in s.
     """
 
-    def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int]) -> None:
-        self._sdl, self._size = sdl, size
-        self.frame_bytes = 3 * size[0] * size[1]
-        self._index = index = self._display_index(wanted)
-        self._renderer, self._window = self._create_window(index)
+    def __init__(self, sdl: Any, wanted: int | str, size: tuple[int, int] | None) -> None:
+        self._sdl = sdl
+        self.display = _chosen(_displays(sdl), wanted, size)
+        self._size = self.display.size
+        self.frame_bytes = 3 * self._size[0] * self._size[1]
+        self._renderer, self._window = self._create_window(self.display.index)
         sdl.SDL_ShowCursor(sdl.SDL_DISABLE)
         self._texture = sdl.SDL_CreateTexture(
-            self._renderer, sdl.SDL_PIXELFORMAT_RGB24, sdl.SDL_TEXTUREACCESS_STREAMING, *size
+            self._renderer, sdl.SDL_PIXELFORMAT_RGB24, sdl.SDL_TEXTUREACCESS_STREAMING, *self._size
         )
         self.show(bytes(self.frame_bytes))
-        self.vsync_s = self._locked_period_s(self._mode(index).refresh_rate)
+        self.vsync_s = self._locked_period_s(self.display.refresh_hz)
 
-    def show(self, frame: bytes) -> None:
+    def show(self, frame: bytes, refreshes: int | None = None) -> None:
         """Show a frame and wait until it is transmitted.
 
         Parameters
         ----------
         frame : bytes
             Red, green and blue of each pixel, row by row.
+        refreshes : int, optional
+            For how many refreshes, with black before and after; by default it stays.
 
         Raises
         ------
         ScreenError
             The frame cannot be drawn, other pixels are read back, or the window is no longer in place.
         """
-        sdl = self._sdl
-        if sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
-            raise ScreenError(f"a frame cannot be shown ({sdl.SDL_GetError().decode()})")
+        self._upload(frame)
         self._draw()
         if self._read_back() != frame:
             raise ScreenError(
                 "the drawn pixels differ from the frame", "set the display to 24 bits per pixel, unscaled"
             )
+        if refreshes is not None:
+            black = bytes(self.frame_bytes)
+            self._upload(black)
+            self._present()  # what follows begins with a refresh
+            self._upload(frame)
+            for _ in range(refreshes):
+                self._present()
+            self._upload(black)
         for _ in range(1 + QUEUED_FRAMES):
             self._present()
         self.process_events()
@@ -223,30 +322,6 @@ class Screen:
             raise ScreenError("its window was hidden", "leave the projector's display alone")
         self._check_placement()
 
-    def _display_index(self, wanted: int | str) -> int:
-        """Return the display's index, or raise `ScreenError` unless exactly one of the right size matches."""
-        sdl = self._sdl
-        count = sdl.SDL_GetNumVideoDisplays()
-        names = [(sdl.SDL_GetDisplayName(i) or b"").decode() for i in range(count)]
-        sizes = [(self._mode(i).w, self._mode(i).h) for i in range(count)]
-        listed = ", ".join(f"{i} '{names[i]}' ({w} x {h})" for i, (w, h) in enumerate(sizes))
-        found = [i for i in range(count) if wanted in (i, names[i])]
-        width, height = self._size
-        if not found:
-            raise ScreenError(f"there is no display {wanted!r}", f"there are {listed}")
-        if len(found) > 1:
-            raise ScreenError(f"several displays are called {wanted!r}", f"name one by its number: {listed}")
-        if sizes[found[0]] != self._size:
-            raise ScreenError(
-                f"display {wanted!r} is not set to {width} x {height}", f"set it so; there are {listed}"
-            )
-        return found[0]
-
-    def _mode(self, index: int) -> Any:
-        mode = self._sdl.SDL_DisplayMode()
-        self._sdl.SDL_GetCurrentDisplayMode(index, byref(mode))
-        return mode
-
     def _create_window(self, index: int) -> tuple[Any, Any]:
         sdl = self._sdl
         at = sdl.SDL_WINDOWPOS_UNDEFINED_MASK | index
@@ -258,13 +333,17 @@ class Screen:
         return renderer, window
 
     def _check_placement(self) -> None:
-        if self._sdl.SDL_GetWindowDisplayIndex(self._window) != self._index:
+        if self._sdl.SDL_GetWindowDisplayIndex(self._window) != self.display.index:
             raise ScreenError("its window is on another display", "leave the projector's display alone")
         width, height = c_int(), c_int()
         self._sdl.SDL_GetRendererOutputSize(self._renderer, byref(width), byref(height))
         found = (width.value, height.value)
         if found != self._size:
             raise ScreenError("its window has {} x {} pixels, not {} x {}".format(*found, *self._size))
+
+    def _upload(self, frame: bytes) -> None:
+        if self._sdl.SDL_UpdateTexture(self._texture, None, frame, 3 * self._size[0]):
+            raise ScreenError(f"a frame cannot be shown ({self._sdl.SDL_GetError().decode()})")
 
     def _draw(self) -> None:
         self._sdl.SDL_RenderCopy(self._renderer, self._texture, None, None)
@@ -297,6 +376,21 @@ class Screen:
                 "switch on vertical synchronisation in the graphics driver",
             )
         return vsync_period_s(reported_hz)
+
+
+def _chosen(displays: list[DisplayInfo], wanted: int | str, size: tuple[int, int] | None) -> DisplayInfo:
+    """The display that is wanted, or `ScreenError` unless exactly one of the right size matches."""
+    listed = ", ".join(map(str, displays))
+    found = [display for display in displays if wanted in (display.index, display.name)]
+    if not found:
+        raise ScreenError(f"there is no display {wanted!r}", f"there are {listed}")
+    if len(found) > 1:
+        raise ScreenError(f"several displays are called {wanted!r}", f"name one by its number: {listed}")
+    if size is not None and found[0].size != size:
+        raise ScreenError(
+            "display {!r} is not set to {} x {}".format(wanted, *size), f"set it so; there are {listed}"
+        )
+    return found[0]
 
 
 def vsync_period_s(reported_hz: int) -> float:

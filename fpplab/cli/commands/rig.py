@@ -1,0 +1,125 @@
+"""`fpplab rig`: write a rig file from what is connected, and measure a projector's times."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import PREPARE, Commands, Force, Json, Out, PlanName, RigName, app
+from fpplab.core import plugins
+from fpplab.core.errors import ConfigError, DeviceError
+
+if TYPE_CHECKING:
+    from fpplab.acquisition.display_timing import DisplayTiming
+
+rig_app = typer.Typer(
+    cls=Commands, help="Write a rig file from what is connected; measure a rig's times.", no_args_is_help=True
+)
+app.add_typer(rig_app, name="rig", rich_help_panel=PREPARE)
+
+NAMED = "Serial number, model, port or display, as `fpplab devices` shows it"
+
+
+@rig_app.callback()
+def _rig() -> None:
+    """Write a rig file from what is connected; measure a rig's times."""
+
+
+@rig_app.command("new")
+def new_command(
+    out: Out,
+    name: Annotated[str, typer.Option("--name", help="What the rig is called in reports.")] = "Bench",
+    camera: Annotated[str | None, typer.Option("--camera", help=f"{NAMED}.")] = None,
+    projector: Annotated[str | None, typer.Option("--projector", help=f"{NAMED}.")] = None,
+    stage: Annotated[str | None, typer.Option("--stage", help=f"{NAMED}; `none` for none.")] = None,
+    home: Annotated[bool, typer.Option("--home", help="Home the stage: its carriage moves.")] = False,
+    operator: Annotated[
+        bool, typer.Option("--operator/--no-operator", help="Whether a person holds what is measured.")
+    ] = True,
+    no_questions: Annotated[
+        bool, typer.Option("--no-questions", help="Take what is named, or the only device of a kind.")
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Choose among the connected devices, test each, and write a rig file.
+
+    The camera must give a picture, and see that the projector's white is brighter than its black; the stage
+    must answer, and is homed if you say so. The file is written only when all devices have passed. With
+    --no-questions a serial port or the computer's main display is used only if it is named.
+
+    Example: `fpplab rig new --out rig.yaml`
+    """
+    from fpplab.acquisition.rig_setup import RigSetup
+    from fpplab.core.files import need_suffix, refuse_existing, write_text
+    from fpplab.devices.discovery import FoundDevices
+
+    need_suffix(out, ".yaml")
+    refuse_existing(out, force)
+    if not no_questions and not _has_terminal():
+        raise ConfigError(
+            "there is nobody at the terminal to be asked; add --no-questions and name the devices"
+        )
+    found = FoundDevices.together(
+        plugins.load_plugin(plugins.DISCOVERY, one)() for one in plugins.plugin_names(plugins.DISCOVERY)
+    )
+    named = {"camera": camera, "projector": projector, "stage": stage}
+    names = {kind: value for kind, value in named.items() if value is not None}
+    setup = RigSetup(found, names, out.absolute().parent, None if no_questions else _ask, console.say)
+    draft = setup.run(home, operator)
+    write_text(out, draft.text(name))
+    console.answer(
+        {"rig": str(out), **draft.summary()},
+        json,
+        lambda: console.stdout.print(f"{out}; next: `fpplab check --rig {out}`", markup=False),
+    )
+
+
+@rig_app.command("timing")
+def timing_command(rig: RigName, plan: PlanName = "plan_paper.yaml", json: Json = False) -> None:
+    """Measure with the camera how late the projector shows a pattern, and how long it refreshes.
+
+    Needs a white card or a bright part in the light. Tells the `settle_s` that a stepped plan needs. The exit
+    code is 3 where the refresh that the camera sees is not the one that the display tells.
+
+    Example: `fpplab rig timing --rig rig.yaml`
+    """
+    from fpplab.acquisition.display_timing import measure_display
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+
+    wanted = Plan.load(plan)
+    with Rig.load(rig) as bench, console.progress("Timing") as report:
+        found = measure_display(bench, wanted, report)
+    console.answer(found.summary(), json, lambda: _show_timing(found))
+    if not found.agrees:
+        raise console.Answered(DeviceError.exit_code)
+
+
+def _show_timing(found: DisplayTiming) -> None:
+    say = console.stdout.print
+    say(f"latency: {1e3 * found.settle_s:.0f} ms; put `settle_s: {found.settle_s:.3g}` or more into the plan")
+    if found.refresh_s is not None and found.told_s is not None:
+        seen, told = 1e3 * found.refresh_s, 1e3 * found.told_s
+        say(f"refresh: {seen:.2f} ms as the camera sees it, {told:.2f} ms as the display tells it")
+    if not found.agrees:
+        say("they differ: something between computer and projector converts the rate; set both to one rate")
+
+
+def _has_terminal() -> bool:
+    return sys.stdin.isatty()
+
+
+def _ask(question: str, answers: Sequence[str]) -> int:
+    """Ask at the terminal, on stderr, until one of the answers is chosen."""
+    console.say(question)
+    for k, one in enumerate(answers, 1):
+        console.say(f"  {k}  {one}")
+    chosen: int = typer.prompt("number", type=int, err=True)
+    while not 1 <= chosen <= len(answers):
+        chosen = typer.prompt(f"number from 1 to {len(answers)}", type=int, err=True)
+    return chosen - 1

@@ -1,0 +1,59 @@
+"""Projectors that can show a pattern for some refreshes, so that a camera can measure how long one is."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import final
+
+from fpplab.core.errors import SettingError
+from fpplab.devices.device import State
+from fpplab.devices.projector import Projector
+
+MOST_REFRESHES = 600
+"""Refreshes of a flash, at most."""
+
+
+class FlashingProjector(Projector):
+    """A projector that shows a display, refreshed at a rate of its own."""
+
+    @property
+    @final
+    def refresh_s(self) -> float:
+        """Period of the refreshes in s, as the display tells it; known once open."""
+        self._need(State.IDLE, State.ARMED, doing="refresh_s")
+        with self._guard("refresh_s"):
+            return self._refresh_period_s()
+
+    @final
+    def flash(self, i: int, refreshes: int) -> None:
+        """Show one loaded pattern for so many refreshes, with darkness before and after; return in darkness.
+
+        Parameters
+        ----------
+        i : int
+            Its index among those loaded.
+        refreshes : int
+            How many, 1 to `MOST_REFRESHES`.
+
+        Raises
+        ------
+        SettingError
+            No such pattern is loaded, or `refreshes` is out of range.
+        """
+        self._need(State.IDLE, doing="flash")
+        if not 0 <= i < len(self._loaded):
+            raise SettingError(
+                self.name, "flash", f"pattern {i} was asked for", f"{len(self._loaded)} are loaded"
+            )
+        if not 1 <= refreshes <= MOST_REFRESHES:
+            raise SettingError(self.name, "flash", f"refreshes is {refreshes}", f"1 to {MOST_REFRESHES}")
+        with self._guard("flash"):
+            self._flash(i, refreshes)
+
+    @abstractmethod
+    def _refresh_period_s(self) -> float:
+        """Period of the refreshes in s; called by `refresh_s` in IDLE and ARMED, often: it must be quick."""
+
+    @abstractmethod
+    def _flash(self, i: int, refreshes: int) -> None:
+        """Show loaded pattern `i` for so many refreshes, dark before and after; called by `flash` in IDLE."""
