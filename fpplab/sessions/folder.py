@@ -1,0 +1,162 @@
+"""The directory of a session: what it holds at first, what may be replaced, space for its frames."""
+
+from __future__ import annotations
+
+import glob
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from fpplab.core import config
+from fpplab.core.conventions import raw_dtype
+from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import cut_torn_line, disk_bytes, need_space, whole_lines, write_text
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.journal import FRAMES, JOURNAL, format_words
+from fpplab.sessions.rig_record import RigRecord
+
+PLAN, RIG = "plan.yaml", "rig.yaml"
+
+
+def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
+    """Write what a session without frames holds.
+
+    Parameters
+    ----------
+    path : Path
+        The directory, which exists.
+    plan : Plan
+        What will be projected.
+    rig : dict or None
+        The rig as `Rig.described` gives it; None for images from elsewhere.
+
+    Raises
+    ------
+    DataError
+        The disk is full.
+    """
+    write_text(path / PLAN, config.dump(plan))
+    if rig is not None:
+        write_text(path / RIG, config.to_yaml(rig))
+    write_text(path / JOURNAL, "")
+
+
+def tidy(path: Path) -> None:
+    """Take away what a crash left: half a frame's file, and an incomplete last line of the journal.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    """
+    for draft in (path / FRAMES).glob(".*"):
+        draft.unlink()
+    cut_torn_line(path / JOURNAL)
+
+
+def remove_session(path: Path) -> None:
+    """Delete a session that is to be replaced; nothing else is ever deleted.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+
+    Raises
+    ------
+    DataError
+        What is there is no session.
+    """
+    require_session(path)
+    shutil.rmtree(path)
+
+
+def sweep_drafts(path: Path) -> None:
+    """Take away drafts of a session whose process was killed.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    """
+    for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        if draft.is_dir() and [inside.name for inside in draft.iterdir()] == [path.name]:
+            shutil.rmtree(draft)
+
+
+def require_session(path: Path) -> None:
+    """Refuse to replace a directory that is no session.
+
+    Parameters
+    ----------
+    path : Path
+        The directory.
+
+    Raises
+    ------
+    DataError
+        It has no journal.
+    """
+    if not (path / JOURNAL).is_file():
+        raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
+
+
+def refuse_foreign(path: Path) -> None:
+    """Refuse, before anything is done, an output for a session that is something else.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+
+    Raises
+    ------
+    ConfigError
+        It exists and is no session.
+    """
+    if path.exists() and not (path / JOURNAL).is_file():
+        raise ConfigError(f"{path}: exists and is not a session; name another output")
+
+
+def need_space_for_frames(
+    paths: Sequence[Path],
+    plan: Plan,
+    size: tuple[int, int],
+    bits: int,
+    force: bool = False,
+    *,
+    replaced_last: bool = False,
+) -> None:
+    """Refuse sessions whose frames do not fit on the disk, before anything is projected or written.
+
+    Frames that interrupted sessions have already need no more space, and a session that is replaced frees its
+    own.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Directories of the sessions, on one disk.
+    plan : Plan
+        What each of them records.
+    size : tuple of int
+        (width, height) of a frame in px.
+    bits : int
+        Depth of its grey levels.
+    force : bool
+        Whether sessions that are there already are replaced.
+    replaced_last : bool
+        Whether they free their space only when the new ones are complete.
+
+    Raises
+    ------
+    DataError
+        There is too little space.
+    """
+    images = freed = 0
+    for path in paths:
+        begun = (path / JOURNAL).is_file()
+        images += plan.images - (len(whole_lines(path / JOURNAL)) if begun and not force else 0)
+        freed += disk_bytes(path) if begun and force and not replaced_last else 0
+    each = size[0] * size[1] * raw_dtype(bits).itemsize
+    what = f"{images} frames of {format_words((*size, bits))}"
+    need_space(paths[0] if len(paths) == 1 else paths[0].parent, images * each, what, freed)

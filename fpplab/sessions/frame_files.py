@@ -1,0 +1,110 @@
+"""One frame as a file: an uncompressed TIFF that is memory-mapped, with a checksum of its pixels."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Image, raw_dtype
+from fpplab.core.errors import DataError
+from fpplab.core.files import write_parts
+from fpplab.sessions.journal import FrameRecord
+
+
+@cache
+def tiff_head(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """Give what stands before the pixels of an image in the file that tifffile writes.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (height, width).
+    dtype : dtype
+        Of the pixels.
+
+    Returns
+    -------
+    bytes
+        The head of the file.
+    """
+    image, file = np.zeros(shape, dtype), io.BytesIO()
+    tifffile.imwrite(file, image, photometric="minisblack", metadata=None)
+    return file.getvalue()[: -image.nbytes]
+
+
+def write_frame(path: Path, image: NDArray[Any]) -> str:
+    """Write a frame, atomically, while its checksum is computed.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    image : ndarray of uint8 or uint16, (height, width)
+        Contiguous.
+
+    Returns
+    -------
+    str
+        SHA-256 of the pixels, hexadecimal.
+
+    Raises
+    ------
+    DataError
+        There is no space.
+    """
+    with ThreadPoolExecutor(max_workers=1) as beside:  # neither holds Python's lock
+        checksum = beside.submit(_checksum, image)
+        write_parts(path, tiff_head(image.shape, image.dtype), image.data)
+    return checksum.result()
+
+
+def read_frame(path: Path, record: FrameRecord, verify: bool) -> Image:
+    """Read a frame, checked against its line of the journal.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    record : FrameRecord
+        The line.
+    verify : bool
+        Whether its checksum is compared.
+
+    Returns
+    -------
+    ndarray of uint8 or uint16, (height, width)
+        Memory-mapped and read-only.
+
+    Raises
+    ------
+    DataError
+        It is missing, truncated, altered or of another kind than the journal says.
+    """
+    index = record.index
+    try:
+        image: Image = tifffile.memmap(path, mode="r")
+    except FileNotFoundError:
+        raise DataError(f"{path}: frame {index} is missing") from None
+    except Exception as error:
+        raise DataError(f"{path}: frame {index} is truncated or damaged ({error})") from error
+    expected = raw_dtype(record.bits)
+    if image.dtype != expected or image.shape != (record.height, record.width):
+        raise DataError(
+            f"{path}: frame {index} is {image.dtype} {image.shape[::-1]} but the journal says "
+            f"{expected} {(record.width, record.height)}"
+        )
+    if verify and _checksum(image) != record.sha256:
+        raise DataError(f"{path}: frame {index} is corrupt: its checksum is not the journal's")
+    return image
+
+
+def _checksum(image: NDArray[Any]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(image).data).hexdigest()

@@ -1,0 +1,238 @@
+"""The journal of a session: one line per frame that is safely on disk, with its checksum."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from fpplab.core import config
+from fpplab.core.config import Document
+from fpplab.core.errors import DataError
+from fpplab.core.files import whole_lines
+from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.plan import Plan
+
+JOURNAL, FRAMES = "journal.jsonl", "frames"
+
+
+class FrameRecord(Document):
+    """One line of the journal."""
+
+    index: int
+    """Of the image in the plan, from 0."""
+    pattern: str
+    """The pattern that was on show."""
+    file: str
+    """The frame's file, relative to the session."""
+    sha256: str
+    """Checksum of the pixels."""
+    width: int
+    """px."""
+    height: int
+    """px."""
+    bits: int
+    """Depth of the grey levels."""
+    exposure_s: float
+    """Exposure in s, as read back."""
+    gain_db: float
+    """Gain in dB, as read back."""
+    host_time_s: float
+    """When the frame arrived, s since 1970."""
+    device_time_s: float | None = None
+    """By the camera's clock in s; None where it has none."""
+
+    @classmethod
+    def of(cls, frame: Frame, file: str, sha256: str) -> FrameRecord:
+        """Describe a frame that is on disk.
+
+        Parameters
+        ----------
+        frame : Frame
+            With the plan's index and pattern id.
+        file : str
+            Its file, relative to the session.
+        sha256 : str
+            Checksum of its pixels.
+
+        Returns
+        -------
+        FrameRecord
+            Its line.
+        """
+        height, width = frame.image.shape
+        return cls(
+            index=frame.index,
+            pattern=frame.pattern_id or "",
+            file=file,
+            sha256=sha256,
+            width=width,
+            height=height,
+            bits=frame.settings.bits,
+            exposure_s=frame.settings.exposure_s,
+            gain_db=frame.settings.gain_db,
+            host_time_s=frame.host_time_s,
+            device_time_s=frame.device_time_s,
+        )
+
+    @property
+    def format(self) -> tuple[int, int, int]:
+        """(width, height, bits)."""
+        return self.width, self.height, self.bits
+
+    @property
+    def settings(self) -> CameraSettings:
+        """The camera's settings at this frame."""
+        return CameraSettings(self.exposure_s, self.gain_db, self.bits)
+
+
+def format_words(form: tuple[int, int, int]) -> str:
+    """Put the format of frames into words.
+
+    Parameters
+    ----------
+    form : tuple of int
+        (width, height, bits).
+
+    Returns
+    -------
+    str
+        Such as "1368 x 912 at 8 bits".
+    """
+    return f"{form[0]} x {form[1]} at {form[2]} bits"
+
+
+def frame_file(index: int, pattern: str) -> str:
+    """Name the file of a frame.
+
+    Parameters
+    ----------
+    index : int
+        Of the image in the plan.
+    pattern : str
+        The pattern that was on show.
+
+    Returns
+    -------
+    str
+        Relative to the session.
+    """
+    return f"{FRAMES}/{index:04d}_{pattern}.tif"
+
+
+def pattern_ids(plan: Plan) -> list[str]:
+    """List the patterns of a plan in the order of its images.
+
+    Parameters
+    ----------
+    plan : Plan
+        What is projected.
+
+    Returns
+    -------
+    list of str
+        One for each image.
+    """
+    return [name for _, _, name in plan.steps()]
+
+
+def check_frame_place(
+    index: int, pattern: str, ids: list[str], taken: Container[int], where: Path | str
+) -> None:
+    """Refuse a frame that does not belong where it claims to.
+
+    Parameters
+    ----------
+    index : int
+        Of the image in the plan.
+    pattern : str
+        The pattern that was on show.
+    ids : list of str
+        As `pattern_ids` gives them.
+    taken : container of int
+        Frames that are recorded already.
+    where : Path or str
+        For the message.
+
+    Raises
+    ------
+    DataError
+        The frame is recorded already, or the plan has another pattern there.
+    """
+    if index in taken:
+        raise DataError(f"{where}: frame {index} is recorded already")
+    if not 0 <= index < len(ids) or pattern != ids[index]:
+        raise DataError(
+            f"{where}: frame {index} shows '{pattern}', which is not what the plan has there: "
+            "the frames are of another plan"
+        )
+
+
+def read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
+    """Read the journal of a session; an incomplete last line is a frame that was not recorded.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    plan : Plan
+        What was projected.
+
+    Returns
+    -------
+    dict of int to FrameRecord
+        By index of the image in the plan.
+
+    Raises
+    ------
+    DataError
+        A line is damaged, or of another plan.
+    """
+    ids = pattern_ids(plan)
+    records: dict[int, FrameRecord] = {}
+    for number, line in enumerate(whole_lines(path / JOURNAL), 1):
+        where = f"{path / JOURNAL} line {number}"
+        try:
+            record = FrameRecord.model_validate_json(line)
+        except ValidationError as error:
+            raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
+        check_frame_place(record.index, record.pattern, ids, records, where)
+        if record.file != frame_file(record.index, record.pattern):
+            raise DataError(
+                f"{where}: frame {record.index} names the file '{record.file}', which is not its own"
+            )
+        records[record.index] = record
+    return records
+
+
+def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:
+    """Refuse a session that lacks frames, or has frames of several formats.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    plan : Plan
+        What was projected.
+    records : sequence of FrameRecord
+        The journal, in the order of the plan.
+
+    Raises
+    ------
+    DataError
+        The message names the frames.
+    """
+    there = {record.index for record in records}
+    if missing := [i for i in range(plan.images) if i not in there]:
+        shown = ", ".join(map(str, missing[:8])) + (" …" if len(missing) > 8 else "")
+        raise DataError(
+            f"{path}: {len(missing)} of {plan.images} frames are missing ({shown}); "
+            "run the same scan again to complete it"
+        )
+    for i, record in enumerate(records):
+        if record.format != records[0].format:
+            raise DataError(
+                f"{path / record.file}: frame {i} is {format_words(record.format)}, "
+                f"but the first is {format_words(records[0].format)}"
+            )

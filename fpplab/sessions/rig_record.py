@@ -1,0 +1,103 @@
+"""The rig as a session records it: which projector, which response, and whether it is still the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fpplab.core import config
+from fpplab.core.conventions import Lattice
+from fpplab.core.errors import DataError
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.response import Curve
+
+RigRecord = dict[str, Any] | None
+"""A rig as `Rig.described` gives it, or None for images from elsewhere."""
+
+
+def check_same_rig(began: RigRecord, now: RigRecord, path: Path) -> None:
+    """Refuse to continue a session on another rig.
+
+    Parameters
+    ----------
+    began : dict or None
+        The rig that the session records.
+    now : dict or None
+        The rig that would continue it; None where it is not known.
+    path : Path
+        Of the session.
+
+    Raises
+    ------
+    DataError
+        Rig, mounted item or its pose is another.
+    """
+    if now is not None and began != now:
+        what = "item or pose" if _but_mounted(began) == _but_mounted(now) else "rig"
+        raise DataError(f"{path}: was begun with another {what}; name another output, or add --force")
+
+
+def _but_mounted(rig: RigRecord) -> dict[str, Any]:
+    """A rig's record without what was mounted on it."""
+    resolved = (rig or {}).get("resolved") or {}
+    return {**(rig or {}), "resolved": {k: v for k, v in resolved.items() if k != "mounted"}}
+
+
+def recorded_projector(rig: RigRecord, plan: Plan, path: Path) -> tuple[tuple[int, int], Lattice]:
+    """Tell which projector showed the patterns of a session.
+
+    Parameters
+    ----------
+    rig : dict or None
+        As the session records it.
+    plan : Plan
+        What was projected; says it where `rig` is None, on a square lattice.
+    path : Path
+        Of the session.
+
+    Returns
+    -------
+    size : tuple of int
+        (width, height) in px.
+    lattice : Lattice
+        How the mirrors lie.
+
+    Raises
+    ------
+    DataError
+        Neither says.
+    """
+    if rig is None and plan.projector_size:
+        return plan.projector_size, Lattice.SQUARE
+    try:
+        found = (rig or {})["resolved"]["projector"]
+        return (int(found["size"][0]), int(found["size"][1])), Lattice(found["lattice"])
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise DataError(
+            f"{path}: does not say how many pixels the projector had, and in which lattice; "
+            "add 'projector_size' to the plan's fringes and import the images again"
+        ) from error
+
+
+def recorded_response(rig: RigRecord, path: Path) -> Curve | None:
+    """Give the measured response of the rig of a session, where its file states one.
+
+    Parameters
+    ----------
+    rig : dict or None
+        As the session records it.
+    path : Path
+        Of the session.
+
+    Returns
+    -------
+    Curve or None
+        The response.
+
+    Raises
+    ------
+    ConfigError
+        The record holds something else.
+    """
+    found = (rig or {}).get("response")
+    return None if found is None else config.validate(found, Curve, f"{path}: response of the rig")
