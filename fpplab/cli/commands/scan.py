@@ -122,6 +122,7 @@ def scan_command(
                     provenance=source,
                     answer=result,
                 )
+            session.check_kept()
         if viewer and viewer.fault is None:
             viewer.decoded(decoded)
             viewer.cloud(cloud)
