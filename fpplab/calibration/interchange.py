@@ -260,8 +260,8 @@ def _try_apart(text: str, path: Path) -> None:
         tried = None
     if tried is None or tried.returncode:
         raise ConfigError(
-            f"{path}: is not readable as a file of OpenCV, whose parser fails on it: is it nested without end? "
-            "Write it again"
+            f"{path}: is not readable as a file of OpenCV, whose parser fails on it: is it nested without "
+            "end? Write it again"
         )
 
 

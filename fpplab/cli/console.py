@@ -179,8 +179,10 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
         sys.stdout.flush()
     except BaseException as error:  # noqa: BLE001 - each kind has its own answer
         interrupts.leave_at_once()
-        if interrupts.comes_of_interruption(error) and not isinstance(error, Answered):
+        if interrupts.comes_of(error, KeyboardInterrupt) and not isinstance(error, Answered):
             error = Cancelled("cancelled")
+        elif isinstance(error, SystemExit) and interrupts.comes_of(error, BrokenPipeError):
+            error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
         _end_with(error, as_json)
     interrupts.leave_at_once()
     sys.exit(0)

@@ -44,21 +44,23 @@ def leave_at_once() -> None:
             signal.signal(number, lambda *_: os._exit(CANCELLED))
 
 
-def comes_of_interruption(error: BaseException | None) -> bool:
-    """Tell whether an error is what something made of an interruption.
+def comes_of(error: BaseException | None, kind: type[BaseException]) -> bool:
+    """Tell whether an error is what something made of another one, such as of an interruption.
 
     Parameters
     ----------
     error : BaseException or None
         The error.
+    kind : type
+        Class of the other one.
 
     Returns
     -------
     bool
-        Whether a `KeyboardInterrupt` was being handled when it was raised.
+        Whether one of that class was being handled when it was raised, or it is one itself.
     """
     while error is not None:
-        if isinstance(error, KeyboardInterrupt):
+        if isinstance(error, kind):
             return True
         error = error.__cause__ or error.__context__
     return False

@@ -65,6 +65,8 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
     name, named = RENAMED_BACKENDS.get(name, name), name
     module, _, attribute = name.partition(":")
     where = f"{source}: '{device}.backend' is '{named}'"
+    if module.rpartition(".")[2] == "__main__":
+        raise ConfigError(f"{where}: is a program and not a backend")
     if not _is_allowed(module, name):
         raise ConfigError(
             f"{where}: {module} is not part of fpplab, and no installed package announces it as a backend; "
@@ -72,7 +74,7 @@ def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
         )
     try:
         backend = getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
+    except (ImportError, SystemExit) as error:
         raise ConfigError(f"{where}: cannot be loaded ({error})") from error
     except AttributeError:
         raise ConfigError(f"{where}: {module} has no {attribute}") from None

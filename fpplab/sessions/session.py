@@ -252,7 +252,7 @@ class Session:
             As `Rig.described` gave it; None for imported images.
         """
         path = self.path / RIG
-        return config.parse_yaml(config.read_text(path), path) if path.is_file() else None
+        return config.parse_yaml(config.read_text(path), path) if path.exists() else None
 
     @property
     def is_imported(self) -> bool:
