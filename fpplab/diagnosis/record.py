@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from fpplab.core import config
@@ -10,6 +11,7 @@ from fpplab.core.files import write_text
 from fpplab.core.origin import Origin
 from fpplab.core.session_names import VERDICT
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.criteria import Criterion
 from fpplab.diagnosis.verdict import Diagnosis, Verdict
 
 GREATEST_EXCESS = 1e9
@@ -28,6 +30,23 @@ class FindingFile(Document):
     """Measured value over its limit."""
 
 
+class CriterionFile(Document):
+    """A criterion in a file."""
+
+    name: str
+    """A short key."""
+    meaning: str
+    """What it is."""
+    value: float
+    """As measured."""
+    limit: float
+    """Of a good scan."""
+    unit: str = ""
+    """Of both."""
+    at_least: bool = False
+    """Whether the limit is the least value."""
+
+
 class DiagnosisFile(Origin):
     """A verdict in a file, with when and by which program it was given."""
 
@@ -39,6 +58,8 @@ class DiagnosisFile(Origin):
     """What is wrong, the worst first."""
     not_checked: tuple[str, ...]
     """What could not be checked, and why."""
+    criteria: tuple[CriterionFile, ...] = ()
+    """What the verdict was given by; older files have none."""
 
     def diagnosis(self) -> Diagnosis:
         """Convert to a diagnosis.
@@ -49,7 +70,8 @@ class DiagnosisFile(Origin):
             The same verdict and findings.
         """
         findings = tuple(Finding(one.cause, one.evidence, one.excess, one.remedy) for one in self.findings)
-        return Diagnosis(self.verdict, self.reason, findings, self.not_checked)
+        criteria = tuple(Criterion(**one.model_dump()) for one in self.criteria)
+        return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
@@ -68,9 +90,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         The file cannot be written.
     """
     findings = tuple(
-        FindingFile(
-            cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=min(float(one.excess), 1e9)
-        )
+        FindingFile(cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
         for one in diagnosis.findings
     )
     given = DiagnosisFile.now(
@@ -78,6 +98,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         reason=diagnosis.reason,
         findings=findings,
         not_checked=tuple(diagnosis.unknown),
+        criteria=tuple(CriterionFile(**asdict(one)) for one in diagnosis.criteria),
     )
     write_text(folder / VERDICT, config.dump(given))
 
