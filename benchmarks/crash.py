@@ -1,9 +1,10 @@
 """Scans ended at many moments and resumed, beside the same scan undisturbed.
 
 A scan of the twin is ended by SIGINT, SIGTERM and SIGKILL in turn, at moments spread evenly over its whole
-life, and then run again to its end. Frames, decoded maps, cloud and calibration of the resumed session must be
-those of the undisturbed one, byte for byte; the journal but for its time stamps. A signal must end the scan
-with exit code 130 and no traceback, or come before the program's first line, where Python answers itself.
+life, and then run again to its end. Frames, decoded maps, cloud and calibration of the resumed session must
+be those of the undisturbed one, byte for byte; the journal but for its time stamps. A signal must end the
+scan with exit code 130 and no traceback, or come before the program's first line, where Python answers
+itself.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from sim.world import World
 
 MOMENTS = 200
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+FAULTS = ("wrong exit codes", "tracebacks", "sessions not resumed", "sessions that differ")
 LOADED_S = 0.15
 """Until when Python may not have come to the program's first line."""
 RIG_TEXT = """name: twin
@@ -66,9 +68,7 @@ def crash_figures(moments: int) -> list[Result]:
         start = time.perf_counter()
         _scan(folder, folder / "whole").communicate()
         seconds, expected = time.perf_counter() - start, _content(folder / "whole")
-        counts = dict.fromkeys(
-            ("wrong exit codes", "tracebacks", "sessions not resumed", "sessions that differ"), 0
-        )
+        counts = dict.fromkeys(FAULTS, 0)
         for n in range(moments):
             out = folder / f"ended_{n}"
             fault = _end_and_resume(folder, out, seconds * (n + 0.5) / moments, SIGNALS[n % 3], expected)

@@ -52,12 +52,7 @@ main()
 
 @pytest.mark.parametrize(
     ("module", "number"),
-    [
-        ("fpplab.cli", "SIGINT"),
-        ("typer", "SIGTERM"),
-        ("rich.console", "SIGINT"),
-        ("fpplab.cli.commands.scan", "SIGTERM"),
-    ],
+    [("fpplab.cli", "SIGINT"), ("typer", "SIGTERM"), ("rich.console", "SIGINT")],
 )
 def test_a_signal_while_modules_are_loaded(module: str, number: str) -> None:
     code = LOADING.format(module=module, number=number, more=', "--json"')
