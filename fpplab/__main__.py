@@ -1,6 +1,46 @@
-"""`python -m fpplab`."""
+"""The program `fpplab`, and `python -m fpplab`."""
 
-from fpplab.cli import main
+import os
+import sys
+
+from fpplab.core import interrupts
+
+
+def main() -> None:
+    """Run the command that `sys.argv` names; an interruption while the program is loaded ends it too."""
+    interrupts.watch_signals()
+    open_standard_streams()
+    try:
+        from fpplab.cli import main as run
+
+        run()
+    except KeyboardInterrupt:
+        interrupts.leave_at_once()
+        os.write(2, b"fpplab: cancelled\n")
+        if "--json" in sys.argv:
+            os.write(1, b'{"error": "cancelled", "exit_code": 130}\n')
+        os._exit(interrupts.CANCELLED)
+
+
+def open_standard_streams() -> None:
+    """Open what was closed by whoever started the program, or files of a scan would get these descriptors."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8"))
+
+
+def forget_working_directory() -> None:
+    """Take the working directory from where Python looks for modules, unless the program itself lies there.
+
+    `python -m` puts it first, so that any file there could pass for a library.
+    """
+    program = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if not sys.flags.safe_path and sys.path[:1] == [os.getcwd()] and sys.path[0] != program:
+        del sys.path[0]
+    sys.path[:] = [place for place in sys.path if place]
+
 
 if __name__ == "__main__":
+    forget_working_directory()
     main()

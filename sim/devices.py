@@ -131,6 +131,7 @@ class VirtualBench:
         self._seen_lit: Setup | None = None
         self._vibrating: tuple[Setup, tuple[Setup, ...]] | None = None
         self._draws: deque[int] = deque()
+        self._count = 0  # of frames since opening
 
     def open(self) -> None:
         """Start with what the world has mounted, with the projector dark.
@@ -143,6 +144,7 @@ class VirtualBench:
         """
         self.setup, self.show = Setup(self.world.mounted), None
         self._draws.clear()
+        self._count = 0
         self._check_device()
         self.check(self.world.mounted, 0)
 
@@ -217,20 +219,33 @@ class VirtualBench:
         """
         self._draws = deque(numbers)
 
-    def next_draw(self, frame: int) -> int:
-        """Take the number that the next frame's noise and vibration follow from.
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since opening; see `fpplab.simulation.seeded`."""
+        return self._count
+
+    def number_frames(self, numbers: Sequence[int], then: int) -> None:
+        """Give the next frames numbers, from which their noise and vibration follow.
 
         Parameters
         ----------
-        frame : int
-            Count of the frame, used where `draw` has given no number for it.
+        numbers : sequence of int
+            Not negative, one for each of the next frames.
+        then : int
+            Number of the frame that follows them, from which is counted on.
+        """
+        self._draws, self._count = deque(numbers), then - len(numbers)
+
+    def next_draw(self) -> int:
+        """Take the number that the next frame's noise and vibration follow from.
 
         Returns
         -------
         int
-            A number from `draw`, or `frame`.
+            A number from `draw` or `number_frames`, or else the count of frames since opening.
         """
-        return self._draws.popleft() if self._draws else frame
+        count, self._count = self._count, self._count + 1
+        return self._draws.popleft() if self._draws else count
 
     def turn(self, convergence_deg: float) -> None:
         """Turn the projector towards the camera.
@@ -347,7 +362,7 @@ class SimCamera(Camera):
         self._bench = _shared(bench, self.name, options)
 
     def _open(self) -> None:
-        self._index = self._count = 0  # in this run, and since opening
+        self._index = 0
         self._clock_s = 0.0
 
     def _close(self) -> None:
@@ -371,9 +386,9 @@ class SimCamera(Camera):
     def _read(self, timeout_s: float) -> Frame:
         # On the simulated clock a picture takes no longer than its exposure, however long Blender works.
         settings, shown, world = self._configured("read"), self._bench.show, self._bench.world
-        number = self._bench.next_draw(self._count)
+        number = self._bench.next_draw()
         image = SensorModel.of(world).expose(self._bench.irradiance(settings, number), settings, number)
-        index, self._index, self._count = self._index, self._index + 1, self._count + 1
+        index, self._index = self._index, self._index + 1
         self._clock_s += settings.exposure_s
         pattern_id = shown.pattern.id if shown else DARK
         return Frame(image, index, settings, time.time(), self._clock_s, pattern_id)

@@ -17,7 +17,7 @@ It tests the drivers, not a real board or camera.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -50,6 +50,7 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings, DeviceInfo, Fixture, FixtureCaps
 from fpplab.devices.rig import Rig
+from fpplab.simulation.seeded import NumberedFrames
 
 STAGE_SPEEDUP = 100.0
 """Factor by which the emulated stage's time runs faster than real time."""
@@ -178,6 +179,25 @@ class EmulatedBench:
     def close(self) -> None:
         """Close the optics and disconnect all devices."""
         self._stack.close()
+
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame that the optics render; see `fpplab.simulation.seeded`."""
+        optics = self.optics_rig.simulation
+        return optics.next_frame if isinstance(optics, NumberedFrames) else 0
+
+    def number_frames(self, numbers: Sequence[int], then: int) -> None:
+        """Give the next frames that the optics render numbers, from which their noise follows.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+            Not negative, one for each of the next frames.
+        then : int
+            Number of the frame that follows them, from which is counted on.
+        """
+        if isinstance(self.optics_rig.simulation, NumberedFrames):
+            self.optics_rig.simulation.number_frames(numbers, then)
 
     def _check_optics(self) -> None:
         depths = self.optics_rig.projector.caps.bit_depths

@@ -62,6 +62,11 @@ class Uncertainty:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
+_GREATEST_COEFFICIENT = 1e9
+_GREATEST_SIGMA = dict.fromkeys(("fx", "fy", "cx", "cy", *POSE), 1e6)
+"""Standard uncertainties beyond which a number is damage and not knowledge, in px, mm, and rad or degrees."""
+
+
 def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
     """Explain why this cannot be the covariance of these parameters; None if it can."""
     for name in names:
@@ -75,6 +80,9 @@ def _no_covariance(names: tuple[str, ...], covariance: Floats) -> str | None:
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if not np.all(np.isfinite(covariance)) or np.any(scale == 0):
         return "'covariance' must be finite, and above zero on its diagonal"
+    for name, sigma in zip(names, scale.tolist(), strict=True):
+        if sigma > (most := _GREATEST_SIGMA.get(name.rpartition(".")[2], _GREATEST_COEFFICIENT)):
+            return f"'covariance' of '{name}' means a standard uncertainty of {sigma:.3g}, more than {most:g}"
     correlation = covariance / np.outer(scale, scale)
     if not np.allclose(correlation, correlation.T, rtol=0, atol=1e-9):
         return "'covariance' must be symmetric"
@@ -201,11 +209,25 @@ class Calibration:
         DataError
             The file cannot be written.
         """
-        path = Path(path)
+        write_text(Path(path), self.to_yaml(Path(path).name))
+
+    def to_yaml(self, name: str) -> str:
+        """Give the text of a calibration file.
+
+        Parameters
+        ----------
+        name : str
+            Of the file; recorded as the calibration's first, where it has none yet.
+
+        Returns
+        -------
+        str
+            YAML.
+        """
         origin = self.origin
         if origin is not None and origin.file is None:
-            origin = origin.model_copy(update={"file": path.name})
-        write_text(path, config.dump(CalibrationFile.of(replace(self, origin=origin))))
+            origin = origin.model_copy(update={"file": name})
+        return config.dump(CalibrationFile.of(replace(self, origin=origin)))
 
     @classmethod
     def load(cls, path: Path | str) -> Calibration:

@@ -141,8 +141,20 @@ def _fpplab(
     log: Annotated[
         Path | None, typer.Option("--log", help="Append the same, with all details, to this file.")
     ] = None,
+    allow_backend: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-backend",
+            metavar="MODULE",
+            help="Let rig files name devices of this module or package, which is then imported and run.",
+        ),
+    ] = None,
 ) -> None:
     """Options that stand before every command, or behind it."""
+    if allow_backend:
+        from fpplab.devices.backends import allow_backends
+
+        allow_backends(allow_backend)
     logs.start_logging(verbose, log, sys.argv[1:])
 
 

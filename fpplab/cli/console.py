@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
-import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -20,14 +20,23 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainin
 from rich.progress import Progress as ProgressBars
 from rich.table import Table
 
-from fpplab.core.errors import Cancelled, DataError, FppError
+from fpplab.core import interrupts
+from fpplab.core.errors import Cancelled, ConfigError, DataError, FppError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 
 if TYPE_CHECKING:
     from fpplab.diagnosis import Diagnosis
 
-stderr = Console(stderr=True, highlight=False)
-stdout = Console(highlight=False, soft_wrap=True)
+
+class _Reporting(Console):
+    """A console that leaves a reader who has gone to the caller; rich would end the process with code 1."""
+
+    def on_broken_pipe(self) -> None:
+        raise  # noqa: PLE0704 - called where BrokenPipeError is handled
+
+
+stderr = _Reporting(stderr=True, highlight=False)
+stdout = _Reporting(highlight=False, soft_wrap=True)
 
 _log = logging.getLogger(__name__)
 
@@ -103,7 +112,8 @@ def say(sentence: str) -> None:
     sentence : str
         The line; not read as markup.
     """
-    stderr.print(sentence, soft_wrap=True, markup=False)
+    with suppress(OSError):  # nobody listens: no reason to stop the work
+        stderr.print(sentence, soft_wrap=True, markup=False)
 
 
 def answer(result: dict[str, Any], as_json: bool, words: Callable[[], None] | None = None) -> None:
@@ -227,28 +237,64 @@ def run_program(command: Callable[[], object], as_json: bool) -> NoReturn:
     as_json : bool
         Whether `--json` was given.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupts.watch_signals()
     try:
+        _check_words(sys.argv[1:])
         command()
-    except FppError as error:
-        _log.debug("refused with exit code %d", error.exit_code, exc_info=True)
-        _fail(str(error), error.exit_code, as_json, error.details)
-    except SystemExit as end:  # wrong usage has been explained on stderr
-        if as_json and end.code and not isinstance(end, Answered):
-            _answer_fault("wrong usage; see stderr", int(end.code))
-        raise
-    except MemoryError as error:
-        _log.debug("refused for want of memory", exc_info=True)
-        _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)
-    except Exception as error:  # noqa: BLE001 - a fault of ours is still one sentence, and one JSON object
-        _log.debug("a fault of fpplab itself", exc_info=True)
-        if os.environ.get(TRACEBACK):
-            traceback.print_exc()
-        sentence = f"a fault of fpplab itself: {type(error).__name__}: {error}"
-        _fail(f"{sentence}; set {TRACEBACK}=1 to see where, and report it", 1, as_json)
+        sys.stdout.flush()
+    except BaseException as error:  # noqa: BLE001 - each kind has its own answer
+        interrupts.leave_at_once()
+        if interrupts.comes_of(error, KeyboardInterrupt) and not isinstance(error, Answered):
+            error = Cancelled("cancelled")
+        elif isinstance(error, SystemExit) and interrupts.comes_of(error, BrokenPipeError):
+            error = BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))  # typer ends with code 1
+        _end_with(error, as_json)
+    interrupts.leave_at_once()
     sys.exit(0)
 
 
+def _check_words(words: Sequence[str]) -> None:
+    """Refuse names that are no text: nothing could print them, or write them into a record."""
+    for word in words:
+        shown = word.encode("utf-8", "replace").decode("utf-8")
+        if shown != word:
+            raise ConfigError(f"{shown}: is not text in UTF-8; rename the file")
+
+
+def _end_with(error: BaseException, as_json: bool) -> NoReturn:
+    """Answer for an error and leave with its exit code."""
+    match error:
+        case FppError():
+            _log.debug("refused with exit code %d", error.exit_code, exc_info=error)
+            _fail(str(error), error.exit_code, as_json, error.details)
+        case SystemExit():  # wrong usage has been explained on stderr
+            if as_json and error.code and not isinstance(error, Answered):
+                _answer_fault("wrong usage; see stderr", int(error.code))
+            _leave(error.code if isinstance(error.code, int) else int(bool(error.code)))
+        case MemoryError():
+            _log.debug("refused for want of memory", exc_info=error)
+            _fail(f"there is not enough memory for this ({error})", DataError.exit_code, as_json)
+        case OSError(errno=errno.ENAMETOOLONG | errno.ENOTDIR | errno.ELOOP):
+            _log.debug("refused by the system", exc_info=error)
+            _fail(f"{_short(error)}: {error.strerror}; name another file", ConfigError.exit_code, as_json)
+        case OSError(filename=None, errno=errno.ENOSPC | errno.EPIPE | errno.EIO):
+            reason = error.strerror
+            _fail(f"the answer could not be written to stdout ({reason})", DataError.exit_code, as_json)
+        case _:  # a fault of ours is still one sentence, and one JSON object
+            _log.debug("a fault of fpplab itself", exc_info=error)
+            if os.environ.get(TRACEBACK):
+                traceback.print_exception(error)
+            sentence = f"a fault of fpplab itself: {type(error).__name__}: {error}"
+            _fail(f"{sentence}; set {TRACEBACK}=1 to see where, and report it", 1, as_json)
+
+
+def _short(error: OSError) -> str:
+    name = str(error.filename)
+    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}…"
+
+
+LONGEST_NAME = 100
+"""Characters of a file's name that a message shows where the name is refused."""
 TRACEBACK = "FPPLAB_TRACEBACK"
 """The environment variable that has unforeseen faults shown with their traceback."""
 
@@ -259,15 +305,26 @@ def _fail(
     say(f"fpplab: {sentence}")
     if as_json:
         _answer_fault(sentence, exit_code, details)
+    _leave(exit_code)
+
+
+def _leave(exit_code: int) -> NoReturn:
+    """End the process, also where stdout takes nothing any more."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        exit_code = exit_code or DataError.exit_code
     if exit_code == Cancelled.exit_code:
         # Everything is closed by now. What an interruption has torn out of native code is not
         # taken down piece by piece as well: that has crashed.
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with suppress(OSError):
+            sys.stderr.flush()
         os._exit(exit_code)
     sys.exit(exit_code)
 
 
 def _answer_fault(sentence: str, exit_code: int, details: Mapping[str, object] | None = None) -> None:
     fault = {"error": sentence, "exit_code": exit_code, **(details or {})}
-    sys.stdout.write(json.dumps(fault, default=_plain) + "\n")
+    with suppress(OSError):  # what cannot be written is in the exit code
+        sys.stdout.write(json.dumps(fault, default=_plain) + "\n")

@@ -71,8 +71,8 @@ def spread(words: Sequence[str]) -> list[str]:
     return plain[:-1]
 
 
-GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v"), "--log"
-"""Options of the program itself, and the one of them that is followed by a value."""
+GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v"), ("--log", "--allow-backend")
+"""Options of the program itself, and those of them that are followed by a value."""
 
 
 def global_first(words: Sequence[str]) -> list[str]:
@@ -86,16 +86,16 @@ def global_first(words: Sequence[str]) -> list[str]:
     Returns
     -------
     list of str
-        The same, with `--verbose` and `--log FILE` in front; what follows `--` stays as it is.
+        The same, with these options in front; what follows `--` stays as it is.
     """
     front: list[str] = []
     rest: list[str] = []
     left = list(words)
     while left and left[0] != "--":
         word = left.pop(0)
-        if word in GLOBAL or word.startswith(f"{GLOBAL_WITH_VALUE}="):
+        if word in GLOBAL or word.startswith(tuple(f"{option}=" for option in GLOBAL_WITH_VALUE)):
             front.append(word)
-        elif word == GLOBAL_WITH_VALUE and left:
+        elif word in GLOBAL_WITH_VALUE and left:
             front += [word, left.pop(0)]
         else:
             rest.append(word)

@@ -17,9 +17,10 @@ from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select
 from fpplab.core import buffers
+from fpplab.core.archives import check_npz
 from fpplab.core.conventions import Mask
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import write_large
+from fpplab.core.files import open_regular, write_large
 
 if TYPE_CHECKING:
     import trimesh
@@ -324,7 +325,7 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     suffix = _known_suffix(path, MESH_SUFFIXES)
     try:
         # Unprocessed, since processing would silently drop corners that are not finite.
-        with path.open("rb") as stream, np.errstate(invalid="ignore"):
+        with open_regular(path) as stream, np.errstate(invalid="ignore"):
             mesh = trimesh.load_mesh(stream, file_type=suffix[1:], process=False)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -334,6 +335,11 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         ) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise DataError(f"{path}: holds no faces; give a mesh of the true shape, not a cloud")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise DataError(
+            f"{path}: a face names corner {mesh.faces.max() if mesh.faces.min() >= 0 else mesh.faces.min()}, "
+            f"but there are corners 0 to {len(mesh.vertices) - 1}; export it again"
+        )
     if not np.isfinite(mesh.vertices).all():
         raise DataError(f"{path}: has corners that are not finite; export it again")
     return trimesh.Trimesh(mesh.vertices, mesh.faces)
@@ -352,6 +358,7 @@ def _write_npz(cloud: Cloud, stream: BinaryIO) -> None:
 
 
 def _read_npz(path: Path) -> Cloud:
+    check_npz(path)
     with np.load(path, allow_pickle=False) as parts:
         known = {f.name: parts[f.name] for f in fields(Cloud) if f.name in parts and f.name != "size"}
         size = tuple(int(n) for n in parts["size"]) if "size" in parts else None
@@ -363,9 +370,9 @@ def _write_xyz(cloud: Cloud, stream: BinaryIO) -> None:
 
 
 def _read_xyz(path: Path) -> Cloud:
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), open_regular(path) as stream:
         warnings.simplefilter("ignore", UserWarning)  # an empty file is refused as a cloud without points
-        values = np.loadtxt(path, np.float32, ndmin=2, comments=("#", "//"), usecols=(0, 1, 2))
+        values = np.loadtxt(stream, np.float32, ndmin=2, comments=("#", "//"), usecols=(0, 1, 2))
     return Cloud(np.ascontiguousarray(values))
 
 

@@ -11,6 +11,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.files import open_regular
+
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -92,9 +94,14 @@ def read(path: Path) -> tuple[VertexTable, list[str]]:
     ValueError
         It is no PLY file, ends too early, or has lists as vertex properties or elements before the vertices.
     """
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         order, count, kinds, comments = _header(stream)
         dtype = np.dtype([(name, (order if order != "=" else "<") + kind) for name, kind in kinds])
+        # The number of vertices is believed only where the file has room for them.
+        left = path.stat().st_size - stream.tell()
+        least = max(1, 2 * len(kinds)) if order == "=" else dtype.itemsize
+        if count * least > left + (order == "="):  # the last line may have no end
+            raise ValueError(f"it ends after at most {left // least} of {count} vertices")
         if order == "=":
             rows = [stream.readline().split() for _ in range(count)]
             return np.array([tuple(map(float, row[: len(kinds)])) for row in rows], dtype), comments

@@ -16,7 +16,9 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
+from fpplab.core.files import open_regular
 from fpplab.core.strict_yaml import load_yaml
 
 _log = logging.getLogger(__name__)
@@ -103,10 +105,15 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ConfigError
-        There is no such file, it is not UTF-8, or it cannot be read.
+        There is no such file, it is no file but a pipe or device, it is not UTF-8, or it cannot be read.
+    DataError
+        It is part of a session, and was changed since.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        with open_regular(path) as stream:
+            content = stream.read()
+        check_recorded(path, content)
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         beside = {one.name: one for one in sorted(path.parent.glob(f"*{path.suffix}")) if one.is_file()}
         meant = get_close_matches(path.name, beside, n=1, cutoff=0.7)

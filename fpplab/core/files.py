@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import io
 import logging
 import os
+import re
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -21,6 +24,39 @@ MUCH = 1 << 30
 """Bytes from which on the space that work needs is said without being asked."""
 
 _log = logging.getLogger(__name__)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file for reading, and nothing that is none: a pipe in its place would be waited for without end.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    binary file
+        Open; the caller closes it.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, or is a folder, a pipe, a socket or a device.
+    """
+    return open(path, "rb", opener=_regular)
+
+
+def _regular(path: str, flags: int) -> int:
+    """Open a descriptor without waiting for anybody, and refuse what is no file."""
+    handle = os.open(path, flags | os.O_NONBLOCK)
+    kind = os.fstat(handle).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(handle)
+        code = errno.EISDIR if stat.S_ISDIR(kind) else errno.EINVAL
+        words = os.strerror(code) if stat.S_ISDIR(kind) else "it is a pipe or a device, not a file"
+        raise OSError(code, words, path)
+    return handle
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
@@ -38,6 +74,7 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     DataError
         As `write_parts`.
     """
+    sweep_file_drafts(path)
     with _draft(path) as stream:
         write(cast(BinaryIO, _Sink(stream)))
 
@@ -61,6 +98,7 @@ def write_large(
     DataError
         As `write_parts`.
     """
+    sweep_file_drafts(path)
     with _draft(path) as stream:
         straight = DirectWriter(stream.fileno())
         write(cast(BinaryIO, straight))
@@ -123,6 +161,8 @@ def _draft(path: Path) -> Iterator[io.BufferedWriter]:
     try:
         os.fchmod(handle, 0o644)
         with os.fdopen(handle, "wb") as stream:
+            with suppress(OSError):  # a file system without locks: its drafts stay, see `sweep_file_drafts`
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -133,6 +173,32 @@ def _draft(path: Path) -> Iterator[io.BufferedWriter]:
         if isinstance(error, OSError):
             raise DataError(_cannot_write(path, error)) from error
         raise
+
+
+def sweep_file_drafts(path: Path) -> None:
+    """Take away drafts of a file whose process was killed while it wrote.
+
+    The draft that another process writes is locked, and stays.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    """
+    draft = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}")
+    with suppress(OSError):  # whether the place can be written is told by writing
+        for name in [name for name in os.listdir(path.parent) if draft.fullmatch(name)]:
+            _remove_unlocked(path.with_name(name))
+
+
+def _remove_unlocked(draft: Path) -> None:
+    handle = os.open(draft, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        with suppress(BlockingIOError):  # another process writes it
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            draft.unlink()
+    finally:
+        os.close(handle)
 
 
 def flush_folder(folder: Path) -> None:

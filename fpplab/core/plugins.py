@@ -18,6 +18,9 @@ from fpplab.core.errors import ConfigError
 COMMANDS = "fpplab.commands"
 """`typer.Typer` programs, added to the command line under the entry's name."""
 
+BACKENDS = "fpplab.backends"
+"""Classes of devices and benches that rig files may name, each by the same `module:Class`."""
+
 EMULATORS = "fpplab.emulators"
 """Context managers that serve a device until they end and give how to use it, a `dict[str, str]`.
 

@@ -19,6 +19,7 @@ MOST_NODES = 100_000
 DEEPEST = 50
 """Greatest number of mappings and lists inside one another."""
 
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _NULL, _BOOL, _INT, _FLOAT = (f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float"))
 _RESOLVERS = (
     (_NULL, r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
@@ -80,6 +81,8 @@ def _measure(node: yaml.Node, known: dict[int, int], depth: int) -> int:
     """Count the values of a node, each as often as aliases repeat it; refuse too many, or too deep ones."""
     if depth > DEEPEST:
         raise _refusal(f"there are more than {DEEPEST} mappings and lists inside one another", node)
+    if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
+        raise _refusal("a word holds half a character, a lone surrogate", node)
     if id(node) not in known:
         known[id(node)] = 0  # while its parts are counted: 0 tells that it is part of itself
         parts = node.value if isinstance(node, yaml.CollectionNode) else []

@@ -20,7 +20,8 @@ from fpplab.dataset.fields import Arrays, dimension_sizes
 from fpplab.dataset.labels import trace_labels
 from fpplab.dataset.scenes import SceneRanges, draw_scene, draw_stage
 from fpplab.dataset.shard import ShardWriter, check_shard, claim_shard, draft_name, shard_name
-from fpplab.devices.rig import Rig, load_backend
+from fpplab.devices.backends import load_backend
+from fpplab.devices.rig import Rig
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.phase import check_unwrapping

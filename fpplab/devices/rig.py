@@ -14,7 +14,6 @@ state none. A relative file name is looked for beside the rig file first.
 
 from __future__ import annotations
 
-import importlib
 import logging
 import time
 from contextlib import ExitStack
@@ -29,6 +28,7 @@ from fpplab.core.config import Document
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, Stage, State
+from fpplab.devices.backends import load_backend
 from fpplab.devices.rig_lock import using_rig
 from fpplab.devices.shared import SharedBackend
 from fpplab.patterns.response import Curve, with_named_response
@@ -336,46 +336,3 @@ class Rig:
             key: config.resolve_beside(value, self._folder) if isinstance(value, str) else value
             for key, value in section.options.items()
         }
-
-
-RENAMED_BACKENDS = {
-    "fpplab.operator:Operator": "fpplab.devices.operator:Operator",
-    "fpplab.replay:Recording": "fpplab.sessions.replay:RecordedSession",
-    "fpplab.replay:ReplayCamera": "fpplab.sessions.replay:ReplayCamera",
-    "fpplab.replay:ReplayProjector": "fpplab.sessions.replay:ReplayProjector",
-}
-"""Backends by the names that rig files of version 0.1.0 have for them."""
-
-
-def load_backend(name: str, source: Path | str, device: str) -> type[Any]:
-    """Import a backend of a rig file.
-
-    Parameters
-    ----------
-    name : str
-        `module:Class`, as the rig file has it.
-    source : path or str
-        What the rig file is called in messages.
-    device : str
-        The section of the rig file, for messages.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    ConfigError
-        The module cannot be imported, or has no such class.
-    """
-    module, _, attribute = RENAMED_BACKENDS.get(name, name).partition(":")
-    try:
-        backend = getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
-        raise ConfigError(f"{source}: '{device}.backend' is '{name}': cannot be loaded ({error})") from error
-    except AttributeError:
-        raise ConfigError(f"{source}: '{device}.backend' is '{name}': {module} has no {attribute}") from None
-    if not isinstance(backend, type):
-        raise ConfigError(f"{source}: '{device}.backend' is '{name}': not a {device}")
-    return backend

@@ -9,12 +9,11 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.files import write_text
 from fpplab.core.origin import Origin
+from fpplab.core.session_names import VERDICT
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.criteria import Criterion
 from fpplab.diagnosis.verdict import Diagnosis, Verdict
 
-VERDICT = "verdict.yaml"
-"""Name of the record inside a session; sessions that version 0.1.0 finished have none."""
 GREATEST_EXCESS = 1e9
 
 

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fpplab.core.archives import check_npz
 from fpplab.core.conventions import Axis, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_large
@@ -147,6 +148,7 @@ class Decoded:
         """
         try:
             # Opened here, because on a damaged file NumPy forgets to close it.
+            check_npz(Path(path))
             with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 maps = {name: archive[name] for name in _KEYS}
                 v_per_u = float(archive["v_per_u"])

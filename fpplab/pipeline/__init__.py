@@ -4,6 +4,7 @@ One code for the command line, the demonstration, programs and tests; nothing he
 runs on.
 """
 
+from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED, REPORT
 from fpplab.pipeline.characterising import (
     characterise_sessions,
     judge_sessions,
@@ -13,16 +14,7 @@ from fpplab.pipeline.characterising import (
 from fpplab.pipeline.checking import doubts
 from fpplab.pipeline.decoding import decode_session
 from fpplab.pipeline.depth import check_plan, depth_range_of, plan_with_depth
-from fpplab.pipeline.measuring import (
-    CALIBRATION,
-    CLOUD,
-    DECODED,
-    REPORT,
-    diagnose,
-    finish_scan,
-    reconstruct,
-    scan,
-)
+from fpplab.pipeline.measuring import diagnose, finish_scan, reconstruct, scan
 from fpplab.pipeline.response import measure_response
 from fpplab.pipeline.taking import check_space, take, take_poses
 

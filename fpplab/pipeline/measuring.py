@@ -9,8 +9,10 @@ from pathlib import Path
 
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud, save_cloud
+from fpplab.core.checksums import write_recorded
 from fpplab.core.errors import DataError
 from fpplab.core.progress import Progress, ignore, no_progress
+from fpplab.core.session_names import CALIBRATION, CLOUD, DECODED
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict, diagnose_scan
 from fpplab.diagnosis.record import save_diagnosis
@@ -25,9 +27,6 @@ from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.lock import only_writer
 from fpplab.sessions.session import Session
-
-DECODED, CLOUD, CALIBRATION, REPORT = "decoded.npz", "cloud.ply", "calibration.yaml", "report.html"
-"""Names of the results inside a session."""
 
 
 def reconstruct(
@@ -219,7 +218,8 @@ def finish_scan(
                 (session.path / CLOUD).unlink(missing_ok=True)  # of an earlier reconstruction
             diagnosis.require_usable(str(session.path))
         written.result()
-        calibration.save(session.path / CALIBRATION)
+        write_recorded(session.path / CALIBRATION, calibration.to_yaml(CALIBRATION))
+        session.check_kept()
     return decoded, cloud
 
 

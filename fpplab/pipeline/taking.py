@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fpplab.acquisition.acquire import FrameObserver, acquire
+from fpplab.acquisition.numbering import next_frame_of, number_frames
 from fpplab.core.progress import Progress, ignore, no_progress
 from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
@@ -72,7 +73,8 @@ def take(
     with only_writer(out):
         check_space(rig, plan, [out], force)
         session = Session.resume(out, plan, rig.described(mount), force, complete_too)
-        record_origin(out, rig)
+        record_origin(out, rig, next_frame_of(rig))
+        number_frames(rig, session)
         if plan.stage_mm is not None and session.missing():
             rig.place_stage(plan.stage_mm)
         if mount is not None and session.missing():
@@ -84,6 +86,7 @@ def take(
             observe_frame(frame)
 
         acquire(rig, plan, session, seen)
+        session.check_kept()
     return session
 
 

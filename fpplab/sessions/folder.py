@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import glob
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from fpplab.core import config
+from fpplab.core.checksums import write_recorded
 from fpplab.core.conventions import raw_dtype
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import cut_torn_line, disk_bytes, need_space, whole_lines, write_text
+from fpplab.core.files import (
+    cut_torn_line,
+    disk_bytes,
+    need_space,
+    sweep_file_drafts,
+    whole_lines,
+    write_text,
+    writing,
+)
+from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG, SESSION_FILES
 from fpplab.patterns.plan import Plan
-from fpplab.sessions.journal import FRAMES, JOURNAL, format_words
+from fpplab.sessions.journal import format_words
 from fpplab.sessions.rig_record import RigRecord
-
-PLAN, RIG = "plan.yaml", "rig.yaml"
 
 
 def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
@@ -35,14 +44,14 @@ def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
     DataError
         The disk is full.
     """
-    write_text(path / PLAN, config.dump(plan))
+    write_recorded(path / PLAN, config.dump(plan))
     if rig is not None:
-        write_text(path / RIG, config.to_yaml(rig))
+        write_recorded(path / RIG, config.to_yaml(rig))
     write_text(path / JOURNAL, "")
 
 
 def tidy(path: Path) -> None:
-    """Take away what a crash left: half a frame's file, and an incomplete last line of the journal.
+    """Take away what a crash left: halves of files, and an incomplete last line of the journal.
 
     Parameters
     ----------
@@ -51,11 +60,13 @@ def tidy(path: Path) -> None:
     """
     for draft in (path / FRAMES).glob(".*"):
         draft.unlink()
+    for name in SESSION_FILES:
+        sweep_file_drafts(path / name)
     cut_torn_line(path / JOURNAL)
 
 
 def remove_session(path: Path) -> None:
-    """Delete a session that is to be replaced; nothing else is ever deleted.
+    """Delete a session that is to be replaced; nothing that fpplab did not write into it is ever deleted.
 
     Parameters
     ----------
@@ -65,10 +76,11 @@ def remove_session(path: Path) -> None:
     Raises
     ------
     DataError
-        What is there is no session.
+        What is there is no session, or holds other files too.
     """
     require_session(path)
-    shutil.rmtree(path)
+    with writing(path):
+        shutil.rmtree(path)
 
 
 def sweep_drafts(path: Path) -> None:
@@ -85,7 +97,7 @@ def sweep_drafts(path: Path) -> None:
 
 
 def require_session(path: Path) -> None:
-    """Refuse to replace a directory that is no session.
+    """Refuse to replace a directory that is no session, or holds what fpplab did not write.
 
     Parameters
     ----------
@@ -95,10 +107,29 @@ def require_session(path: Path) -> None:
     Raises
     ------
     DataError
-        It has no journal.
+        It has no journal, or other files too; names them.
     """
     if not (path / JOURNAL).is_file():
         raise DataError(f"{path}: is not a session, so --force does not replace it; remove it yourself")
+    if foreign := _foreign(path):
+        shown = ", ".join(foreign[:5]) + (f" and {len(foreign) - 5} more" if len(foreign) > 5 else "")
+        raise DataError(
+            f"{path}: holds what is no part of a session ({shown}), so --force does not replace it; move "
+            "that elsewhere, or name another output"
+        )
+
+
+def _foreign(path: Path) -> list[str]:
+    """Names of what fpplab did not write into a session; drafts of its own files count as written."""
+    names = "|".join(map(re.escape, sorted(SESSION_FILES)))
+    own = re.compile(rf"{names}|\.({names})\.[a-z0-9_]{{8}}")
+    frame = re.compile(r"\d{4,}_.*\.tif|\.\d{4,}_.*\.tif\.[a-z0-9_]{8}")
+    beside = [one for one in path.iterdir() if one.name != FRAMES or not one.is_dir() or one.is_symlink()]
+    frames = path / FRAMES
+    inside = frames.iterdir() if frames.is_dir() and not frames.is_symlink() else ()
+    foreign = [one.name for one in beside if one.is_dir() or not own.fullmatch(one.name)]
+    foreign += [f"{FRAMES}/{one.name}" for one in inside if one.is_dir() or not frame.fullmatch(one.name)]
+    return sorted(foreign)
 
 
 def refuse_foreign(path: Path) -> None:

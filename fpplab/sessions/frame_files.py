@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import Image, raw_dtype
 from fpplab.core.errors import DataError
-from fpplab.core.files import write_parts
+from fpplab.core.files import open_regular, write_parts
 from fpplab.sessions.journal import FrameRecord
 
 
@@ -90,6 +90,7 @@ def read_frame(path: Path, record: FrameRecord, verify: bool) -> Image:
     """
     index = record.index
     try:
+        open_regular(path).close()
         image: Image = tifffile.memmap(path, mode="r")
     except FileNotFoundError:
         raise DataError(f"{path}: frame {index} is missing") from None

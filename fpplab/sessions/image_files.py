@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
+from fpplab.core.archives import check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
+from fpplab.core.files import open_regular
 
 NPY, ZIP = b"\x93NUMPY", b"PK"
 LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
@@ -113,12 +115,13 @@ def open_image_file(path: Path) -> Iterator[ImageFile]:
         The file is damaged or something else; also where reading from it fails within the block.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             head = stream.read(len(NPY))
             if head == NPY:
                 yield _Array(path, stream, path.stat().st_size)
             elif head.startswith(ZIP):
                 with zipfile.ZipFile(stream) as archive:
+                    check_archive(archive, path.stat().st_size)
                     member = _only_member(path, archive)
                     with archive.open(member) as inside:
                         yield _Array(path, inside, member.file_size)

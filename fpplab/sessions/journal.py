@@ -11,10 +11,9 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.files import whole_lines
+from fpplab.core.session_names import FRAMES, JOURNAL
 from fpplab.devices import CameraSettings, Frame
 from fpplab.patterns.plan import Plan
-
-JOURNAL, FRAMES = "journal.jsonl", "frames"
 
 
 class FrameRecord(Document):

@@ -10,11 +10,11 @@ from fpplab.calibration.model import CalibrationOrigin
 from fpplab.core import config
 from fpplab.core.files import write_text
 from fpplab.core.origin import DeviceIdentity, Origin
+from fpplab.core.session_names import ORIGIN
 from fpplab.devices.rig import Rig
 from fpplab.sessions.session import Session
 
-ORIGIN = "origin.yaml"
-"""Name of the record inside a session; sessions of version 0.1.0 and imported images have none."""
+__all__ = ["ORIGIN", "SessionOrigin", "calibration_origin", "record_origin", "session_origin", "taken_at"]
 
 
 class SessionOrigin(Origin):
@@ -28,15 +28,20 @@ class SessionOrigin(Origin):
     """The rig file."""
     devices: dict[str, DeviceIdentity]
     """By section of the rig file."""
+    first_frame: int | None = None
+    """Number that the first frame has in the simulation that takes it, from which its noise follows; None
+    for a bench, and where an earlier version began the session."""
 
     @classmethod
-    def of(cls, rig: Rig) -> SessionOrigin:
+    def of(cls, rig: Rig, first_frame: int | None = None) -> SessionOrigin:
         """Describe an open rig, now.
 
         Parameters
         ----------
         rig : Rig
             Open.
+        first_frame : int, optional
+            Number of the first frame in the simulation.
 
         Returns
         -------
@@ -56,10 +61,10 @@ class SessionOrigin(Origin):
         }
         told = {name: device.info() for name, device in opened.items() if device is not None}
         devices = {name: DeviceIdentity(model=one.model, serial=one.serial) for name, one in told.items()}
-        return cls.now(rig_file=rig.source, devices=devices)
+        return cls.now(rig_file=rig.source, devices=devices, first_frame=first_frame)
 
 
-def record_origin(folder: Path, rig: Rig) -> None:
+def record_origin(folder: Path, rig: Rig, first_frame: int | None = None) -> None:
     """Record the origin of a session that has none yet.
 
     Parameters
@@ -68,6 +73,8 @@ def record_origin(folder: Path, rig: Rig) -> None:
         Of the session.
     rig : Rig
         Open.
+    first_frame : int, optional
+        Number of the first frame in the simulation.
 
     Raises
     ------
@@ -77,7 +84,7 @@ def record_origin(folder: Path, rig: Rig) -> None:
         A device does not answer.
     """
     if not (folder / ORIGIN).is_file():
-        write_text(folder / ORIGIN, config.dump(SessionOrigin.of(rig)))
+        write_text(folder / ORIGIN, config.dump(SessionOrigin.of(rig, first_frame)))
 
 
 def session_origin(folder: Path) -> SessionOrigin | None:

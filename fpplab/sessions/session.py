@@ -2,6 +2,7 @@
 
     plan.yaml       what was projected
     rig.yaml        what with, as resolved (absent for imported images)
+    files.jsonl     checksums of the files beside it that decide what the frames mean
     journal.jsonl   one line per frame that is safely on disk, with its checksum
     frames/         one uncompressed TIFF per frame, memory-mappable
     decoded.npz, cloud.ply, calibration.yaml ...   results, beside them
@@ -26,13 +27,12 @@ from fpplab.core.conventions import Image, Lattice
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import append_line, make_directory, refuse_existing
 from fpplab.core.progress import Progress, no_progress
+from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
 from fpplab.devices import Frame
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.patterns.response import Curve
 from fpplab.sessions.folder import (
-    PLAN,
-    RIG,
     furnish,
     need_space_for_frames,
     refuse_foreign,
@@ -43,8 +43,6 @@ from fpplab.sessions.folder import (
 )
 from fpplab.sessions.frame_files import read_frame, tiff_head, write_frame
 from fpplab.sessions.journal import (
-    FRAMES,
-    JOURNAL,
     FrameRecord,
     check_frame_place,
     check_whole,
@@ -254,7 +252,7 @@ class Session:
             As `Rig.described` gave it; None for imported images.
         """
         path = self.path / RIG
-        return config.parse_yaml(config.read_text(path), path) if path.is_file() else None
+        return config.parse_yaml(config.read_text(path), path) if path.exists() else None
 
     @property
     def is_imported(self) -> bool:
@@ -341,6 +339,22 @@ class Session:
         """
         record = self.record(index)
         return read_frame(self.path / record.file, record, verify)
+
+    def check_kept(self) -> None:
+        """Refuse to call a session complete that somebody has removed, or taken frames from, in the meantime.
+
+        Raises
+        ------
+        DataError
+            Its journal or a frame is gone.
+        """
+        needed = [JOURNAL, *(record.file for record in self.records)]
+        for name in needed:
+            if not (self.path / name).is_file():
+                raise DataError(
+                    f"{self.path}: was removed while it was measured ({name} is gone), so there is no "
+                    "result; remove what is left of it and run the same command again"
+                )
 
     def stack(self, verify: bool = True, progress: Progress = no_progress) -> list[Image]:
         """Read every frame of the plan.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
 
@@ -29,5 +29,31 @@ class Seeded(Protocol):
         ----------
         numbers : iterable of int
             Not negative, one for each of the next frames.
+        """
+        ...
+
+
+@runtime_checkable
+class NumberedFrames(Protocol):
+    """A simulation whose frames are numbered, so that an interrupted session goes on as if it had not been.
+
+    The noise of a frame follows from its number. A session records the number of its first frame; whoever
+    completes it, later and in another process, gives its frames the numbers that they would have had.
+    """
+
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since opening."""
+        ...
+
+    def number_frames(self, numbers: Sequence[int], then: int) -> None:
+        """Give the next frames these numbers.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+            Not negative, one for each of the next frames.
+        then : int
+            Number of the frame that follows them, from which is counted on.
         """
         ...

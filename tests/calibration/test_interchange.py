@@ -313,3 +313,18 @@ def test_outputs_are_named_for_what_they_hold_and_never_overwritten(tmp_path: Pa
         refused = run(*words).exception
         assert isinstance(refused, ConfigError)
         assert sentence in str(refused)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        ("xml", '<?xml version="1.0"?><opencv_storage>' + "<a>" * 100_000 + "1" + "</a>" * 100_000),
+        ("yaml", "%YAML:1.0\n---\nM1: " + "[" * 100_000 + "]" * 100_000 + "\n"),
+        ("yaml", "%YAML:1.0\n---\nM1: " + "- " * 100_000 + "1\n"),
+    ],
+)
+def test_nesting_that_ends_opencv_is_refused(suffix: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / f"deep.{suffix}"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"not readable as a file of OpenCV"):
+        from_opencv([path])

@@ -164,6 +164,8 @@ def test_a_file_without_uncertainty_is_still_a_calibration(tmp_path: Path) -> No
         (["camera.fx", "camera.fy"], [[1.0, 0.0], [0.0]], "every row as long"),
         (["camera.fx", "camera.fy"], [[1.0, 0.5], [0.4, 1.0]], "symmetric"),
         (["camera.fx", "camera.fy"], [[1.0, 1.5], [1.5, 1.0]], "positive semidefinite"),
+        (["camera.fx"], [[1e300]], r"'camera.fx' means a standard uncertainty of 1e\+150, more than 1e\+06"),
+        (["camera.k3"], [[1e19]], r"'camera.k3' means .* more than 1e\+09"),
         (["camera.fx", "camera.fy"], [[1.0, 0.0], [0.0, -1.0]], "above zero on its diagonal"),
     ],
 )

@@ -10,8 +10,9 @@ import pytest
 
 from fpplab import Calibration, Decoded, Plan, Session
 from fpplab.core import config
+from fpplab.devices.backends import load_backend
 from fpplab.devices.operator import Operator
-from fpplab.devices.rig import Rig, RigFile, load_backend
+from fpplab.devices.rig import Rig, RigFile
 from fpplab.patterns.plan import MaskRules
 from fpplab.pipeline import decode_session, take
 from fpplab.sessions.replay import RecordedSession, ReplayCamera, ReplayProjector

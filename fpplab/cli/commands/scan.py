@@ -127,6 +127,7 @@ def scan_command(
                     provenance=source,
                     answer=result,
                 )
+            session.check_kept()
     console.say(diagnosis.sentence)
     files = {"cloud": str(out / CLOUD), "report": str(out / REPORT)}
     console.answer({**result, "provenance": source.summary(), **files}, json)

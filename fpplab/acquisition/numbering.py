@@ -1,0 +1,52 @@
+"""Frames of a simulation numbered by session: a resumed one gets the noise that it would have had."""
+
+from __future__ import annotations
+
+from fpplab.acquisition.acquire import end_markers
+from fpplab.devices.rig import Rig
+from fpplab.sessions.origin import session_origin
+from fpplab.sessions.session import Session
+from fpplab.simulation.seeded import NumberedFrames
+
+
+def next_frame_of(rig: Rig) -> int | None:
+    """Give the number of the next frame that a rig takes.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+
+    Returns
+    -------
+    int or None
+        None where its frames are not numbered: on a real bench.
+    """
+    return rig.simulation.next_frame if isinstance(rig.simulation, NumberedFrames) else None
+
+
+def number_frames(rig: Rig, session: Session) -> None:
+    """Number the frames that a session lacks as if none had been taken before; nothing on a real bench.
+
+    The first number is in the session's origin. Sessions that are complete are counted too, so that those
+    after them get the numbers that they would have had.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    session : Session
+        With its origin recorded.
+
+    Raises
+    ------
+    ConfigError
+        The record of the origin is damaged.
+    """
+    simulation, origin = rig.simulation, session_origin(session.path)
+    if not isinstance(simulation, NumberedFrames) or origin is None or origin.first_frame is None:
+        return
+    plan, first, missing = session.plan, origin.first_frame, session.missing()
+    after = plan.images + len(end_markers(plan, rig.projector.caps.size))
+    numbers = [first + i for i in (*missing, *range(plan.images, after))] if missing else []
+    simulation.number_frames(numbers, max(simulation.next_frame, first + after))

@@ -1,0 +1,20 @@
+"""Names of the files of a session."""
+
+from __future__ import annotations
+
+PLAN, RIG, ORIGIN = "plan.yaml", "rig.yaml", "origin.yaml"
+"""What was projected; what with, as resolved; when, where and with which devices it was begun."""
+JOURNAL, FRAMES, CHECKSUMS = "journal.jsonl", "frames", "files.jsonl"
+"""A line for each frame; the folder of their files; the checksums of the files beside it."""
+DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
+    "decoded.npz",
+    "cloud.ply",
+    "calibration.yaml",
+    "report.html",
+    "verdict.yaml",
+)
+"""The results."""
+SESSION_FILES = frozenset(
+    (PLAN, RIG, ORIGIN, JOURNAL, CHECKSUMS, DECODED, CLOUD, CALIBRATION, REPORT, VERDICT)
+)
+"""Every file that fpplab writes into a session, beside the folder of its frames."""

@@ -1,0 +1,116 @@
+"""Whole commands: signals at any moment of their lives, and streams that take nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import cycle
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import ROOT, Command
+
+MOMENTS_S = [0.001, *(0.04 * n for n in range(1, 20))]
+PROGRAM = [sys.executable, "-m", "fpplab"]
+
+
+def test_a_signal_at_any_moment_of_a_short_command() -> None:
+    """Before the first line of the program Python answers itself: by its death, or showing where it was."""
+    codes = []
+    for moment_s, number in zip(MOMENTS_S, cycle([signal.SIGINT, signal.SIGTERM])):
+        with subprocess.Popen(
+            [*PROGRAM, "plan", "--help"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            time.sleep(moment_s)
+            process.send_signal(number)
+            out, err = process.communicate(timeout=60)
+        own = "Traceback" in err and "fpplab" not in err.replace("fpplab/__init__", "").replace("_main", "")
+        assert "Traceback" not in err or own, (moment_s, err)
+        assert process.returncode in (0, 130, -number) or own, (moment_s, number, err)
+        assert process.returncode != 0 or "Usage" in out
+        codes.append(process.returncode)
+    assert 130 in codes
+
+
+LOADING = """
+import os, signal, sys
+sys.argv = ["fpplab", "plan", "--help"{more}]
+class Hit:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.{number})
+sys.meta_path.insert(0, Hit())
+from fpplab.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "number"),
+    [("fpplab.cli", "SIGINT"), ("typer", "SIGTERM"), ("rich.console", "SIGINT")],
+)
+def test_a_signal_while_modules_are_loaded(module: str, number: str) -> None:
+    code = LOADING.format(module=module, number=number, more=', "--json"')
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "fpplab: cancelled\n"
+    assert json.loads(done.stdout) == {"error": "cancelled", "exit_code": 130}
+
+
+def test_stdout_that_takes_nothing() -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [*PROGRAM, "--help"], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 4
+    assert "could not be written to stdout (No space left on device)" in done.stderr
+    assert "Traceback" not in done.stderr
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as nobody:
+        done = subprocess.run(
+            [*PROGRAM, "--help"], cwd=ROOT, stdout=nobody, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 4
+    assert done.stderr.count("\n") == 1
+    closed = subprocess.run(
+        ["/bin/sh", "-c", 'exec "$@" >&-', "sh", *PROGRAM, "--help"],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    assert (closed.returncode, closed.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("option", ["--rig", "--out"])
+def test_names_that_no_file_can_have(fpplab: Command, option: str, tmp_path: Path) -> None:
+    words = {"--rig": "rig_demo", "--calibration": str(tmp_path), "--out": str(tmp_path / "s")}
+    long = fpplab("scan", *(w for pair in (words | {option: "x" * 300}).items() for w in pair), "--json")
+    assert long.code == 2
+    odd = os.fsdecode(b"odd\xff.yaml")
+    none = fpplab("scan", *(w for pair in (words | {option: odd}).items() for w in pair), "--json")
+    assert none.code == 2
+    assert none.json["error"] == "odd?.yaml: is not text in UTF-8; rename the file"
+
+
+def test_the_working_directory_holds_no_libraries(tmp_path: Path) -> None:
+    for name in ("typer", "numpy", "mine"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')\n", encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(
+        'name: odd\ncamera: {backend: "mine:C"}\nprojector: {backend: "mine:P"}\n', encoding="utf-8"
+    )
+    command = [*PROGRAM, "--allow-backend", "mine", "check", "--rig", "rig.yaml"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 2, done.stderr
+    assert "cannot be loaded (No module named 'mine')" in done.stderr

@@ -1,0 +1,65 @@
+"""Which modules a rig file may have imported."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from fpplab.core.errors import ConfigError
+from fpplab.devices import backends
+from fpplab.devices.backends import ALLOWED, load_backend
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A module that leaves a file when it is imported, and nothing allowed but fpplab's own."""
+    ran = tmp_path / "ran"
+    (tmp_path / "foreign_optics.py").write_text(
+        f"open({str(ran)!r}, 'w').close()\nclass Lamp: pass\n", encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "foreign_optics", raising=False)
+    monkeypatch.delenv(ALLOWED, raising=False)
+    return ran
+
+
+def test_a_foreign_module_is_not_imported(foreign: Path) -> None:
+    with pytest.raises(ConfigError, match=r"'camera.backend' is .*--allow-backend foreign_optics"):
+        load_backend("foreign_optics:Lamp", "rig.yaml", "camera")
+    assert not foreign.exists()
+
+
+@pytest.mark.parametrize("allowed", ["foreign_optics", "other,foreign_optics"])
+def test_one_that_the_user_allows(foreign: Path, allowed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ALLOWED, "foreign")  # no prefix of a name
+    with pytest.raises(ConfigError, match="is not part of fpplab"):
+        load_backend("foreign_optics:Lamp", "rig.yaml", "camera")
+    monkeypatch.setenv(ALLOWED, allowed)
+    assert load_backend("foreign_optics:Lamp", "rig.yaml", "camera").__name__ == "Lamp"
+    assert foreign.exists()
+
+
+def test_one_that_an_installed_package_announces(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("lamp", "foreign_optics:Lamp", "fpplab.backends")
+    monkeypatch.setattr(backends, "entry_points", lambda group: [entry] if group == entry.group else [])
+    assert load_backend("foreign_optics:Lamp", "rig.yaml", "camera").__name__ == "Lamp"
+    with pytest.raises(ConfigError, match="is not part of fpplab"):
+        load_backend("foreign_optics:Other", "rig.yaml", "camera")
+
+
+@pytest.mark.parametrize("name", ["numpy.f2py.__main__:X", "fpplab.__main__:X", "drivers.x.__main__:X"])
+def test_a_program_is_never_a_backend(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ALLOWED, "numpy")
+    with pytest.raises(ConfigError, match="is a program and not a backend"):
+        load_backend(name, "rig.yaml", "camera")
+
+
+def test_a_module_that_ends_the_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "leaving.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv(ALLOWED, "leaving")
+    with pytest.raises(ConfigError, match="cannot be loaded"):
+        load_backend("leaving:X", "rig.yaml", "camera")
