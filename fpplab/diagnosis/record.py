@@ -14,6 +14,7 @@ from fpplab.diagnosis.verdict import Diagnosis, Verdict
 VERDICT = "verdict.yaml"
 """Name of the record inside a session; sessions that version 0.1.0 finished have none."""
 GREATEST_EXCESS = 1e9
+"""A file holds no infinite number."""
 
 
 class FindingFile(Document):
@@ -70,7 +71,10 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """
     findings = tuple(
         FindingFile(
-            cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=min(float(one.excess), 1e9)
+            cause=one.cause,
+            evidence=one.evidence,
+            remedy=one.remedy,
+            excess=min(float(one.excess), GREATEST_EXCESS),
         )
         for one in diagnosis.findings
     )
@@ -103,8 +107,3 @@ def load_diagnosis(folder: Path) -> DiagnosisFile | None:
     """
     path = folder / VERDICT
     return config.load_document(path, DiagnosisFile) if path.is_file() else None
-
-
-def _finite(excess: float) -> float:
-    """A file holds no infinite number."""
-    return min(float(excess), GREATEST_EXCESS)

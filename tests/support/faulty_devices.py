@@ -131,7 +131,7 @@ def _unlit(folder: Path, random: np.random.Generator) -> RigCheck:
 
 
 def _late(folder: Path, random: np.random.Generator) -> RigCheck:
-    seed, late_s = int(random.integers(1000)), float(random.uniform(0.012, 0.08))
+    seed, late_s = int(random.integers(1000)), float(random.uniform(0.012, 0.045))
     return _by_formulas(seed, folder, LateCamera, LateProjector, late_s=late_s)
 
 

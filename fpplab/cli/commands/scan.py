@@ -102,6 +102,7 @@ def scan_command(
                     write_scan_report(
                         *(out / REPORT, session, *results, used, error.diagnosis),
                         provenance=source,
+                        calibration=known,
                         answer=error.diagnosis.summary(),
                     )
                     raise
@@ -120,6 +121,7 @@ def scan_command(
                 write_scan_report(
                     *(out / REPORT, session, decoded, cloud, used, diagnosis),
                     provenance=source,
+                    calibration=known,
                     answer=result,
                 )
         if viewer and viewer.fault is None:
