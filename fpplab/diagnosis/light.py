@@ -128,7 +128,8 @@ def _darkness(sample: FrameSample) -> Finding | None:
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
-        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
+        factor = BEST_PEAK * 255.0 / max(2.0 * sample.strongest, 1.0)
+        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
         return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
@@ -141,7 +142,7 @@ def _saturation(sample: FrameSample) -> Finding | None:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
     # How far beyond full scale they would be is not seen; the share tells it roughly.
-    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.5 if share > 0.4 else 0.85)
+    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.7 if share > 0.4 else 0.9)
 
 
 def _exposure(sample: FrameSample) -> Finding | None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +23,9 @@ def given() -> Evidence:
     recording = bench.recording()
     decoded, cloud = points_of(decode(recording), bench.calibration, bench.plan, recording.mean_image())
     shown = marker()
-    return Evidence(recording, decoded, cloud, bench.calibration, shown, {"stepped": np.roll(shown, 1) / 255.0})
+    return Evidence(
+        recording, decoded, cloud, bench.calibration, shown, {"stepped": np.roll(shown, 1) / 255.0}
+    )
 
 
 def test_every_cause_is_drawn_or_has_its_place_elsewhere() -> None:
@@ -52,16 +52,3 @@ def test_the_caption_tells_value_and_limit(given: Evidence) -> None:
     words = "33 % of the lit pixels are saturated (at most 5 %)"
     (figure,) = evidence_report([Finding(FaultCause.SATURATED, words, 6.6)], given)
     assert figure.caption == f"Saturated: {words}."
-
-
-def test_a_check_keeps_its_pictures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fpplab: Callable[..., object]
-) -> None:
-    from fpplab.devices.rig import Rig  # noqa: PLC0415
-    from tests.support.faulty_rig import formula_rig  # noqa: PLC0415
-
-    monkeypatch.setattr(Rig, "load", lambda *_: formula_rig("projector_focus", 2))
-    fpplab("check", "--rig", "formulas", "--plan", "plan_nine_images", "--out", tmp_path / "kept", "--json")
-    kept = sorted(path.name for path in (tmp_path / "kept").iterdir())
-    assert kept[0] == "01_projector_focus.png"
-    assert kept[-1] == "levels.png"
