@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from fpplab.core.conventions import Floats
 from fpplab.diagnosis import geometry, light
-from fpplab.diagnosis.brightness import frame_levels, row_gains
+from fpplab.diagnosis.brightness import FEWEST_STRIPES, frame_levels, row_gains
 from fpplab.diagnosis.fringe_shape import MOST_MOIRE_PX, moire_spectrum, phase_deviations
 from fpplab.diagnosis.geometry import PointSample, triangulation_angles_deg
 from fpplab.diagnosis.sample import FrameSample
@@ -31,7 +31,8 @@ from fpplab.report.drawing import (
 
 LOW = 2.4
 """Height in inches of curves."""
-BINS = 48
+BINS, FEWEST_IN_BIN = 48, 50
+"""Bins of a period, and the fewest values of a bin that are drawn."""
 FROM_FRAME = "modulation in grey levels of 255"
 
 
@@ -264,6 +265,8 @@ def error_by_phase(sample: FrameSample) -> Figure:
     for axes in (left, right):
         if axes.lines:
             axes.legend(loc="best")
+        else:
+            axes.set_title("not to be told from these sets", fontsize=8.5)
     return figure
 
 
@@ -272,7 +275,8 @@ def _binned(angles: Floats, values: Floats) -> tuple[Floats, Floats]:
     place = np.floor((angles % (2 * np.pi)) / (2 * np.pi) * BINS).astype(np.intp).ravel() % BINS
     total, count = np.bincount(place, values.ravel(), BINS), np.bincount(place, minlength=BINS)
     with np.errstate(invalid="ignore"):
-        return (np.arange(BINS) + 0.5) / BINS * 2 * np.pi, np.where(count > 0, total / count, np.nan)
+        mean = np.where(count >= FEWEST_IN_BIN, total / count, np.nan)
+    return (np.arange(BINS) + 0.5) / BINS * 2 * np.pi, mean
 
 
 @as_png
@@ -291,7 +295,12 @@ def brightness_by_frame(sample: FrameSample) -> Figure:
     """
     levels, starts = frame_levels(sample), sample.recording.plan.set_starts
     figure, axes = single_axes(HALF, LOW)
-    for k, fringe in enumerate(sample.recording.plan.fringes):
+    sets = sample.recording.plan.fringes
+    # The mean of a frame of few stripes depends on their phase.
+    least = min(FEWEST_STRIPES, max(fringe.stripes for fringe in sets))
+    for k, fringe in enumerate(sets):
+        if fringe.stripes < least:
+            continue
         own = np.arange(starts[k], starts[k + 1])
         off = 100.0 * (levels[own] / levels[own].mean() - 1.0)
         axes.plot(own + 1, off, "o-", markersize=3, linewidth=0.8, label=f"{fringe.stripes:g} stripes")
