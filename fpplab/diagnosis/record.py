@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 from fpplab.core import config
@@ -9,12 +10,12 @@ from fpplab.core.config import Document
 from fpplab.core.files import write_text
 from fpplab.core.origin import Origin
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.criteria import Criterion
 from fpplab.diagnosis.verdict import Diagnosis, Verdict
 
 VERDICT = "verdict.yaml"
 """Name of the record inside a session; sessions that version 0.1.0 finished have none."""
 GREATEST_EXCESS = 1e9
-"""A file holds no infinite number."""
 
 
 class FindingFile(Document):
@@ -30,6 +31,23 @@ class FindingFile(Document):
     """Measured value over its limit."""
 
 
+class CriterionFile(Document):
+    """A criterion in a file."""
+
+    name: str
+    """A short key."""
+    meaning: str
+    """What it is."""
+    value: float
+    """As measured."""
+    limit: float
+    """Of a good scan."""
+    unit: str = ""
+    """Of both."""
+    at_least: bool = False
+    """Whether the limit is the least value."""
+
+
 class DiagnosisFile(Origin):
     """A verdict in a file, with when and by which program it was given."""
 
@@ -41,6 +59,8 @@ class DiagnosisFile(Origin):
     """What is wrong, the worst first."""
     not_checked: tuple[str, ...]
     """What could not be checked, and why."""
+    criteria: tuple[CriterionFile, ...] = ()
+    """What the verdict was given by; older files have none."""
 
     def diagnosis(self) -> Diagnosis:
         """Convert to a diagnosis.
@@ -51,7 +71,8 @@ class DiagnosisFile(Origin):
             The same verdict and findings.
         """
         findings = tuple(Finding(one.cause, one.evidence, one.excess, one.remedy) for one in self.findings)
-        return Diagnosis(self.verdict, self.reason, findings, self.not_checked)
+        criteria = tuple(Criterion(**one.model_dump()) for one in self.criteria)
+        return Diagnosis(self.verdict, self.reason, findings, self.not_checked, criteria)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
@@ -70,12 +91,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         The file cannot be written.
     """
     findings = tuple(
-        FindingFile(
-            cause=one.cause,
-            evidence=one.evidence,
-            remedy=one.remedy,
-            excess=min(float(one.excess), GREATEST_EXCESS),
-        )
+        FindingFile(cause=one.cause, evidence=one.evidence, remedy=one.remedy, excess=_finite(one.excess))
         for one in diagnosis.findings
     )
     given = DiagnosisFile.now(
@@ -83,6 +99,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
         reason=diagnosis.reason,
         findings=findings,
         not_checked=tuple(diagnosis.unknown),
+        criteria=tuple(CriterionFile(**asdict(one)) for one in diagnosis.criteria),
     )
     write_text(folder / VERDICT, config.dump(given))
 
@@ -107,3 +124,8 @@ def load_diagnosis(folder: Path) -> DiagnosisFile | None:
     """
     path = folder / VERDICT
     return config.load_document(path, DiagnosisFile) if path.is_file() else None
+
+
+def _finite(excess: float) -> float:
+    """A file holds no infinite number."""
+    return min(float(excess), GREATEST_EXCESS)

@@ -10,6 +10,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.errors import DataError
 from fpplab.diagnosis.catalogue import FaultCause, Finding
+from fpplab.diagnosis.criteria import Criterion, criteria_of
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import focus_finding, light_findings
 from fpplab.diagnosis.plan import plan_finding
@@ -19,8 +20,8 @@ from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded
 
-USELESS_SHARE, DOUBTFUL_SHARE = 0.1, 0.5
-"""Least share of the lit pixels that become points, in a result that is of use, and in a good one."""
+USELESS_SHARE = 0.1
+"""Least share of the lit pixels that become points, in a result that is of use."""
 
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
@@ -54,12 +55,15 @@ class Diagnosis:
         What is wrong, the worst first.
     unknown : tuple of str
         What could not be checked, and why.
+    criteria : tuple of Criterion
+        What the verdict on points was given by.
     """
 
     verdict: Verdict
     reason: str
     findings: tuple[Finding, ...]
     unknown: tuple[str, ...] = ()
+    criteria: tuple[Criterion, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -88,13 +92,15 @@ class Diagnosis:
         Returns
         -------
         dict of str to object
-            `verdict`, `reason`, `findings` and `not_checked`.
+            `verdict`, `reason`, `findings` and `not_checked`, and `criteria` of points.
         """
+        criteria = {"criteria": [one.summary() for one in self.criteria]} if self.criteria else {}
         return {
             "verdict": self.verdict.value,
             "reason": self.reason,
             "findings": [finding.summary() for finding in self.findings],
             "not_checked": list(self.unknown),
+            **criteria,
         }
 
 
@@ -186,7 +192,8 @@ def diagnose_scan(
     findings = ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
-    return _judged(sample, cloud, findings, unknown)
+    judged = _judged(sample, cloud, findings, unknown)
+    return _by_criteria(judged, criteria_of(sample, decoded, cloud))
 
 
 def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:
@@ -252,9 +259,16 @@ def _judged(
         return Diagnosis(Verdict.USELESS, ruinous[0].evidence, findings, unknown)
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings, unknown)
-    if share < DOUBTFUL_SHARE:
-        return Diagnosis(Verdict.DOUBTFUL, counted, findings, unknown)
     return Diagnosis(Verdict.GOOD, counted, findings, unknown)
+
+
+def _by_criteria(judged: Diagnosis, criteria: tuple[Criterion, ...]) -> Diagnosis:
+    """Doubt a result without findings whose figures are not those of a good one."""
+    judged = replace(judged, criteria=criteria)
+    unmet = [one for one in criteria if not one.is_met]
+    if judged.verdict is not Verdict.GOOD or not unmet:
+        return judged
+    return replace(judged, verdict=Verdict.DOUBTFUL, reason=unmet[0].sentence)
 
 
 def _of_frames(sample: FrameSample, scale: float | None) -> list[Finding]:

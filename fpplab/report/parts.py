@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fpplab.diagnosis import Diagnosis, Finding
+from fpplab.diagnosis.criteria import Criterion
 from fpplab.report.cloud_view import CloudView
 
 
@@ -33,6 +34,8 @@ class PageVerdict:
         What could not be checked, and why.
     thumbnail : str
         PNG file as base64; empty where there is none.
+    criteria : tuple of Criterion
+        What the verdict was given by.
     """
 
     name: str
@@ -42,6 +45,7 @@ class PageVerdict:
     findings: tuple[tuple[str, str, str], ...] = ()
     unknown: tuple[str, ...] = ()
     thumbnail: str = ""
+    criteria: tuple[Criterion, ...] = ()
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, name: str = "") -> PageVerdict:
@@ -60,9 +64,9 @@ class PageVerdict:
             With the same words.
         """
         word = diagnosis.verdict.value
-        return cls(
-            name, word, word.capitalize(), diagnosis.reason, listed(diagnosis.findings), diagnosis.unknown
-        )
+        words = (name, word, word.capitalize(), diagnosis.reason)
+        findings = listed(diagnosis.findings)
+        return cls(*words, findings, diagnosis.unknown, criteria=diagnosis.criteria)
 
 
 def listed(findings: Sequence[Finding]) -> tuple[tuple[str, str, str], ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +70,7 @@ class ScanRecord:
         """
         picture = base64.b64encode(figures.thumbnail(self.cloud)).decode("ascii") if self.cloud else ""
         if self.diagnosis is not None:
-            found = PageVerdict.of(self.diagnosis, self.name)
-            return PageVerdict(
-                *(found.name, found.level, found.label, found.reason, found.findings, found.unknown), picture
-            )
+            return replace(PageVerdict.of(self.diagnosis, self.name), thumbnail=picture)
         if self.cloud is None:
             return PageVerdict(self.name, "none", "Not reconstructed", "The session holds no cloud.")
         said = "A cloud alone does not tell; give its session."
