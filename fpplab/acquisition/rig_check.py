@@ -31,6 +31,7 @@ from fpplab.acquisition.sync_check import (
 from fpplab.acquisition.synchronisation import check_synchronisation, remedy
 from fpplab.acquisition.timing import PulseTiming, planned_timing
 from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
 from fpplab.core import config
 from fpplab.core.conventions import AXES, Image, raw_dtype
 from fpplab.core.errors import CapabilityError, ConfigError, DataError, DeviceError
@@ -71,8 +72,12 @@ class RigCheck:
         served.
     timing : PulseTiming or None
         The plan's times on this rig; None where the devices do not accept it.
-    image : ndarray of uint8, (height, width), or None
-        Mean of the frames with fringes; None where none were taken.
+    recording : Recording or None
+        Frames with fringes; None where none were taken.
+    decoded : Decoded or None
+        Their projector coordinates, where they were computed.
+    cloud : Cloud or None
+        Their points, where there is a calibration.
     rig : dict of str to object
         As `Rig.described` gave it; the rig file alone where a device could not be opened.
     origin : SessionOrigin or None
@@ -85,7 +90,9 @@ class RigCheck:
     unknown: tuple[str, ...] = ()
     settle_s: float | None = None
     timing: PulseTiming | None = None
-    image: Image | None = None
+    recording: Recording | None = None
+    decoded: Decoded | None = None
+    cloud: Cloud | None = None
     rig: dict[str, Any] = field(default_factory=dict)
     origin: SessionOrigin | None = None
 
@@ -175,7 +182,9 @@ def check_rig(
         unknown=(*_untold(seen), *fringes.unknown, *(fringes.diagnosis.unknown if fringes.diagnosis else ())),
         settle_s=marker_seen.settle_s,
         timing=timing,
-        image=fringes.image,
+        recording=fringes.recording,
+        decoded=fringes.decoded,
+        cloud=fringes.cloud,
         rig=described,
         origin=origin,
     )
@@ -247,7 +256,9 @@ class _FringeInspection:
         self._plan, self._calibration = plan, calibration
         self.diagnosis: Diagnosis | None = None
         self.unknown: list[str] = []
-        self.image: Image | None = None
+        self.recording: Recording | None = None
+        self.decoded: Decoded | None = None
+        self.cloud: Cloud | None = None
 
     def at(self, rig: Rig, plan: Plan | None, progress: Progress) -> None:
         """Take the fringes of a plan, and further ones where the projector can show them."""
@@ -260,7 +271,7 @@ class _FringeInspection:
             except CapabilityError as error:
                 missing = error
                 continue
-            self.image = recording.mean_image()
+            self.recording = recording
             self.diagnosis = self._judged(recording, rig)
             if any(one.cause in (FaultCause.FLICKER, FaultCause.BANDS) for one in self.diagnosis.findings):
                 findings = with_mains(self.diagnosis.findings, mains_finding(rig, plan))
@@ -280,7 +291,8 @@ class _FringeInspection:
 
     def _of_frames(self, recording: Recording, rig: Rig) -> Diagnosis:
         if self._calibration is None:
-            findings = diagnose_frames(recording, _decoded_alone(recording))
+            self.decoded = _decoded_alone(recording)
+            findings = diagnose_frames(recording, self.decoded)
             return Diagnosis(Verdict.GOOD, "", findings, (WITHOUT_CALIBRATION,))
         return self._with_points(recording, rig, self._calibration)
 
@@ -293,6 +305,7 @@ class _FringeInspection:
                 decoded, cloud = points_of(decoded, calibration, recording.plan)
             except DataError:  # the frames say why there is no point
                 cloud = None
+        self.decoded, self.cloud = decoded, cloud
         return diagnose_scan(recording, decoded, cloud, calibration, self._plan)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -50,7 +49,7 @@ LEAST_CONTRAST = 0.5
 FOCUSED_PX = 0.9
 """Blur of a rig in focus in projector px: half a mirror of the projector's lens, and the camera's share."""
 
-BLURRED_PX = 2.5
+BLURRED_PX = 1.8
 """Blur of the camera's image in px that is out of focus."""
 
 CAMERA_SHARE = 0.45
@@ -108,32 +107,12 @@ def light_findings(sample: FrameSample) -> Iterator[Finding]:
     if colour is not None:
         yield colour
         return  # the other figures take equal frames for granted
-    found = [one(sample) for one in (_saturation, _exposure, _ambient, _response)]
-    motion, bands, flicker = _motion(sample), band_finding(sample), _flicker(sample)
-    yield from (one for one in (*found, motion) if one is not None)
-    # Edges that move change the brightness of frames as well, and bands that of whole frames.
-    bent = max((one for one in found if one is not None), key=lambda one: one.excess, default=None)
-    bands = _behind(_behind(bands, motion), bent)
-    if bands is not None and flicker is not None and bands.excess < 1.5 * flicker.excess:
-        bands = _behind(bands, flicker)  # gains of whole frames leave some of themselves in the rows
-    else:
-        flicker = _behind(flicker, bands)
-    flicker = _behind(flicker, motion)
-    yield from (one for one in (bands, flicker) if one is not None)
-    explained = {FaultCause.FLICKER, FaultCause.BANDS, FaultCause.RESPONSE, FaultCause.HARMONICS}
-    explained |= {FaultCause.SATURATED, FaultCause.VIBRATION}
-    others = [one for one in (*found, motion, bands, flicker) if one is not None and one.cause in explained]
-    worst = max(others, key=lambda one: one.excess, default=None)
-    stray = stray_light(sample, float(sample.errors.sets[sample.recording.plan.finest_set()].harmonic_rad))
-    scaled = _behind(_behind(moire(sample), worst), bands)  # rows of other brightness bend the phase, too
-    yield from (one for one in (_behind(stray, worst), scaled) if one is not None)
-
-
-def _behind(finding: Finding | None, other: Finding | None) -> Finding | None:
-    """Rank a finding behind another that may have caused it."""
-    if finding is None or other is None:
-        return finding
-    return replace(finding, excess=min(finding.excess, 0.9 * other.excess))
+    bent_rad = float(sample.errors.sets[sample.recording.plan.finest_set()].harmonic_rad)
+    found = [
+        one(sample)
+        for one in (_saturation, _exposure, _ambient, _response, _motion, band_finding, _flicker, moire)
+    ]
+    yield from (one for one in (*found, stray_light(sample, bent_rad)) if one is not None)
 
 
 def _darkness(sample: FrameSample) -> Finding | None:
@@ -149,7 +128,8 @@ def _darkness(sample: FrameSample) -> Finding | None:
     share = float(sample.lit.mean())
     if share < LEAST_LIT and strength < WEAK_SIGMAS:
         words = f"{seen} (at least {WEAK_SIGMAS:g})"
-        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength)
+        factor = BEST_PEAK * 255.0 / max(2.0 * sample.strongest, 1.0)
+        return Finding(FaultCause.UNDEREXPOSED, words, WEAK_SIGMAS / strength, factor=factor)
     if share < LEAST_LIT:
         words = f"the fringes light {100 * share:.2g} % of the image (at least {100 * LEAST_LIT:g} %)"
         return Finding(FaultCause.NO_OVERLAP, words, LEAST_LIT / max(share, 1e-4))
@@ -162,7 +142,7 @@ def _saturation(sample: FrameSample) -> Finding | None:
         return None
     words = f"{100 * share:.0f} % of the lit pixels are saturated (at most {100 * MOST_SATURATED:g} %)"
     # How far beyond full scale they would be is not seen; the share tells it roughly.
-    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.5 if share > 0.4 else 0.85)
+    return Finding(FaultCause.SATURATED, words, share / MOST_SATURATED, factor=0.7 if share > 0.4 else 0.9)
 
 
 def _exposure(sample: FrameSample) -> Finding | None:
@@ -303,15 +283,33 @@ def _phase_error(
 
 def _motion(sample: FrameSample) -> Finding | None:
     """Displacement between the offsets of the fringe sets, which show the same scene."""
-    offsets = sample.offsets_in_tiles
-    worst, words = 0.0, ""
-    for k in range(1, len(offsets)):
-        shift, sigma = _displacement(offsets[0], offsets[k])
-        if shift > SHIFT_SIGMAS * sigma and shift > worst:
-            worst = shift
-            limit = f"at most {MOST_SHIFT_PX:g} px"
-            words = f"the scene moved by {shift:.2f} px between fringe sets 1 and {k + 1} ({limit})"
-    return Finding(FaultCause.VIBRATION, words, worst / MOST_SHIFT_PX) if worst > MOST_SHIFT_PX else None
+    moved = displacements_px(sample)
+    certain = [shift if shift > SHIFT_SIGMAS * sigma else 0.0 for shift, sigma in moved]
+    worst = max(certain, default=0.0)
+    if worst <= MOST_SHIFT_PX:
+        return None
+    words = (
+        f"the scene moved by {worst:.2f} px between fringe sets 1 and {certain.index(worst) + 2} "
+        f"(at most {MOST_SHIFT_PX:g} px)"
+    )
+    return Finding(FaultCause.VIBRATION, words, worst / MOST_SHIFT_PX)
+
+
+def displacements_px(sample: FrameSample) -> list[tuple[float, float]]:
+    """Measure how far the scene is displaced in each fringe set beside the first.
+
+    Parameters
+    ----------
+    sample : FrameSample
+        Of the recording.
+
+    Returns
+    -------
+    list of tuple of float
+        Displacement and its standard uncertainty in camera px, of the second set and those after it.
+    """
+    first, *others = sample.offsets_in_tiles
+    return [_displacement(first, other) for other in others]
 
 
 def _displacement(one: Floats, other: Floats) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from fpplab.diagnosis.criteria import Criterion, criteria_of
 from fpplab.diagnosis.geometry import PointSample, geometry_findings
 from fpplab.diagnosis.light import focus_finding, light_findings
 from fpplab.diagnosis.plan import plan_finding
+from fpplab.diagnosis.ranking import RUINOUS_OFFSET, ranked
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
@@ -25,21 +26,7 @@ USELESS_SHARE = 0.1
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
-NOT_STALE = frozenset(
-    {
-        FaultCause.WRONG_PLAN,
-        FaultCause.CAMERA_FOCUS,
-        FaultCause.VIBRATION,
-        FaultCause.MISSING_COLOUR,
-        FaultCause.SATURATED,
-        FaultCause.WRONG_RESOLUTION,
-        FaultCause.RESPONSE,
-        FaultCause.FLICKER,
-    }
-)
-"""Causes that put points off their epipolar lines although the calibration is the rig's."""
-
-USELESS_EXCESS = {FaultCause.STALE_CALIBRATION: 10.0, FaultCause.WRONG_PLAN: 1.0}
+USELESS_EXCESS = {FaultCause.STALE_CALIBRATION: RUINOUS_OFFSET, FaultCause.WRONG_PLAN: 1.0}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
 
@@ -204,7 +191,7 @@ def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tup
     tuple of Finding
         The worst first.
     """
-    return _ranked(_of_frames(_sample(recording, decoded), None))
+    return ranked(_of_frames(_sample(recording, decoded), None))
 
 
 def diagnose_scan(
@@ -248,28 +235,12 @@ def diagnose_scan(
         else plan_finding(recording, decoded, sample, cloud, calibration, flickers, bent)
     )
     if cloud is None or points is None:
-        return Diagnosis(Verdict.USELESS, "there are no points", _ranked([*wrong, *of_frames]))
-    everything = _without_blur([*wrong, *of_frames, *geometry_findings(points, plan)])
-    findings = _ranked(_of_another_rig_first(everything))
+        return Diagnosis(Verdict.USELESS, "there are no points", ranked([*wrong, *of_frames]))
+    findings = ranked([*wrong, *of_frames, *geometry_findings(points, plan)])
     one_axis = "stale_calibration: fringes along one axis alone do not show it"
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     judged = _judged(sample, cloud, findings, unknown)
     return _by_criteria(judged, criteria_of(sample, decoded, cloud))
-
-
-def _without_blur(findings: list[Finding]) -> list[Finding]:
-    """Rank a calibration slightly off behind what shifts points: a camera out of focus, a scaled picture."""
-    shifting = {FaultCause.CAMERA_FOCUS, FaultCause.WRONG_RESOLUTION}
-    others = [one.excess for one in findings if one.cause in shifting]
-    if not others:
-        return findings
-    ruinous = USELESS_EXCESS[FaultCause.STALE_CALIBRATION]
-    return [
-        replace(one, excess=min(one.excess, 0.9 * max(others)))
-        if one.cause is FaultCause.STALE_CALIBRATION and one.excess < ruinous
-        else one
-        for one in findings
-    ]
 
 
 def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:
@@ -307,7 +278,7 @@ def diagnose_poses(
         poses += 1
         for finding in diagnose_frames(recording):
             found.setdefault(finding.cause, []).append((name, finding))
-    findings = _ranked([*of_fit, *(_worst(seen, poses) for seen in found.values())])
+    findings = ranked([*of_fit, *(_worst(seen, poses) for seen in found.values())])
     if findings:
         return Diagnosis(Verdict.DOUBTFUL, findings[0].sentence, findings)
     said = [*warnings, *left_out.values()]
@@ -354,18 +325,3 @@ def _of_frames(sample: FrameSample, scale: float | None) -> list[Finding]:
         focus = focus_finding(sample, scale)
         findings += [focus] if focus else []
     return findings
-
-
-def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda finding: -finding.excess))
-
-
-def _of_another_rig_first(findings: list[Finding]) -> list[Finding]:
-    """Rank a calibration that is not the rig's first, unless its evidence may come of something else."""
-    if any(one.cause in NOT_STALE for one in findings):
-        return findings
-    most = max((one.excess for one in findings), default=0.0)
-    return [
-        replace(one, excess=max(one.excess, 1.1 * most)) if one.cause is FaultCause.STALE_CALIBRATION else one
-        for one in findings
-    ]

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from fpplab.acquisition.rig_check import RigCheck
+from fpplab.calibration.model import Calibration
 from fpplab.report import figures
+from fpplab.report.evidence import Evidence, evidence_report
 from fpplab.report.page import PageBasis, write_page
 from fpplab.report.parts import PageVerdict, ReportFigure, ReportSection, ReportTable, listed
 from fpplab.report.provenance import Provenance
@@ -18,7 +20,11 @@ from fpplab.report.wording import NOT_KNOWN, percent_words
 
 
 def write_check_report(
-    path: Path, found: RigCheck, provenance: Provenance, answer: Mapping[str, Any]
+    path: Path,
+    found: RigCheck,
+    provenance: Provenance,
+    answer: Mapping[str, Any],
+    calibration: Calibration | None = None,
 ) -> None:
     """Write what a check found as one HTML file.
 
@@ -32,6 +38,8 @@ def write_check_report(
         Of the rig.
     answer : mapping of str to object
         What the command prints with `--json`.
+    calibration : Calibration, optional
+        That the check was made with.
 
     Raises
     ------
@@ -39,7 +47,7 @@ def write_check_report(
         The file cannot be written.
     """
     basis = PageBasis((check_verdict(found),), {"rig": provenance}, answer)
-    write_page(path, "Check of a rig", [], list(_sections(found)), basis=basis)
+    write_page(path, "Check of a rig", [], _sections(found, calibration), basis=basis)
 
 
 def check_verdict(found: RigCheck) -> PageVerdict:
@@ -63,10 +71,31 @@ def check_verdict(found: RigCheck) -> PageVerdict:
     return PageVerdict("", "doubtful", label, reason, listed(found.findings), found.unknown)
 
 
-def _sections(found: RigCheck) -> list[ReportSection]:
+def evidence_of(found: RigCheck, calibration: Calibration | None) -> Evidence:
+    """Collect what the findings of a check were drawn from.
+
+    Parameters
+    ----------
+    found : RigCheck
+        Result of the check.
+    calibration : Calibration or None
+        That it was made with.
+
+    Returns
+    -------
+    Evidence
+        Frames, points and levels of the marker.
+    """
+    runs = {run.how: run.levels for run in found.runs}
+    return Evidence(found.recording, found.decoded, found.cloud, calibration, found.shown, runs)
+
+
+def _sections(found: RigCheck, calibration: Calibration | None) -> list[ReportSection]:
     sections = []
-    if found.image is not None:
-        drawn = figures.camera_image(found.image)
+    if shown := evidence_report(found.findings, evidence_of(found, calibration)):
+        sections.append(ReportSection("What shows it", figures=shown))
+    if found.recording is not None:
+        drawn = figures.camera_image(found.recording.mean_image())
         alt, caption = "Camera image, the mean of all frames with fringes", "Mean of the frames with fringes."
         sections.append(
             ReportSection("What the camera sees", figures=(ReportFigure.of(drawn, alt, caption),))

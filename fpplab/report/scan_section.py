@@ -75,6 +75,8 @@ class ScanSection:
         Whether to believe it.
     provenance : Provenance or None
         Where it comes from.
+    evidence : tuple of ReportFigure
+        What shows each finding of the diagnosis.
     """
 
     name: str
@@ -89,6 +91,7 @@ class ScanSection:
     depth: DepthRange | None = None
     diagnosis: Diagnosis | None = None
     provenance: Provenance | None = None
+    evidence: tuple[ReportFigure, ...] = ()
 
 
 def scan_tables(scans: Sequence[ScanSection]) -> list[ReportTable]:
@@ -223,8 +226,9 @@ def _text(scan: ScanSection) -> str:
 
 
 def _pictures(scan: ScanSection) -> Iterator[ReportFigure]:
-    """Results first, then what they come from."""
+    """What speaks against the scan, then results, then what they come from."""
     name, cloud, decoded = scan.name, scan.cloud, scan.decoded
+    yield from scan.evidence
     if cloud is not None and scan.comparison is not None:
         yield error_figure(name, cloud, scan.comparison)
     if cloud is not None:

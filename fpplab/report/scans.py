@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison
 from fpplab.diagnosis import Diagnosis
 from fpplab.phase import Decoded, wrapped_phase
 from fpplab.phase.precision import uncertain_orders
 from fpplab.reconstruction.depth_range import DepthRange
+from fpplab.report.evidence import Evidence, evidence_report
 from fpplab.report.page import PageBasis, write_report
 from fpplab.report.provenance import Provenance
 from fpplab.report.scan_section import ScanSection
@@ -27,6 +29,7 @@ def write_scan_report(
     diagnosis: Diagnosis | None = None,
     *,
     provenance: Provenance | None = None,
+    calibration: Calibration | None = None,
     answer: Mapping[str, Any] | None = None,
 ) -> None:
     """Write the figures of one scan as an HTML page.
@@ -47,6 +50,8 @@ def write_scan_report(
         Whether to believe it.
     provenance : Provenance, optional
         Where it comes from.
+    calibration : Calibration, optional
+        That it was reconstructed with.
     answer : mapping of str to object, optional
         What the command prints with `--json`.
 
@@ -57,7 +62,11 @@ def write_scan_report(
     """
     name = session.path.name
     section = scan_section(
-        name, session, decoded, cloud, depth=depth, diagnosis=diagnosis, provenance=provenance
+        *(name, session, decoded, cloud),
+        depth=depth,
+        diagnosis=diagnosis,
+        provenance=provenance,
+        calibration=calibration,
     )
     write_report(path, f"Scan {name}", scans=[section], basis=PageBasis(answer=answer or {}))
 
@@ -71,6 +80,7 @@ def scan_section(
     depth: DepthRange | None = None,
     diagnosis: Diagnosis | None = None,
     provenance: Provenance | None = None,
+    calibration: Calibration | None = None,
 ) -> ScanSection:
     """Make the section of one scan: the finest fringes along the first axis, and the results.
 
@@ -92,6 +102,8 @@ def scan_section(
         Whether to believe it.
     provenance : Provenance, optional
         Where it comes from.
+    calibration : Calibration, optional
+        That it was reconstructed with.
 
     Returns
     -------
@@ -101,6 +113,7 @@ def scan_section(
     recording = session.recording(verify=False)
     fringe, frames = recording.finest()
     wrapped = wrapped_phase(frames, fringe)
+    findings = diagnosis.findings if diagnosis else ()
     return ScanSection(
         name,
         session.plan.images,
@@ -114,4 +127,5 @@ def scan_section(
         depth=depth,
         diagnosis=diagnosis,
         provenance=provenance,
+        evidence=evidence_report(findings, Evidence(recording, decoded, cloud, calibration)),
     )

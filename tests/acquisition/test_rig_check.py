@@ -42,7 +42,7 @@ def test_all_is_well_with_a_good_rig() -> None:
     found = checked(None, 3)
     assert found.summary()["ok"]
     assert found.unknown == ()
-    assert found.image is not None
+    assert found.recording is not None
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_fringes_that_are_not_in_flash_are_not_checked(monkeypatch: pytest.Monke
     holding(monkeypatch, "")
     found = with_plan(PLANS["three"], drawn(None, 6).calibration)
     assert found.findings == ()
-    assert found.image is None
+    assert found.recording is None
     assert found.unknown == ("light, focus and geometry: the plan is not in flash; upload it",)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import Lattice
+from fpplab.core.conventions import Lattice, axis_length
 from fpplab.core.geometry import Pinhole
 from fpplab.diagnosis import FaultCause, diagnose_frames
 from fpplab.diagnosis.brightness import colour_finding
@@ -82,11 +82,26 @@ def test_real_captures_are_good_as_they_are(captures: Path, name: str) -> None:
     assert named(real(captures, name)) == []
 
 
+def with_soft_fringes(recording: Recording, sigma_px: float) -> Recording:
+    """As a projector out of focus shows them: fringes lose contrast, the finer the more; edges stay sharp."""
+    starts, frames = recording.plan.set_starts, []
+    for k, fringe in enumerate(recording.plan.fringes):
+        own = np.array(recording.frames[starts[k] : starts[k + 1]], np.float64)
+        frequency = fringe.stripes / axis_length(recording.projector_size, fringe.axis)
+        left = np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)
+        soft = own.mean(axis=0) + left * (own - own.mean(axis=0))
+        frames += list(np.rint(soft).astype(np.uint8))
+    return replace(recording, frames=frames)
+
+
+@pytest.mark.slow
 def test_faults_added_to_real_captures_are_named(captures: Path) -> None:
     right = real(captures, "calseq1")
     random = np.random.default_rng(4)
     blurred = [cv2.GaussianBlur(frame, (0, 0), 6.0) for frame in right.frames]
     assert named(replace(right, frames=blurred))[0] == "camera_focus"
+    finest = max(f.stripes / axis_length(right.projector_size, f.axis) for f in right.plan.fringes)
+    assert named(with_soft_fringes(right, 0.25 / finest))[0] == "projector_focus"
     bright = [np.clip(2.5 * frame.astype(np.float64), 0, 255).astype(np.uint8) for frame in right.frames]
     assert named(replace(right, frames=bright))[0] == "saturated"
     moved = [np.roll(frame, random.integers(-3, 4, 2), (0, 1)) for frame in right.frames]

@@ -270,7 +270,13 @@ def test_points_that_stay_keep_what_is_known_of_them() -> None:
     assert kept.normals is not None
     # Beside the strays, whose depth would have spoilt them.
     np.testing.assert_allclose(kept.normals, [[0.0, 0.0, -1.0]] * len(kept), atol=0.2)
-    assert removal(result) == {"contradiction": 0, "half_lit": 0, "isolated": 4, "flying": 0, "share": 4 / (W * H)}
+    assert removal(result) == {
+        "contradiction": 0,
+        "half_lit": 0,
+        "isolated": 4,
+        "flying": 0,
+        "share": 4 / (W * H),
+    }
 
 
 def test_maps_keep_disagreement_and_removal_on_disk(tmp_path: Path) -> None:

@@ -61,6 +61,8 @@ class Bench:
     """Which of three colours is weak, and its share of the others' light."""
     bands: float = 0.0
     """Amplitude of the rows' brightness, with another phase in each frame."""
+    stated: Plan | None = None
+    """The plan that the frames are said to be of; by default that which was shown."""
     mains_hz: float = 0.0
     """Frequency of a lamp whose light changes by `mains`."""
     mains: float = 0.0
@@ -90,7 +92,7 @@ class Bench:
                 slope = (twin.expected(0, patterns, settings) - still) / 0.02
                 seen = seen + random.normal(0, self.vibration_mm, (len(still), 1, 1)) * slope
         frames = self.digitised(np.asarray(seen, np.float64), random)
-        return Recording(frames, self.plan, size, self.bits, "bench")
+        return Recording(frames, self.stated or self.plan, size, self.bits, "bench")
 
     def reaching(self, pattern: Pattern) -> Pattern:
         """What of a pattern reaches what the camera sees, as the display shows it."""
@@ -210,7 +212,10 @@ def _odd(bench: Bench, random: np.random.Generator) -> Bench:
 
 def _valley(bench: Bench, random: np.random.Generator) -> Bench:
     blur = float(random.uniform(1.0, 4.0))
-    return replace(bench, bounce=float(random.uniform(0.15, 0.5)), bounce_blur_px=blur)
+    bounce = float(random.uniform(0.15, 0.5))
+    # As much light as before, or the image would be saturated besides.
+    exposed = replace(bench.parameters, white=bench.parameters.white / (1.0 + bounce))
+    return replace(bench, bounce=bounce, bounce_blur_px=blur, parameters=exposed)
 
 
 def _colourless(bench: Bench, random: np.random.Generator) -> Bench:
@@ -220,6 +225,22 @@ def _colourless(bench: Bench, random: np.random.Generator) -> Bench:
 
 def _banded(bench: Bench, random: np.random.Generator) -> Bench:
     return replace(bench, bands=float(random.uniform(0.04, 0.2)))
+
+
+def _misstated(bench: Bench, random: np.random.Generator) -> Bench:
+    """Said to be of another plan: a set shifted the other way, two exchanged, or other stripes."""
+    bench = replace(bench, plan=PLANS[str(random.choice(["twelve", "four"]))])
+    sets, kind = list(bench.plan.fringes), int(random.integers(3))
+    if kind == 0:
+        k = int(random.integers(len(sets)))
+        sets[k] = sets[k].model_copy(update={"shift_sign": -1})
+    elif kind == 1:
+        k = int(random.integers(len(sets) - 1))
+        sets[k : k + 2] = sets[k + 1], sets[k]
+    else:
+        off = int(random.integers(3, 9)) * int(random.choice([-1, 1]))
+        sets[-1] = sets[-1].model_copy(update={"stripes": sets[-1].stripes + off})
+    return replace(bench, stated=bench.plan.model_copy(update={"fringes": tuple(sets)}))
 
 
 def _mains(bench: Bench, random: np.random.Generator) -> Bench:
@@ -262,6 +283,7 @@ FAULTS: dict[str, Fault] = {
     "wrong_resolution": _scaled,
     "missing_colour": _colourless,
     "bands": _banded,
+    "wrong_plan": _misstated,
 }
 FAULTS_IN_TIME: dict[str, Fault] = {"mains_flicker": _mains}
 """Those that frames without their times do not show."""

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,12 +89,18 @@ class FormulaProjector(ReferenceProjector):
         return ProjectorCaps(size, Lattice.SQUARE, {1: 2e-4, 8: 8e-3}, 1, 200)
 
 
-def formula_rig(cause: str | None, seed: int) -> Rig:
-    """The rig, not open yet."""
-    own = "tests.support.faulty_rig:Formula"
+class FormulaDevices(NamedTuple):
+    """Where the devices of a rig by formulas come from, as `backend` says."""
+
+    camera: str = f"{__name__}:FormulaCamera"
+    projector: str = f"{__name__}:FormulaProjector"
+
+
+def formula_rig(cause: str | None, seed: int, devices: FormulaDevices = FormulaDevices(), **more: Any) -> Rig:  # noqa: B008
+    """The rig, not open yet; `more` goes to the bench, for devices that have faults of their own."""
     sections = {
-        "bench": {"backend": own + "Bench", "seed": seed, "cause": cause},
-        "camera": {"backend": own + "Camera"},
-        "projector": {"backend": own + "Projector"},
+        "bench": {"backend": f"{__name__}:FormulaBench", "seed": seed, "cause": cause, **more},
+        "camera": {"backend": devices.camera},
+        "projector": {"backend": devices.projector},
     }
     return Rig(config.validate({"name": "formulas", **sections}, RigFile, "rig"), Path(), "rig.yaml")

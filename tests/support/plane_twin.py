@@ -155,14 +155,11 @@ class PlaneTwin:
         out = np.zeros((len(patterns), height, width), np.float32)
         blur = self._blur_px(pose.translation[2], now.projector_focus_mm, now.projector_aperture_mm, 1300.0)
         sigma = float(np.hypot(now.projector_blur, blur))
-        for x, y, u, v, fall in self._maps(pose):
+        for ink, there, u, v, fall in self._maps(pose):
             if board:
-                column = (x + 0.5 * TARGET.size_mm[0]) * PX_PER_MM + 19.5
-                row = (y + 0.5 * TARGET.size_mm[1]) * PX_PER_MM + 19.5
-                ink, there = (between(picture, column, row) for picture in (self._print, self._board))
                 albedo = (now.paper * (there - ink) + now.ink * ink).astype(np.float32)
             else:
-                albedo = np.full(x.shape, 0.9, np.float32)
+                albedo = np.full(u.shape, 0.9, np.float32)
             for n, pattern in enumerate(patterns):
                 light = now.response.apply(pattern.image / 255.0).astype(np.float32)
                 light = cv2.GaussianBlur(light, (0, 0), sigma)
@@ -186,7 +183,7 @@ class PlaneTwin:
         return np.hypot((u - 230) / 1216, (v - 150) / 1216)
 
     def _maps(self, pose: RigidTransform) -> list[tuple[Floats, ...]]:
-        """Board x, y, projector u, v and irradiance at the two samples of every pixel."""
+        """Ink and board there, projector u, v and irradiance at the two samples of every pixel."""
         now = self._now.calibration
         key = np.concatenate(
             [pose.matrix.ravel(), now.camera.matrix.ravel(), now.camera.distortion,
@@ -209,9 +206,11 @@ class PlaneTwin:
         pixel = now.projector.project(at)
         distance = np.linalg.norm(at, axis=-1)
         cosine = np.abs((points - now.projector_centre) @ normal) / distance
+        column = (on_board[..., 0] + 0.5 * TARGET.size_mm[0]) * PX_PER_MM + 19.5
+        row = (on_board[..., 1] + 0.5 * TARGET.size_mm[1]) * PX_PER_MM + 19.5
         return (
-            on_board[..., 0],
-            on_board[..., 1],
+            between(self._print, column, row),
+            between(self._board, column, row),
             pixel[..., 0],
             pixel[..., 1],
             cosine * (475 / distance) ** 2,

@@ -14,6 +14,7 @@ from fpplab.core.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
     from fpplab.acquisition.rig_check import RigCheck
+    from fpplab.calibration.model import Calibration
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
 
@@ -29,7 +30,7 @@ def check_command(
         Path | None,
         typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Picture of the levels seen, as PNG.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for a picture of each finding.")] = None,
     page: ReportOption = None,
     steps: Annotated[
         bool,
@@ -45,22 +46,23 @@ def check_command(
     fringes, and names what is wrong with light, focus, response, and motion. With --calibration it takes
     fringes along both axes and tells whether the calibration is still the rig's. With --steps it tries one
     thing after another instead, as on the first day with a rig, and stops where it has to. The exit code is
-    0 when all is well, 3 with findings.
+    0 when all is well, 3 with findings. --out keeps a picture of each finding: the frame, map or curve that
+    shows it.
 
     Example: `fpplab check --rig rig_demo --plan plan_paper --calibration calibration.yaml`
     """
     from fpplab.acquisition import rig_check
     from fpplab.calibration.model import Calibration
-    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.devices.rig import Rig
     from fpplab.patterns.plan import Plan
     from fpplab.report.provenance import rig_provenance
-    from fpplab.report.response_figures import marker_levels
 
-    for path, suffix in ((out, ".png"), (page, ".html")):
+    for path in (out, page):
         if path:
-            need_suffix(path, suffix)
             refuse_existing(path, force)
+    if page:
+        need_suffix(page, ".html")
     wanted, bench = Plan.load(plan), Rig.load(rig)
     if steps:
         if calibration or out or page:
@@ -72,17 +74,16 @@ def check_command(
         found = rig_check.check_rig(
             bench, wanted, item, report, known, out.absolute().parent if out else Path.cwd()
         )
-    if out and found.runs:
-        drawn = marker_levels(found.shown, {run.how: run.levels for run in found.runs})
-        write_atomic(out, lambda stream: stream.write(drawn))
+    pictures = _keep_pictures(out, found, known) if out else []
     source = rig_provenance(
         *(found.rig, found.origin, wanted), calibration=known, file=calibration
     ).with_values(item=item)
     if page:
         from fpplab.report.check_page import write_check_report
 
-        write_check_report(page, found, source, found.summary())
+        write_check_report(page, found, source, found.summary(), known)
     answer = {**found.summary(), "provenance": source.summary(), "report": str(page) if page else None}
+    answer |= {"pictures": pictures}
     console.answer(answer, json, lambda: _show_check(found))
     if found.findings:
         raise console.Answered(DeviceError.exit_code)
@@ -103,6 +104,30 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
     console.answer({"ok": ok, "steps": [asdict(step) for step in found]}, json, lambda: None)
     if not ok:
         raise console.Answered(DeviceError.exit_code)
+
+
+def _keep_pictures(folder: Path, found: RigCheck, calibration: Calibration | None) -> list[str]:
+    """Write a picture of what shows each finding, numbered as they are ranked, and of the levels seen."""
+    from fpplab.core.errors import DataError
+    from fpplab.core.files import write_atomic
+    from fpplab.report.check_page import evidence_of
+    from fpplab.report.evidence import evidence_pictures
+    from fpplab.report.response_figures import marker_levels
+
+    given = evidence_of(found, calibration)
+    drawn = {
+        f"{1 + found.findings.index(one):02d}_{one.cause.value}.png": picture
+        for one, picture in evidence_pictures(found.findings, given)
+    }
+    if given.runs:
+        drawn["levels.png"] = marker_levels(found.shown, given.runs)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be made: {error}; choose another --out") from error
+    for name, picture in drawn.items():
+        write_atomic(folder / name, lambda stream, content=picture: stream.write(content))
+    return [str(folder / name) for name in drawn]
 
 
 def _show_check(found: RigCheck) -> None:

@@ -71,7 +71,10 @@ def reconstruct_command(
         except UselessScanError as error:
             found = error.diagnosis
             write_scan_report(
-                *(page, recorded, None, None, used, found), provenance=source, answer=found.summary()
+                *(page, recorded, None, None, used, found),
+                provenance=source,
+                calibration=known,
+                answer=found.summary(),
             )
             raise
         viewer.show(MeasurementView.results, None, cloud, used, None)
@@ -86,7 +89,10 @@ def reconstruct_command(
             "seconds": seconds(),
         }
         write_scan_report(
-            *(page, recorded, decoded, cloud, used, diagnosis), provenance=source, answer=result
+            *(page, recorded, decoded, cloud, used, diagnosis),
+            provenance=source,
+            calibration=known,
+            answer=result,
         )
         diagnosis.require_usable(str(session))
         save_cloud(cloud, out)

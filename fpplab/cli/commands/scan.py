@@ -107,6 +107,7 @@ def scan_command(
                     write_scan_report(
                         *(out / REPORT, session, *results, used, error.diagnosis),
                         provenance=source,
+                        calibration=known,
                         answer=error.diagnosis.summary(),
                     )
                     raise
@@ -125,6 +126,7 @@ def scan_command(
                 write_scan_report(
                     *(out / REPORT, session, decoded, cloud, used, diagnosis),
                     provenance=source,
+                    calibration=known,
                     answer=result,
                 )
             session.check_kept()

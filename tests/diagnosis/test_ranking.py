@@ -1,0 +1,46 @@
+"""Causes rank before what they bring about."""
+
+from __future__ import annotations
+
+from fpplab.diagnosis import FaultCause, Finding
+from fpplab.diagnosis.ranking import MUTUAL, SIDE_EFFECTS, ranked
+
+
+def order(**excess: float) -> list[str]:
+    found = [Finding(FaultCause(name), "", value) for name, value in excess.items()]
+    return [one.cause.value for one in ranked(found)]
+
+
+def test_a_side_effect_ranks_behind_its_cause_however_much_it_exceeds_its_limit() -> None:
+    assert order(bands=9.0, vibration=2.0) == ["vibration", "bands"]
+    assert order(wrong_resolution=5.0, camera_focus=1.1) == ["camera_focus", "wrong_resolution"]
+
+
+def test_effects_of_effects_rank_behind_the_first_cause() -> None:
+    assert order(interreflection=9.0, flicker=7.0, vibration=2.0)[0] == "vibration"
+
+
+def test_findings_that_have_nothing_to_do_with_each_other_rank_by_their_excess() -> None:
+    assert order(small_angle=2.0, ambient=3.0) == ["ambient", "small_angle"]
+
+
+def test_of_bands_and_flicker_the_one_that_leaves_more_is_the_cause() -> None:
+    assert order(bands=2.0, flicker=1.9) == ["flicker", "bands"]
+    assert order(bands=4.0, flicker=2.0) == ["bands", "flicker"]
+
+
+def test_light_between_surfaces_bends_fringes_but_not_the_other_way_round() -> None:
+    assert order(interreflection=2.0, harmonics=1.2) == ["interreflection", "harmonics"]
+    assert order(interreflection=1.1, harmonics=4.0) == ["harmonics", "interreflection"]
+
+
+def test_another_rigs_calibration_is_first_unless_something_else_shifts_points() -> None:
+    assert order(stale_calibration=2.0, ambient=5.0) == ["stale_calibration", "ambient"]
+    assert order(stale_calibration=4.0, saturated=2.0) == ["saturated", "stale_calibration"]
+    assert order(stale_calibration=40.0, saturated=2.0) == ["stale_calibration", "saturated"]
+
+
+def test_every_cause_leaves_its_effects_ways_out() -> None:
+    """No cause is its own effect, and mutual pairs are not decided by the table as well."""
+    assert all(cause not in effects for cause, effects in SIDE_EFFECTS.items())
+    assert all(b not in SIDE_EFFECTS.get(a, ()) or a not in SIDE_EFFECTS.get(b, ()) for a, b in MUTUAL)

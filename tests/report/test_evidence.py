@@ -1,0 +1,54 @@
+"""Each finding has its picture, in the report of a scan and in the folder of a check."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image as Pixels
+
+from fpplab.acquisition.sync_check import marker
+from fpplab.diagnosis import FaultCause, Finding
+from fpplab.phase import decode
+from fpplab.reconstruction.points import points_of
+from fpplab.report.evidence import IN_WORDS, OF_POSES, PICTURES, Evidence, evidence_pictures, evidence_report
+from tests.support.faulty_bench import PLANS, healthy
+
+
+@pytest.fixture(scope="module")
+def given() -> Evidence:
+    bench = healthy(7)
+    assert bench.plan is PLANS["both"]
+    recording = bench.recording()
+    decoded, cloud = points_of(decode(recording), bench.calibration, bench.plan, recording.mean_image())
+    shown = marker()
+    return Evidence(
+        recording, decoded, cloud, bench.calibration, shown, {"stepped": np.roll(shown, 1) / 255.0}
+    )
+
+
+def test_every_cause_is_drawn_or_has_its_place_elsewhere() -> None:
+    assert set(PICTURES) | IN_WORDS | OF_POSES == set(FaultCause)
+    assert not set(PICTURES) & (IN_WORDS | OF_POSES)
+
+
+def test_each_picture_is_another_drawing_with_something_on_it(given: Evidence) -> None:
+    findings = [Finding(cause, "1.2 of 1", 1.2) for cause in PICTURES]
+    drawn = evidence_pictures(findings, given)
+    assert [one.cause for one, _ in drawn] == list(PICTURES)
+    for one, picture in drawn:
+        with Pixels.open(io.BytesIO(picture)) as image:
+            assert np.asarray(image.convert("L")).std() > 5.0, one.cause
+
+
+def test_what_was_not_taken_is_not_drawn() -> None:
+    findings = [Finding(cause, "", 1.0) for cause in FaultCause]
+    drawn = [one.cause for one, _ in evidence_pictures(findings, Evidence())]
+    assert drawn == [FaultCause.SLOW_LINK, FaultCause.SLOW_DISK]
+
+
+def test_the_caption_tells_value_and_limit(given: Evidence) -> None:
+    words = "33 % of the lit pixels are saturated (at most 5 %)"
+    (figure,) = evidence_report([Finding(FaultCause.SATURATED, words, 6.6)], given)
+    assert figure.caption == f"Saturated: {words}."
