@@ -28,8 +28,8 @@ from fpplab.viewer.server import OWN_GROUP, Shown
 from fpplab.viewer.view import CommandView
 
 FINISH_S = 120.0
-"""Longest time in s in which what waits is drawn and the recording written when the work is done; a second on a
-computer that has nothing else to do."""
+"""Longest time in s in which what waits is drawn and the recording written when the work is done: a second,
+unless the computer has much else to do."""
 
 QUIET_S = 10.0
 """Time in s without any work of the process after which it is not waited for: it hangs."""
