@@ -41,10 +41,10 @@ def test_a_useless_result_is_not_written(fpplab: Command, tmp_path: Path) -> Non
     assert first["evidence"] in done.err
     assert first["remedy"] in done.err
     assert not (tmp_path / "cloud.ply").exists()
-    page = (tmp_path / "cloud.html").read_text()  # without a single point, but with the cause and a frame
+    page = (tmp_path / "cloud.html").read_text()  # without a single point, but with what shows it and a frame
     assert 'class="verdict useless"' in page
     assert "projector focus" in page
-    assert page.count("<img") == 1
+    assert page.count("<img") == len(done.json["findings"]) + 1
 
 
 def test_a_doubtful_result_is_told_first(fpplab: Command, tmp_path: Path) -> None:

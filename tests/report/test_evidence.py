@@ -33,10 +33,10 @@ def test_every_cause_is_drawn_or_has_its_place_elsewhere() -> None:
     assert not set(PICTURES) & (IN_WORDS | OF_POSES)
 
 
-def test_each_picture_is_another_drawing_with_something_on_it(given: Evidence) -> None:
-    findings = [Finding(cause, "1.2 of 1", 1.2) for cause in PICTURES]
-    drawn = evidence_pictures(findings, given)
-    assert [one.cause for one, _ in drawn] == list(PICTURES)
+def test_each_picture_has_something_on_it(given: Evidence) -> None:
+    causes = list({picture: cause for cause, picture in PICTURES.items()}.values())
+    drawn = evidence_pictures([Finding(cause, "1.2 of 1", 1.2) for cause in causes], given)
+    assert [one.cause for one, _ in drawn] == causes
     for one, picture in drawn:
         with Pixels.open(io.BytesIO(picture)) as image:
             assert np.asarray(image.convert("L")).std() > 5.0, one.cause
