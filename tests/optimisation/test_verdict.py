@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from typer.testing import CliRunner
 
-from fpplab.diagnosis import Diagnosis, Verdict
+from fpplab.cli import app
+from fpplab.core import config
+from fpplab.diagnosis import Diagnosis, UselessScanError, Verdict
+from fpplab.optimisation import run
+from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.candidate_runner import BudgetExhausted
 from fpplab.optimisation.confirm_result import ConfirmedPlan
 from fpplab.optimisation.objectives import MeasuredCandidate
 from fpplab.optimisation.result import SearchResult
 from fpplab.optimisation.verdict import diagnose_search
-from tests.support.searching import Formula, runner_of
+from fpplab.report import optimisation as report
+from tests.support.searching import PLAIN, Calculated, Formula, runner_of
 
 SEEDS = [1, 2, 3, 4, 5]
 SPACE = {"stripes": [None, None, [30, 150]]}
@@ -143,3 +149,33 @@ def test_the_fewest_images_are_not_judged_by_distance(tmp_path: Path) -> None:
     result = searched(tmp_path, Formula(noise_um=0.1), **changes)
     assert result.optimum.candidate.images < result.start.candidate.images
     assert diagnose_search(result).verdict is Verdict.GOOD
+
+
+def test_the_command_leaves_no_plan_that_is_worse_than_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A formula stands for the rig; with the seeds that the search did not use its valley lies elsewhere."""
+
+    @dataclass(frozen=True)
+    class Elsewhere(Formula):
+        def __call__(self) -> Calculated:
+            return _Moved(self)
+
+    class _Moved(Calculated):
+        def measure(self, candidate: Candidate, seed: int) -> tuple[Score, ...]:
+            valley = 100.0 if seed <= len(SEEDS) else 20.0
+            return Calculated(replace(self.formula, best_stripes=valley)).measure(candidate, seed)
+
+    really = run.run_search
+    monkeypatch.setattr(run, "run_search", lambda *a, **more: really(*a, **{**more, "factory": Elsewhere()}))
+    monkeypatch.setattr(report, "measure_search_maps", lambda rig, found: report.SearchMaps({}, {}))
+    wanted = {**PLAIN, "artefacts": ["pyramid", "steps"], "space": SPACE, "seeds": SEEDS}
+    (tmp_path / "study.yaml").write_text(config.to_yaml(wanted))
+    words = ["optimise", "stripes", "--rig", "rig_demo", "--study", tmp_path / "study.yaml", "--workers", 1]
+    done = CliRunner().invoke(app, [*map(str, words), "--out", str(tmp_path / "plan.yaml"), "--json"])
+    assert isinstance(done.exception, UselessScanError)
+    assert done.exception.exit_code == 4
+    assert done.exception.details["verdict"] == "useless"
+    assert done.exception.diagnosis.findings[0].cause == "no_gain"
+    assert not (tmp_path / "plan.yaml").exists()
+    assert "Useless" in (tmp_path / "plan.html").read_text()
