@@ -19,6 +19,7 @@ from fpplab.cli import console
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Image, axis_length, phase_of_coordinate, phase_steps
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
@@ -148,6 +149,7 @@ class Scene:
     def _seen(self, light: Floats, coordinate: Floats, plan: Plan, index: int, step: int) -> Image:
         """One image: blurred, with light that goes round, noise and rounding."""
         fringe = plan.fringes[index]
+        assert isinstance(fringe, Sinusoid)
         phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(RIG.projector.size, fringe.axis))
         wave = 0.52 + 0.48 * np.cos(phase - phase_steps(fringe.steps)[step])
         fine = gaussian_filter((light * wave).reshape(HEIGHT * RAYS, -1), RAYS * self._blur_px)
