@@ -19,6 +19,7 @@ from fpplab.cli import console
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import Floats, Image, axis_length, phase_of_coordinate, phase_steps
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import FilterRules, Plan
 from fpplab.patterns.recording import Recording
 from fpplab.phase import Decoded, decode
@@ -29,10 +30,10 @@ WIDTH, HEIGHT, RAYS = 560, 480, 4
 RIG = Calibration(
     Pinhole.from_focal((WIDTH, HEIGHT), (2190.0, 2190.0), ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)),
     Pinhole.from_focal((1824, 1140), (2609.0, 2605.0), (857.0, 1121.0)),
-    RigidTransform.from_vectors(np.radians([6.0, 23.0, 2.0]), np.array([-150.0, 70.0, 20.0])),
+    RigidTransform.from_vectors(np.radians([9.0, 13.1, 7.9]), np.array([-144.6, -37.1, 73.2])),
     {},
 )
-SEEDS = range(100, 108)
+SEEDS = range(200, 204)
 """Not those by which the rule was chosen."""
 RULES = {
     "flying": FilterRules(disagreement_max=None, light_min=0.0, patch_min=1),
@@ -148,6 +149,7 @@ class Scene:
     def _seen(self, light: Floats, coordinate: Floats, plan: Plan, index: int, step: int) -> Image:
         """One image: blurred, with light that goes round, noise and rounding."""
         fringe = plan.fringes[index]
+        assert isinstance(fringe, Sinusoid)
         phase = phase_of_coordinate(coordinate, fringe.stripes, axis_length(RIG.projector.size, fringe.axis))
         wave = 0.52 + 0.48 * np.cos(phase - phase_steps(fringe.steps)[step])
         fine = gaussian_filter((light * wave).reshape(HEIGHT * RAYS, -1), RAYS * self._blur_px)

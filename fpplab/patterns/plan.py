@@ -60,7 +60,8 @@ class FilterRules(Document):
     """Greatest disagreement between the fringe sets, in units of what noise explains; null where they may
     disagree, as under stray light."""
     light_min: Annotated[float, Field(ge=0, lt=1)] = 0.9
-    """Least modulation of a point at an edge, as a share of that of the surface it continues; 0 asks for none."""
+    """Least modulation of a point at an edge, as a share of that of the surface it continues; 0 leaves the
+    rule out."""
     flying: bool = True
     """Whether points are removed that are across a jump in depth from most of the pixels around them."""
     patch_min: Annotated[int, Field(ge=1)] = 25

@@ -16,10 +16,10 @@ half lit
 isolated
     A connected region of fewer than `patch_min` pixels is no surface: its fringe orders are wrong from noise.
 flying
-    A point between two surfaces is across a jump in depth from both: from more of the pixels around it than it
-    forms a surface with. On the edge of a surface most of the neighbours that have a point are of that surface.
-    A majority decides, so half of the usual allowance for noise is enough for each neighbour. A pixel without
-    neighbours is not judged by this rule.
+    A point between two surfaces is across a jump in depth from both: from more of the pixels around it than
+    it forms a surface with. On the edge of a surface most of the neighbours that have a point are of that
+    surface. A majority decides, so half of the usual allowance for noise is enough for each neighbour. A
+    pixel without neighbours is not judged by this rule.
 
 They are applied in this order, and what one has removed is an edge to the next. Depth discontinuities are
 those of `fpplab.clouds.pixelgrid`, so a steep surface is none. No rule uses the true shape.
@@ -144,8 +144,8 @@ def removal(decoded: Decoded) -> dict[str, int | float] | None:
     Returns
     -------
     dict[str, int | float] or None
-        Number of points by rule (`contradiction`, `half_lit`, `isolated`, `flying`) and `share`, their sum relative
-        to the number of valid pixels; None when no filter was applied.
+        Number of points by rule (`contradiction`, `half_lit`, `isolated`, `flying`) and `share`, their sum
+        relative to the number of valid pixels; None when no filter was applied.
     """
     if decoded.removed is None:
         return None
