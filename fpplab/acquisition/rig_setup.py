@@ -19,8 +19,9 @@ from fpplab.core import config
 from fpplab.core.conventions import Image, full_scale
 from fpplab.core.errors import ConfigError, DeviceError, FppError
 from fpplab.devices import Camera, CameraSettings, Device, Projector, Stage
+from fpplab.devices.backends import load_backend
 from fpplab.devices.discovery import FoundDevice, FoundDevices
-from fpplab.devices.rig import RigFile, load_backend
+from fpplab.devices.rig import RigFile
 from fpplab.patterns.fringes import uniform_patterns
 
 Chosen = TypeVar("Chosen", bound=Device)
