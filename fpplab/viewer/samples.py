@@ -88,7 +88,7 @@ def sample_observer(viewer: Viewer[SampleView]) -> SampleObserver:
     def observe(arrays: Arrays, record: dict[str, Any]) -> None:
         shown = {name: subsampled(arrays[name]).copy() for name in SHOWN if name != "wrapped_phase"}
         shown["wrapped_phase"] = subsampled(arrays["wrapped_phase"][-1]).copy()
-        shown["normals"] = subsampled(arrays["normals"]).copy()
+        shown["normals"] = subsampled(np.moveaxis(arrays["normals"], 0, -1)).copy()
         shown[FRAMES] = subsampled(arrays[FRAMES][-1]).copy()
         viewer.show_one_of_many(SampleView.sample, shown, record)
 
