@@ -1,7 +1,7 @@
 """Faults named by their own frames: simulated and emulated benches, at strengths and seeds that set no limit.
 
-Limits were chosen on seeds 100 to 112, 500 to 559 and 700 to 770, and on the captures of a real rig; these are
-judged on others. Strengths are drawn, like everything else of a bench, by its seed.
+Limits were chosen on seeds 100 to 112, 500 to 559 and 700 to 770, and on the captures of a real rig; these
+are judged on others. Strengths are drawn, like everything else of a bench, by its seed.
 """
 
 from __future__ import annotations
