@@ -22,6 +22,9 @@ LEAST_COLOUR = 0.9
 FEWEST_STRIPES = 4.0
 """Stripes of a set from which on the mean of a frame does not depend on its phase."""
 
+MANY_STRIPES = 16.0
+"""Stripes of a set from which on it does not either where the camera sees a part of them."""
+
 DISTINCT = 4.0
 """How many times the scatter of all frames' brightness a colour must be off."""
 
@@ -68,7 +71,10 @@ def missing_colour(sample: FrameSample) -> Finding | None:
     """
     plan = sample.recording.plan
     starts = zip(pairwise(plan.set_starts), plan.fringes, strict=True)
-    fine = [k for (a, b), one in starts if one.stripes >= FEWEST_STRIPES for k in range(a, b)]
+    frames = [(one.stripes, k) for (a, b), one in starts for k in range(a, b)]
+    fine, finest = ([k for stripes, k in frames if stripes >= n] for n in (FEWEST_STRIPES, MANY_STRIPES))
+    # Of 8 stripes the camera may see 3, so that the mean of a frame still depends on their phase a little.
+    fine = finest if len(finest) >= 2 * COLOURS else fine
     if len(fine) < COLOURS:
         return None
     return colour_finding(frame_levels(sample)[fine], np.array(fine))

@@ -397,16 +397,15 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Fin
         None where the fringes have the contrast of a rig in focus.
     """
     seen = [
-        (found, axis)
+        (found[1] / _sharp_contrast(sample, axis), found, axis)
         for axis in sample.recording.plan.axes
         if (found := fringe_blur_px(sample, axis)) is not None
     ]
     if not seen:
         return None
-    (blur, contrast), axis = max(seen)
-    finest, _ = sample.recording.finest(axis)
-    frequency = finest.stripes / axis_length(sample.recording.projector_size, axis)
-    sharp = math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)
+    # Fringes of another axis may be so wide that they keep their contrast.
+    _, (blur, contrast), axis = min(seen)
+    sharp = _sharp_contrast(sample, axis)
     edge = edge_blur_px(sample)
     scale = projector_px_per_px or 1.0
     of_camera = edge is not None and scale * edge > CAMERA_SHARE * blur
@@ -420,3 +419,10 @@ def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Fin
         f"in focus): blurred by {blur:.1f} projector px; {edges}"
     )
     return Finding(cause, words, max(LEAST_CONTRAST * sharp / max(contrast, 1e-3), 1.0))
+
+
+def _sharp_contrast(sample: FrameSample, axis: Axis) -> float:
+    """Contrast of the finest fringes along an axis of a rig in focus."""
+    finest, _ = sample.recording.finest(axis)
+    frequency = finest.stripes / axis_length(sample.recording.projector_size, axis)
+    return math.exp(-2 * (math.pi * FOCUSED_PX * frequency) ** 2)

@@ -148,7 +148,7 @@ def brightness_histogram(sample: FrameSample) -> Figure:
     brightest = sample.spread.max(axis=0)
     shown = brightest[sample.lit] if sample.lit.any() else brightest.ravel()
     figure, axes = single_axes(HALF, LOW)
-    axes.hist(100.0 * shown / 255.0, bins=np.linspace(0.0, 100.0, 101), color=ACCENT)
+    axes.hist(100.0 * shown / 255.0, bins=list(range(101)), color=ACCENT)
     _limit(axes, 100.0 * light.LEAST_PEAK, "least that the brightest should reach")
     axes.set(xlabel="brightest grey level of a pixel, in % of full scale", ylabel="pixels", xlim=(0, 100))
     return figure
@@ -513,7 +513,7 @@ def epipolar_map(points: PointSample, _: FrameSample) -> bytes | None:
     if off is None or points.cloud.pixels is None:
         return None
     width, height = points.calibration.camera.size
-    values = np.full((height, width), np.nan, np.float32)
+    values = np.full((height, width), np.nan)
     u, v = points.cloud.pixels.T
     values[v, u] = off
     return _epipolar(values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from pathlib import Path
 
 from fpplab.core import config
@@ -19,6 +20,6 @@ def test_pictures_are_numbered_as_the_findings_rank(fpplab: Command, tmp_path: P
     kept = [f"{k + 1:02d}_{cause}.png" for k, cause in enumerate(named)]
     assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == [*kept, "levels.png"]
     assert done.json["pictures"] == [str(tmp_path / "kept" / name) for name in (*kept, "levels.png")]
-    page = (tmp_path / "page.html").read_text()
+    page = html.unescape((tmp_path / "page.html").read_text())
     assert "What shows it" in page
     assert done.json["findings"][0]["evidence"] in page

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import typer
 
@@ -126,8 +127,12 @@ def _keep_pictures(folder: Path, found: RigCheck, calibration: Calibration | Non
     except OSError as error:
         raise DataError(f"{folder}: cannot be made: {error}; choose another --out") from error
     for name, picture in drawn.items():
-        write_atomic(folder / name, lambda stream, content=picture: stream.write(content))
+        write_atomic(folder / name, partial(_write, picture))
     return [str(folder / name) for name in drawn]
+
+
+def _write(content: bytes, stream: BinaryIO) -> None:
+    stream.write(content)
 
 
 def _show_check(found: RigCheck) -> None:
