@@ -184,13 +184,6 @@ RIG_FILES = [
     ),
     Fault("rig file: the stage moves unasked", SET_UP, "RigSetup._stage", "if home:", "if stage:"),
     Fault(
-        "rig file: a device that failed is named",
-        SET_UP,
-        "RigSetup._device",
-        "if self._ask is None:",
-        "if self._ask is None and not draft.sections.update({kind: dict(chosen.section)}):",
-    ),
-    Fault(
         "rig file: over the one that is there",
         "fpplab/cli/commands/rig.py",
         "new_command",
