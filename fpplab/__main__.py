@@ -1,13 +1,17 @@
 """The program `fpplab`, and `python -m fpplab`."""
 
 import os
+import signal
 import sys
-
-from fpplab.core import interrupts
 
 
 def main() -> None:
     """Run the command that `sys.argv` names; an interruption while the program is loaded ends it too."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: os._exit(130))  # nothing has begun
+    from fpplab.core import interrupts
+
     interrupts.watch_signals()
     open_standard_streams()
     try:

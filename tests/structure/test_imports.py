@@ -23,7 +23,7 @@ LOADERS = {
     "fpplab/artefacts/catalogue.py",  # the files of `fpplab.artefacts.shapes`
     "fpplab/cli/__init__.py",  # the files of `fpplab.cli.commands`
     "fpplab/core/kinds.py",  # the files of a package of kinds
-    "fpplab/devices/rig.py",  # what a rig file names
+    "fpplab/devices/backends.py",  # what a rig file names
     "fpplab/targets/kinds/__init__.py",  # the files of that package
 }
 """Where a module may be imported by a name that is data."""
