@@ -5,6 +5,7 @@ It ends when the other end of the pipe is closed, for whatever reason.
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 import warnings
@@ -35,6 +36,8 @@ HINTS = {
     b"SDL_RENDER_SCALE_QUALITY": b"nearest",
 }
 """SDL's hints, set before it starts."""
+UNSEEN = (b"offscreen", b"dummy")
+"""Video drivers that SDL falls back to where there is no display: nobody sees what they show."""
 REMEDY = "check the display's cable and settings"
 
 
@@ -205,6 +208,8 @@ def _video() -> Iterator[Any]:
             f"SDL finds no displays ({sdl2.SDL_GetError().decode()})", "start a graphical session"
         )
     try:
+        if sdl2.SDL_GetCurrentVideoDriver() in UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+            raise ScreenError("there is no graphical session", "start one, and run this in it")
         yield sdl2
     finally:
         sdl2.SDL_Quit()

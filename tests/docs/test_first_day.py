@@ -16,6 +16,7 @@ from drivers.emulators.bench import EmulatedFixture
 from drivers.emulators.dlpc350 import STRICT
 from fpplab.calibration.model import Calibration
 from fpplab.cli import app
+from fpplab.devices.discovery import FoundDevices
 from fpplab.devices.rig import Rig
 from fpplab.simulation.arrangeable import Arrangeable
 from tests.drivers.flash_board import Bench
@@ -74,6 +75,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setitem(sys.modules, "hid", board.hid)
     monkeypatch.setattr("drivers.clock.RealClock", lambda: clock)
     monkeypatch.setattr("drivers.discovery.usb_devices", lambda: ([], []))
+    for others in ("displays", "video_cameras", "producers"):  # of the computer that runs the test
+        monkeypatch.setattr(f"drivers.computer_discovery.{others}", lambda: FoundDevices([], []))
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     monkeypatch.setenv("PYLON_CAMEMU", "1")
     monkeypatch.setattr("fpplab.acquisition.rig_check.disk_finding", lambda *_: None)  # that of this computer

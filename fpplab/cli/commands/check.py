@@ -31,7 +31,12 @@ def check_command(
         Path | None,
         typer.Option("--calibration", help="Check that it is still the rig's, and the rig's geometry."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for a picture of each finding.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Folder for a picture of each finding; a .png for one of the levels seen."
+        ),
+    ] = None,
     page: ReportOption = None,
     steps: Annotated[
         bool,
@@ -107,7 +112,7 @@ def _check_steps(rig: Rig, plan: Plan, item: str, json: bool) -> None:
         raise console.Answered(DeviceError.exit_code)
 
 
-def _keep_pictures(folder: Path, found: RigCheck, calibration: Calibration | None) -> list[str]:
+def _keep_pictures(out: Path, found: RigCheck, calibration: Calibration | None) -> list[str]:
     """Write a picture of what shows each finding, numbered as they are ranked, and of the levels seen."""
     from fpplab.core.errors import DataError
     from fpplab.core.files import write_atomic
@@ -116,19 +121,22 @@ def _keep_pictures(folder: Path, found: RigCheck, calibration: Calibration | Non
     from fpplab.report.response_figures import marker_levels
 
     given = evidence_of(found, calibration)
-    drawn = {
-        f"{1 + found.findings.index(one):02d}_{one.cause.value}.png": picture
-        for one, picture in evidence_pictures(found.findings, given)
-    }
-    if given.runs:
-        drawn["levels.png"] = marker_levels(found.shown, given.runs)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made: {error}; choose another --out") from error
-    for name, picture in drawn.items():
-        write_atomic(folder / name, partial(_write, picture))
-    return [str(folder / name) for name in drawn]
+    levels = marker_levels(found.shown, given.runs) if given.runs else None
+    if out.suffix == ".png":
+        drawn = {out: levels} if levels else {}
+    else:
+        drawn = {
+            out / f"{1 + found.findings.index(one):02d}_{one.cause.value}.png": picture
+            for one, picture in evidence_pictures(found.findings, given)
+        }
+        drawn |= {out / "levels.png": levels} if levels else {}
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(f"{out}: cannot be made: {error}; choose another --out") from error
+    for path, picture in drawn.items():
+        write_atomic(path, partial(_write, picture))
+    return [str(path) for path in drawn]
 
 
 def _write(content: bytes, stream: BinaryIO) -> None:
