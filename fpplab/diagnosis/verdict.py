@@ -26,7 +26,14 @@ USELESS_SHARE = 0.1
 USELESS_POINTS = 0.001
 """Least share of the image that points must cover."""
 
-USELESS_EXCESS = {FaultCause.STALE_CALIBRATION: RUINOUS_OFFSET, FaultCause.WRONG_PLAN: 1.0}
+USELESS_EXCESS = {
+    FaultCause.STALE_CALIBRATION: RUINOUS_OFFSET,
+    FaultCause.WRONG_PLAN: 1.0,
+    FaultCause.WRONG_RESOLUTION: 2.0,
+    FaultCause.CAMERA_FOCUS: 2.0,
+    FaultCause.MISSING_COLOUR: 40.0,
+    FaultCause.INTERREFLECTION: 3.5,
+}
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
 
