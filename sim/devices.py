@@ -364,6 +364,7 @@ class SimCamera(Camera):
     def _open(self) -> None:
         self._index = 0
         self._clock_s = 0.0
+        self._bench.number_frames((), then=0)
 
     def _close(self) -> None:
         """Nothing to make safe."""

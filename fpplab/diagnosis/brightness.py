@@ -74,7 +74,7 @@ def missing_colour(sample: FrameSample) -> Finding | None:
     frames = [(one.stripes, k) for (a, b), one in starts for k in range(a, b)]
     fine, finest = ([k for stripes, k in frames if stripes >= n] for n in (FEWEST_STRIPES, MANY_STRIPES))
     # Of 8 stripes the camera may see 3, so that the mean of a frame still depends on their phase a little.
-    fine = finest if len(finest) >= 2 * COLOURS else fine
+    fine = finest if len(finest) >= 3 * COLOURS else fine
     if len(fine) < COLOURS:
         return None
     return colour_finding(frame_levels(sample)[fine], np.array(fine))
