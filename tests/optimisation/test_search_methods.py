@@ -50,7 +50,7 @@ from fpplab.optimisation.run import _search
 from tests.support.searching import runner_of, study
 
 runner = runner_of(Path(), method={"kind": "random", "count": 7})
-print(_search(runner), len(runner.epochs), 1 < len(runner.trials) <= 8)
+print(*_search(runner), len(runner.epochs), 1 < len(runner.trials) <= 8)
 try:
     study(method={"kind": "random", "count": "many"})
 except ConfigError as error:
@@ -72,7 +72,7 @@ def test_one_file_adds_a_method(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     ended, refused = done.stdout.splitlines()
-    assert ended == "every point was measured 2 True"
+    assert ended == "every point was measured False 2 True"
     assert refused.startswith("study.yaml: 'method.count' is 'many'")
 
 
