@@ -36,8 +36,8 @@ RIG = Calibration(
 SEEDS = range(200, 204)
 """Not those by which the rule was chosen."""
 RULES = {
-    "flying": FilterRules(disagreement_max=None, light_min=0.0, patch_min=1),
-    "isolated": FilterRules(disagreement_max=None, light_min=0.0, flying=False),
+    "flying": FilterRules(disagreement_max=0.0, light_min=0.0, patch_min=1),
+    "isolated": FilterRules(disagreement_max=0.0, light_min=0.0, flying=False),
     "others": FilterRules(flying=False),
     "all": FilterRules(),
 }

@@ -53,12 +53,19 @@ class MaskRules(Document):
     """
 
 
+def _zero_or_two(most: float) -> float:
+    """Refuse limits that noise alone exceeds."""
+    if 0.0 < most < 2.0:
+        raise ValueError("must be 0, for no limit, or at least 2")
+    return most
+
+
 class FilterRules(Document):
     """What a measured point must satisfy to be kept (`fpplab.reconstruction.filtering`)."""
 
-    disagreement_max: Annotated[float, Field(ge=2)] | None = 4.0
-    """Greatest disagreement between the fringe sets, in units of what noise explains; null where they may
-    disagree, as under stray light."""
+    disagreement_max: Annotated[float, Field(ge=0), AfterValidator(_zero_or_two)] = 4.0
+    """Greatest disagreement between the fringe sets, in units of what noise explains, at least 2; 0 leaves
+    the rule out, where they may disagree as under stray light."""
     light_min: Annotated[float, Field(ge=0, lt=1)] = 0.9
     """Least modulation of a point at an edge, as a share of that of the surface it continues; 0 leaves the
     rule out."""

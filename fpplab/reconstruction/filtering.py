@@ -104,7 +104,7 @@ def filtered(
         return decoded, cloud
     grid, removed = cloud.grid(), buffers.empty(decoded.u.shape, np.uint8)
     removed[:] = 0
-    if plan.order_vote is None and rules.disagreement_max is not None and decoded.disagreement is not None:
+    if plan.order_vote is None and rules.disagreement_max > 0.0 and decoded.disagreement is not None:
         limit = np.float32(_greatest_disagreement(decoded, rules.disagreement_max))
         _contradictory(decoded.disagreement, limit, grid.w, removed)
     across, down = _links(grid)

@@ -91,6 +91,7 @@ PICTURES: Mapping[FaultCause, Picture] = {
     FaultCause.CAMERA_NOT_READY: _of_marker,
     FaultCause.SLOW_DISPLAY: _of_marker,
     FaultCause.OUT_OF_STEP: _of_marker,
+    FaultCause.TRIGGER_SHIFTED: _of_marker,
     FaultCause.SLOW_LINK: _of_rate,
     FaultCause.SLOW_DISK: _of_rate,
     FaultCause.PROJECTOR_DARK: _of_frames(drawn.modulation_of_widest),
@@ -129,6 +130,29 @@ OF_POSES = frozenset(
     }
 )
 """Causes of a characterisation, whose report shows the residuals of every pose."""
+
+OF_RESULTS = frozenset(
+    {
+        FaultCause.ARTEFACT_MISFIT,
+        FaultCause.AT_BORDER,
+        FaultCause.ENDED_EARLY,
+        FaultCause.FAILED_CANDIDATES,
+        FaultCause.FEW_POSITIONS,
+        FaultCause.FLAT_OPTIMUM,
+        FaultCause.FORM,
+        FaultCause.LIMITS_BROKEN,
+        FaultCause.NO_GAIN,
+        FaultCause.NO_LIMITS,
+        FaultCause.NOISE,
+        FaultCause.NOT_CONFIRMED,
+        FaultCause.POINTS_MISFIT,
+        FaultCause.SCALE,
+        FaultCause.SPHERE_SIZE,
+        FaultCause.UNEVEN_LENGTHS,
+        FaultCause.UNLIKE_IMAGES,
+    }
+)
+"""Causes of an acceptance test, a matching or a search, whose pages draw what they judge."""
 
 
 def evidence_pictures(findings: Sequence[Finding], given: Evidence) -> list[tuple[Finding, bytes]]:

@@ -150,7 +150,7 @@ def test_loss_of_light_that_noise_explains_is_none() -> None:
     assert np.count_nonzero(removed[:, EDGE - 1] == Rule.HALF_LIT) <= 0.05 * H
 
 
-FLYING = FilterRules(disagreement_max=None, light_min=0.0, patch_min=1)
+FLYING = FilterRules(disagreement_max=0.0, light_min=0.0, patch_min=1)
 
 
 def between_two_planes(seed: int = 0) -> tuple[Decoded, Cloud]:

@@ -12,7 +12,15 @@ from fpplab.acquisition.sync_check import marker
 from fpplab.diagnosis import FaultCause, Finding
 from fpplab.phase import decode
 from fpplab.reconstruction.points import points_of
-from fpplab.report.evidence import IN_WORDS, OF_POSES, PICTURES, Evidence, evidence_pictures, evidence_report
+from fpplab.report.evidence import (
+    IN_WORDS,
+    OF_POSES,
+    OF_RESULTS,
+    PICTURES,
+    Evidence,
+    evidence_pictures,
+    evidence_report,
+)
 from tests.support.faulty_bench import PLANS, healthy
 
 
@@ -29,8 +37,8 @@ def given() -> Evidence:
 
 
 def test_every_cause_is_drawn_or_has_its_place_elsewhere() -> None:
-    assert set(PICTURES) | IN_WORDS | OF_POSES == set(FaultCause)
-    assert not set(PICTURES) & (IN_WORDS | OF_POSES)
+    assert set(PICTURES) | IN_WORDS | OF_POSES | OF_RESULTS == set(FaultCause)
+    assert not set(PICTURES) & (IN_WORDS | OF_POSES | OF_RESULTS)
 
 
 def test_each_picture_has_something_on_it(given: Evidence) -> None:

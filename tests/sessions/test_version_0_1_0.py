@@ -13,7 +13,7 @@ from fpplab.core import config
 from fpplab.devices.backends import load_backend
 from fpplab.devices.operator import Operator
 from fpplab.devices.rig import Rig, RigFile
-from fpplab.patterns.plan import MaskRules
+from fpplab.patterns.plan import FilterRules, MaskRules
 from fpplab.pipeline import decode_session, take
 from fpplab.sessions.replay import RecordedSession, ReplayCamera, ReplayProjector
 
@@ -29,6 +29,7 @@ def test_a_plan_with_every_key() -> None:
     del again["fringes"]
     # What later versions added has its default.
     assert again["masks"].pop("wrong_order_max") == MaskRules().wrong_order_max
+    assert again["filter"].pop("flying") is FilterRules().flying
     assert "depth_mm" not in again
     assert again == written
 
