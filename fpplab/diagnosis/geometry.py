@@ -32,9 +32,6 @@ ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
 MOST_STRETCHED = 0.05
 """Greatest share by which a projector's picture may be stretched."""
 
-MOST_HARM = 1.5
-"""Excess at most of a calibration that states the wrong lattice."""
-
 POINTS, NEIGHBOURS = 4000, 64
 """How many points are evaluated, and over how many neighbours epipolar distances are averaged."""
 
@@ -129,8 +126,7 @@ def _aspect(calibration: Calibration) -> Finding | None:
         f"high, but {wanted:g} times with the lattice '{lattice.value}' (at most {100 * MOST_STRETCHED:g} % "
         "off)"
     )
-    # Points that were triangulated with such a projector are right, only its lattice is not: no ruin.
-    return Finding(FaultCause.WRONG_RESOLUTION, words, min(off / MOST_STRETCHED, MOST_HARM))
+    return Finding(FaultCause.WRONG_RESOLUTION, words, off / MOST_STRETCHED)
 
 
 def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:

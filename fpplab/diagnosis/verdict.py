@@ -29,10 +29,8 @@ USELESS_POINTS = 0.001
 USELESS_EXCESS = {
     FaultCause.STALE_CALIBRATION: RUINOUS_OFFSET,
     FaultCause.WRONG_PLAN: 1.0,
-    FaultCause.WRONG_RESOLUTION: 2.0,
     FaultCause.CAMERA_FOCUS: 2.0,
     FaultCause.MISSING_COLOUR: 30.0,
-    FaultCause.INTERREFLECTION: 3.5,
 }
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
