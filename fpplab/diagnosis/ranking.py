@@ -54,7 +54,7 @@ def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        The worst first; those that another may have brought about have an excess below that one's.
+        The worst first; those that others may have brought about have an excess below theirs.
     """
     seen = _with_rig_first(list(findings))
     weighed = [replace(one, excess=_weight(one, seen)) for one in seen]
@@ -73,13 +73,13 @@ def _with_rig_first(findings: list[Finding]) -> list[Finding]:
 
 
 def _weight(finding: Finding, findings: list[Finding]) -> float:
-    """Excess of a finding, below that of the worst of those that may have brought it about."""
+    """Excess of a finding, below those of all that may have brought it about."""
     if finding.cause is FaultCause.STALE_CALIBRATION and finding.excess >= RUINOUS_OFFSET:
         return finding.excess
     rest = [one for one in findings if one is not finding]
     causes = [one for one in rest if finding.cause in _effects(one, findings)]
-    worst = max((_weight(one, rest) for one in causes), default=float("inf"))
-    return min(finding.excess, BEHIND * worst)
+    least = min((_weight(one, rest) for one in causes), default=float("inf"))
+    return min(finding.excess, BEHIND * least)
 
 
 def _effects(finding: Finding, findings: list[Finding]) -> set[FaultCause]:
