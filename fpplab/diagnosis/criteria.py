@@ -15,6 +15,7 @@ from fpplab.diagnosis.light import BEST_PEAK, LEAST_HARMONIC_RAD
 from fpplab.diagnosis.sample import FrameSample
 from fpplab.phase import Decoded
 from fpplab.phase.precision import coordinate_spread, uncertain_orders
+from fpplab.phase.quality import phase_uncertainty
 
 LEAST_POINTS = 0.5
 """Share of the pixels that see the fringes which become points."""
@@ -150,4 +151,5 @@ def _phase_noise(sample: FrameSample, finest: int) -> float:
     fit, steps = sample.fits[finest], sample.recording.plan.fringes[finest].images
     offset = float(np.median(fit.offset[sample.measured]))
     modulation = max(float(np.median(fit.modulation[sample.measured])), 1e-6)
-    return math.sqrt(2.0 / steps * float(sample.errors.noise.variance(offset))) / modulation
+    noise = math.sqrt(float(sample.errors.noise.variance(offset)))
+    return float(phase_uncertainty(noise, modulation, steps))

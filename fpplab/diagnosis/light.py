@@ -12,6 +12,7 @@ from fpplab.diagnosis.brightness import band_finding, harmonic_waves, missing_co
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
+from fpplab.phase.quality import phase_uncertainty
 
 DARK_SIGMAS = 15.0
 """Fringes weaker than so many times their noise are none."""
@@ -271,7 +272,9 @@ def _phase_error(
     fit, steps = sample.widest, sample.recording.plan.fringes[sample.recording.plan.finest_set()].images
     offset = float(np.median(fit.offset[sample.measured]))
     modulation = float(np.median(fit.modulation[sample.measured]))
-    noise = math.sqrt(2.0 / steps * float(sample.errors.noise.variance(offset))) / modulation
+    noise = float(
+        phase_uncertainty(math.sqrt(float(sample.errors.noise.variance(offset))), modulation, steps)
+    )
     limit = max(least_rad, noise)
     if rad <= limit:
         return None

@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded
 from fpplab.phase.common_errors import fit_sinusoids
 from fpplab.phase.error_model import ErrorModel, error_model_of
 
@@ -63,6 +64,25 @@ class FrameSample:
 
     recording: Recording
     coordinates: dict[Axis, Map] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, recording: Recording, decoded: Decoded | None) -> FrameSample:
+        """Take the pixels of a recording, with their coordinates where it is decoded.
+
+        Parameters
+        ----------
+        recording : Recording
+            Whose they are.
+        decoded : Decoded or None
+            Its projector coordinates.
+
+        Returns
+        -------
+        FrameSample
+            Of both.
+        """
+        known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
+        return cls(recording, known)
 
     @cached_property
     def step(self) -> int:

@@ -196,7 +196,7 @@ def diagnose_frames(recording: Recording, decoded: Decoded | None = None) -> tup
     tuple of Finding
         The worst first.
     """
-    return ranked(_of_frames(_sample(recording, decoded), None))
+    return ranked(_of_frames(FrameSample.of(recording, decoded), None))
 
 
 def diagnose_scan(
@@ -227,7 +227,7 @@ def diagnose_scan(
     Diagnosis
         With everything that is found.
     """
-    plan, sample = intended or recording.plan, _sample(recording, decoded)
+    plan, sample = intended or recording.plan, FrameSample.of(recording, decoded)
     points = PointSample(cloud, calibration) if cloud is not None else None
     scale = float(points.projector_px_per_px["xy".index(plan.axes[0])]) if points else None
     of_frames = _of_frames(sample, scale)
@@ -246,11 +246,6 @@ def diagnose_scan(
     unknown = (one_axis,) if cloud.epipolar_px is None else ()
     judged = _judged(sample, cloud, findings, unknown)
     return _by_criteria(judged, criteria_of(sample, decoded, cloud))
-
-
-def _sample(recording: Recording, decoded: Decoded | None) -> FrameSample:
-    known = {axis: decoded.coordinate(axis) for axis in recording.plan.axes} if decoded else {}
-    return FrameSample(recording, known)
 
 
 def diagnose_poses(

@@ -43,7 +43,6 @@ from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.patterns.plan import Plan
 from fpplab.phase import Decoded
-from fpplab.phase.precision import coordinate_spread
 from fpplab.reconstruction.regions import mark_small_regions
 
 REACH_PX = 3
@@ -160,14 +159,6 @@ def _greatest_disagreement(decoded: Decoded, by_noise: float) -> float:
     interreflections), and pixels are judged relative to the typical one.
     """
     return by_noise * max(1.0, decoded.typical_disagreement)
-
-
-def _phase_noise_per_px(plan: Plan, projector_size: tuple[int, int]) -> float:
-    """Return the noise of the finest phase in rad per px of noise of the coordinate, which has all sets."""
-    axis = plan.axes[0]
-    alone = coordinate_spread(plan, axis, projector_size, [plan.finest_set()])
-    together = coordinate_spread(plan, axis, projector_size)
-    return plan.finest.phase_per_px(projector_size) * alone / together
 
 
 def _links(grid: PixelGrid) -> tuple[Mask, Mask]:

@@ -52,11 +52,7 @@ class Evidence:
     @cached_property
     def frames(self) -> FrameSample | None:
         """Pixels of the recording, with their coordinates where these are known."""
-        if self.recording is None:
-            return None
-        axes = self.recording.plan.axes if self.decoded else ()
-        known = {axis: self.decoded.coordinate(axis) for axis in axes} if self.decoded else {}
-        return FrameSample(self.recording, known)
+        return None if self.recording is None else FrameSample.of(self.recording, self.decoded)
 
     @cached_property
     def points(self) -> PointSample | None:
