@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import socket
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import astuple, dataclass
@@ -218,15 +219,7 @@ class DaskWorkers:
             settings["distributed.scheduler.allowed-failures"] = MAX_WORKER_DEATHS
             opening.enter_context(dask.config.set(settings))
             where: Any = address or opening.enter_context(_start_processes(library, workers))
-            try:
-                self._client: Any = opening.enter_context(library.Client(where, timeout=CONNECT_TIMEOUT_S))
-            except (OSError, ValueError, ImportError) as error:
-                raise DeviceError(
-                    "scheduler",
-                    "connect",
-                    f"nothing answers at '{address}' ({error})",
-                    "start one with `dask scheduler`, and its workers with `dask worker`",
-                ) from error
+            self._client: Any = opening.enter_context(_connect(library, where))
             opening.callback(self._close_rigs)
             if address is not None:
                 self._await_workers(address)
@@ -293,6 +286,23 @@ class DaskWorkers:
     def close(self) -> None:
         """Close the rigs of all workers, and end the processes started here."""
         self._stack.close()
+
+
+def _connect(library: Any, where: Any) -> Any:
+    """Open a client of a cluster started here, or of the scheduler at an address."""
+    try:
+        if isinstance(where, str):
+            # Asked before the library starts its threads, which report an address without a scheduler badly.
+            with socket.create_connection(library.comm.get_address_host_port(where), CONNECT_TIMEOUT_S):
+                pass
+        return library.Client(where, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError, ImportError) as error:
+        raise DeviceError(
+            "scheduler",
+            "connect",
+            f"nothing answers at '{where}' ({error})",
+            "start one with `dask scheduler`, and its workers with `dask worker`",
+        ) from error
 
 
 def _start_processes(library: Any, workers: int) -> Any:

@@ -164,8 +164,18 @@ def test_workers_of_an_existing_scheduler_measure(pair: DaskWorkers) -> None:
         elsewhere.close()
 
 
-@pytest.mark.parametrize("address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1"])
+@pytest.mark.parametrize(
+    "address", ["nonsense", "http://127.0.0.1:1", "tcp://127.0.0.1", "tcp://127.0.0.1:1"]
+)
 def test_invalid_scheduler_address_is_reported(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
     with pytest.raises(DeviceError, match="start one with `dask scheduler`"):
         DaskWorkers(Formula(), address=address)
+
+
+def test_listener_that_is_no_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduling, "CONNECT_TIMEOUT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(DeviceError, match=f"nothing answers at '{address}'"):
+            DaskWorkers(Formula(), address=address)
