@@ -292,9 +292,7 @@ def _connect(library: Any, where: Any) -> Any:
     """Open a client of a cluster started here, or of the scheduler at an address."""
     try:
         if isinstance(where, str):
-            # Asked before the library starts its threads, which report an address without a scheduler badly.
-            with socket.create_connection(library.comm.get_address_host_port(where), CONNECT_TIMEOUT_S):
-                pass
+            _await_greeting(library.comm, where)
         return library.Client(where, timeout=CONNECT_TIMEOUT_S)
     except (OSError, ValueError, ImportError) as error:
         raise DeviceError(
@@ -303,6 +301,14 @@ def _connect(library: Any, where: Any) -> Any:
             f"nothing answers at '{where}' ({error})",
             "start one with `dask scheduler`, and its workers with `dask worker`",
         ) from error
+
+
+def _await_greeting(addresses: Any, where: str) -> None:
+    """Wait until a scheduler greets: the library's client waits for ever where something else listens."""
+    with socket.create_connection(addresses.get_address_host_port(where), CONNECT_TIMEOUT_S) as asked:
+        encrypted = addresses.parse_address(where)[0] != "tcp"  # then the client speaks first
+        if not encrypted and not asked.recv(1):
+            raise OSError("what listens there is no scheduler")
 
 
 def _start_processes(library: Any, workers: int) -> Any:
