@@ -74,7 +74,7 @@ def test_a_card_is_where_and_as_flat_as_it_is(tmp_path: Path) -> None:
 
 
 def test_from_what_is_connected_to_a_cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`rig new` finds the display and the camera, tests them, and writes the file that check and scan take."""
+    """`rig new` finds the display and the camera, tests both, and writes what check and scan take."""
     world = write_scene(tmp_path)
     true = Calibration(world.camera_model(), world.projector_model(), world.T_projector_camera(), {})
     true.save(tmp_path / "calibration.yaml")
