@@ -9,6 +9,7 @@ with another first seed than that which judges them.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -90,6 +91,7 @@ JUDGES: dict[str, Callable[[str, int], Judged]] = {
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 """Environment of the processes that judge benches side by side."""
 
+log = logging.getLogger("benchmarks")
 T = TypeVar("T")
 Work = tuple[Callable[[str, int], T], str, int]
 
@@ -189,6 +191,7 @@ def _each(pool: ProcessPoolExecutor, work: Sequence[Work[T]], what: str) -> list
     with console.progress(what) as progress:
         for k, one in enumerate(waiting):
             found.append(one.result())
+            log.info("%s", found[-1])
             progress((k + 1) / len(waiting))
     return found
 

@@ -31,7 +31,7 @@ MANY_STRIPES = 16.0
 DISTINCT = 4.0
 """How many times the scatter of all frames' brightness a colour must be off."""
 
-MOST_BANDS = 0.015
+MOST_BANDS = 0.02
 """Scatter of the rows' brightness between frames that is told."""
 
 FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
