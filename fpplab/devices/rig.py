@@ -86,7 +86,7 @@ class RigFile(DepthSection):
     name: str
     """What the rig is called in reports and messages."""
 
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] | None = None
     """What whoever uses the rig should know, told each time it is opened: reasons for which a matched twin
     would have been refused, had they not been accepted.
     """
@@ -157,7 +157,7 @@ class Rig:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(using_rig(self._source))
-            for note in self.file.notes:
+            for note in self.file.notes or ():
                 _log.warning("%s: %s", self._source, note)
             shared = self.simulation = self._open_simulation(stack)
             self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]

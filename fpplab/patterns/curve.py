@@ -38,7 +38,7 @@ class Curve(Document):
     """Level seen of a dark image, as a share of full scale."""
     g: Positive
     """Exponent (gamma): S is `I^g`; beside a spline that of the best power law, for information."""
-    spline: tuple[float, ...] = ()
+    spline: tuple[float, ...] | None = None
     """S as a cubic B-spline with equally spaced knots over [0, 1]: its coefficients, from 0 to 1 and never
     falling; none for a power law."""
 

@@ -36,7 +36,7 @@ class ResponseLike(Protocol):
         ...
 
     @property
-    def spline(self) -> tuple[float, ...]:
+    def spline(self) -> tuple[float, ...] | None:
         """Coefficients of S; none for a power law."""
         ...
 

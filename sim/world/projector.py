@@ -28,7 +28,7 @@ class ResponseSection(Document):
     """Black level, the light that leaks from closed mirrors: `b = (a + b) / C` for contrast C."""
     g: Annotated[float, Field(ge=0.2, le=5)] = 1.0
     """Exponent (gamma)."""
-    spline: tuple[float, ...] = ()
+    spline: tuple[float, ...] | None = None
     """Coefficients of a monotone cubic spline in place of `I_in^g`, as in a response file."""
 
     @model_validator(mode="after")
