@@ -32,11 +32,12 @@ def write_recorded(path: Path, text: str) -> None:
         There is no space left or the place cannot be written.
     """
     record = path.parent / CHECKSUMS
-    line = {"file": path.name, "sha256": hashlib.sha256(text.encode("utf-8")).hexdigest()}
+    sha256 = hashlib.sha256(text.encode("utf-8")).hexdigest()
     with writing(record):
         record.touch()
     cut_torn_line(record)
-    append_line(record, json.dumps(line))
+    if sha256 not in _recorded(record, path.name):  # what goes on after a crash writes the same again
+        append_line(record, json.dumps({"file": path.name, "sha256": sha256}))
     write_text(path, text)
 
 
