@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks import Result, below
 from benchmarks.crash.contests import contest_failures
 from benchmarks.crash.kills import kill_failures
-from benchmarks.crash.programs import PROGRAMS, Program, prepare
+from benchmarks.crash.programs import PROGRAMS, DisturbedProgram, prepare
 from benchmarks.crash.signals import signal_failures
 
 
@@ -50,14 +50,14 @@ def run() -> list[Result]:
     return crash_figures(CrashCounts(), PROGRAMS)
 
 
-def crash_figures(counts: CrashCounts, programs: tuple[Program, ...]) -> list[Result]:
+def crash_figures(counts: CrashCounts, programs: tuple[DisturbedProgram, ...]) -> list[Result]:
     """Disturb some programs; what fails is described on stderr.
 
     Parameters
     ----------
     counts : CrashCounts
         How often.
-    programs : tuple of Program
+    programs : tuple of DisturbedProgram
         Which.
 
     Returns

@@ -49,7 +49,7 @@ def bench_is_safe(note: Path) -> bool:
     if not note.is_file():
         return True
     left = json.loads(note.read_text("utf-8"))
-    return left == {"open": False, "dark": True, "armed": False}
+    return bool(left == {"open": False, "dark": True, "armed": False})
 
 
 def _write(left: dict[str, bool]) -> None:

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from benchmarks.crash.content import content_of
-from benchmarks.crash.programs import SCAN, Ended, note_of, run_until, start
+from benchmarks.crash.programs import SCAN, EndedRun, note_of, run_until, start
 
 NOT_ONE, NOT_TOLD, DAMAGED = (
     "contests: not exactly one winner",
@@ -55,17 +55,17 @@ def contest_failures(folder: Path, contests: int) -> dict[str, list[str]]:
     return found
 
 
-def _compete(folder: Path, out: Path, count: int, force: bool) -> list[Ended]:
+def _compete(folder: Path, out: Path, count: int, force: bool) -> list[EndedRun]:
     note_of(out).parent.mkdir(exist_ok=True)
     words = ("--force",) if force else ()
     processes = [start(SCAN, folder, out, *words) for _ in range(count)]
     ended = []
     for process in processes:
         said = process.communicate()
-        ended.append(Ended(process.returncode, *said, disturbed=False, seconds=0.0))
+        ended.append(EndedRun(process.returncode, *said, disturbed=False, seconds=0.0))
     return ended
 
 
-def _is_told(ended: Ended) -> bool:
+def _is_told(ended: EndedRun) -> bool:
     """Whether a process won, or says who did: who came after the winner's end finds the work done."""
     return ended.code == 0 or (ended.code == 4 and TOLD in ended.err) or ended.is_done

@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 
 from benchmarks.crash.content import content_of
-from benchmarks.crash.programs import Program, run_until
+from benchmarks.crash.programs import DisturbedProgram, run_until
 from fpplab.core.errors import FppError
 from fpplab.core.session_names import JOURNAL
 from fpplab.sessions.session import Session
@@ -41,7 +41,7 @@ UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING = (
 class _Series:
     """The kills of one program."""
 
-    program: Program
+    program: DisturbedProgram
     folder: Path
     random: np.random.Generator
     found: dict[str, list[str]]
@@ -57,7 +57,7 @@ class _Series:
         self.seconds, self.expected = ended.seconds, content_of(out)
 
     def chain(self, number: int, most: int) -> int:
-        """Kill one output's runs up to so many times, and let it come to its end; gives the number of kills."""
+        """Kill the runs of one output so many times at most, then let it come to its end; gives the kills."""
         out, kills, known = self._place(f"killed_{number}"), 0, dict[str, str]()
         while kills < most:
             moment_s = self.random.uniform(0.0, self.seconds)
@@ -101,14 +101,16 @@ class _Series:
         return now
 
 
-def kill_failures(folder: Path, programs: tuple[Program, ...], kills: int, seed: int) -> dict[str, list[str]]:
+def kill_failures(
+    folder: Path, programs: tuple[DisturbedProgram, ...], kills: int, seed: int
+) -> dict[str, list[str]]:
     """Kill programs at random moments.
 
     Parameters
     ----------
     folder : Path
         What `prepare` filled.
-    programs : tuple of Program
+    programs : tuple of DisturbedProgram
         Which; each is killed by its share.
     kills : int
         How many times in all.

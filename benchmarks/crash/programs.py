@@ -57,7 +57,7 @@ STUDY = {
 
 
 @dataclass(frozen=True)
-class Program:
+class DisturbedProgram:
     """A command that leaves something.
 
     Attributes
@@ -90,34 +90,36 @@ def _new_flash(folder: Path, flash: Path) -> None:
 
 MEASURE = "--plan plan.yaml --calibration calibration.yaml --item board --out {out} --json"
 POSES = "--plan plan.yaml --target target_paper --poses 3 --out {out} --json"
-SCAN = Program("scan", f"-m fpplab scan --rig rig.yaml {MEASURE}", 10)
-SCAN_EMULATED = Program(
+SCAN = DisturbedProgram("scan", f"-m fpplab scan --rig rig.yaml {MEASURE}", 10)
+SCAN_EMULATED = DisturbedProgram(
     "scan on the emulated bench", f"-m fpplab scan --rig rig_emulated.yaml {MEASURE}", 8, opens_bench=True
 )
-IMPORT = Program(
+IMPORT = DisturbedProgram(
     "import",
     "-m fpplab import images --plan plan.yaml --projector-size 912 1140 --lattice diamond "
     "--frames {{index:02d}}.tif --out {out} --json",
     8,
 )
-CHARACTERISE = Program(
+CHARACTERISE = DisturbedProgram(
     "characterise", f"-m fpplab characterise --rig rig_emulated.yaml {POSES}", 6, ".yaml", opens_bench=True
 )
-DATASET = Program(
+DATASET = DisturbedProgram(
     "dataset",
     "-m fpplab dataset --rig rig.yaml --plan plan.yaml --scenes ranges.yaml --count 3 --shard-size 1 "
     "--out {out} --json",
     4,
 )
-UPLOAD = Program(
+UPLOAD = DisturbedProgram(
     "upload",
     "-m benchmarks.crash.board maker.bin {out} dlp4500 upload built.bin --yes --json",
     6,
     ".bin",
     begin=_new_flash,
 )
-MATCH = Program("match", "-m fpplab match --twin rig.yaml --reference poses --epochs 3 --out {out} --json", 2)
-OPTIMISE = Program(
+MATCH = DisturbedProgram(
+    "match", "-m fpplab match --twin rig.yaml --reference poses --epochs 3 --out {out} --json", 2
+)
+OPTIMISE = DisturbedProgram(
     "optimise",
     "-m fpplab optimise stripes --rig rig_artefacts.yaml --study study.yaml --calibration calibration.yaml "
     "--workers 1 --out {out} --json",
@@ -128,14 +130,14 @@ PROGRAMS = (SCAN, SCAN_EMULATED, IMPORT, CHARACTERISE, DATASET, UPLOAD, MATCH, O
 """All of them."""
 
 
-def prepare(folder: Path, programs: tuple[Program, ...]) -> None:
+def prepare(folder: Path, programs: tuple[DisturbedProgram, ...]) -> None:
     """Write what the commands need.
 
     Parameters
     ----------
     folder : Path
         Empty; the commands run in it.
-    programs : tuple of Program
+    programs : tuple of DisturbedProgram
         The commands.
     """
     world = _world()
@@ -187,7 +189,7 @@ def _write_images(session: Session, folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedRun:
     """How a run ended.
 
     Attributes
@@ -214,12 +216,12 @@ class Ended:
         return self.code == 0 or (self.code == 2 and "exists already" in self.err)
 
 
-def start(program: Program, folder: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+def start(program: DisturbedProgram, folder: Path, out: Path, *more: str) -> subprocess.Popen[str]:
     """Start a command in a session of processes of its own.
 
     Parameters
     ----------
-    program : Program
+    program : DisturbedProgram
         The command.
     folder : Path
         Where it runs.
@@ -270,13 +272,13 @@ def note_of(out: Path) -> Path:
 
 
 def run_until(
-    program: Program, folder: Path, out: Path, moment_s: float | None = None, number: int = 0
-) -> Ended:
+    program: DisturbedProgram, folder: Path, out: Path, moment_s: float | None = None, number: int = 0
+) -> EndedRun:
     """Run a command to its end, or until a moment at which it gets a signal.
 
     Parameters
     ----------
-    program : Program
+    program : DisturbedProgram
         The command.
     folder : Path
         Where it runs.
@@ -289,7 +291,7 @@ def run_until(
 
     Returns
     -------
-    Ended
+    EndedRun
         How it ended.
     """
     note_of(out).parent.mkdir(exist_ok=True)
@@ -303,4 +305,4 @@ def run_until(
             process.send_signal(number)
             disturbed = True
     words, said = process.communicate()
-    return Ended(process.returncode, words, said, disturbed, time.monotonic() - begun)
+    return EndedRun(process.returncode, words, said, disturbed, time.monotonic() - begun)

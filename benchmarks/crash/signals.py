@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.kills import _left_running
-from benchmarks.crash.programs import Ended, Program, note_of, run_until
+from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, run_until
 
 WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
     "signals: exit codes other than 130",
@@ -26,7 +26,7 @@ FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 
 def signal_failures(
-    folder: Path, programs: tuple[Program, ...], signals: int, seed: int
+    folder: Path, programs: tuple[DisturbedProgram, ...], signals: int, seed: int
 ) -> dict[str, list[str]]:
     """Interrupt programs at random moments, by SIGINT and SIGTERM in turn.
 
@@ -36,7 +36,7 @@ def signal_failures(
     ----------
     folder : Path
         What `prepare` filled.
-    programs : tuple of Program
+    programs : tuple of DisturbedProgram
         Which; each is interrupted by its share.
     signals : int
         How many times in all.
@@ -71,14 +71,14 @@ def signal_failures(
     return found
 
 
-def _place(folder: Path, program: Program, name: str) -> Path:
+def _place(folder: Path, program: DisturbedProgram, name: str) -> Path:
     out = folder / f"{program.name.replace(' ', '_')}_{name}{program.suffix}"
     if program.begin:
         program.begin(folder, out)
     return out
 
 
-def _judge(ended: Ended, number: signal.Signals, words: str, found: dict[str, list[str]]) -> None:
+def _judge(ended: EndedRun, number: signal.Signals, words: str, found: dict[str, list[str]]) -> None:
     if _is_before(ended, number):
         found[BEFORE].append(words.splitlines()[0])
         return
@@ -88,7 +88,7 @@ def _judge(ended: Ended, number: signal.Signals, words: str, found: dict[str, li
         found[TRACEBACK].append(words)
 
 
-def _is_before(ended: Ended, number: signal.Signals) -> bool:
+def _is_before(ended: EndedRun, number: signal.Signals) -> bool:
     """Whether Python was still loading itself, or the first line of the program's first module."""
     own = [line for line in ended.err.splitlines() if "/fpplab/" in line or "/benchmarks/" in line]
     if ended.code == -number:

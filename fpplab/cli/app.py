@@ -14,6 +14,7 @@ from fpplab.cli.advice import unknown_command, unknown_option
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
 from fpplab.core.errors import Cancelled, ConfigError
+from fpplab.core.logs import trace_devices
 from fpplab.core.version import __version__
 
 
@@ -141,6 +142,14 @@ def _fpplab(
     log: Annotated[
         Path | None, typer.Option("--log", help="Append the same, with all details, to this file.")
     ] = None,
+    trace: Annotated[
+        bool,
+        typer.Option(
+            "--trace",
+            help="Log what is sent to devices and what they answer, too: in the session's log, with --log in "
+            "that file, with --verbose on stderr.",
+        ),
+    ] = False,
     allow_backend: Annotated[
         list[str] | None,
         typer.Option(
@@ -155,6 +164,7 @@ def _fpplab(
         from fpplab.devices.backends import allow_backends
 
         allow_backends(allow_backend)
+    trace_devices(trace)
     logs.start_logging(verbose, log, sys.argv[1:])
 
 

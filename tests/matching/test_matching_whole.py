@@ -106,7 +106,7 @@ def test_a_matching_continues_from_its_record(matching: Matching) -> None:
 
 
 def test_a_matching_that_goes_on_is_the_undisturbed_one(matching: Matching, tmp_path: Path) -> None:
-    """Wherever it was interrupted, also behind a rejected step: noise, samples and parameters are the same."""
+    """Wherever it was interrupted: noise, samples and parameters are the same."""
 
     def matched(folder: Path) -> MatchingResult:
         wanted = MatchingRequest(limits=MatchingLimits(epochs=4))
