@@ -26,6 +26,8 @@ PURPOSES = {
     "reconstruct": "makes the points of a recorded session",
     "report": "puts several scans side by side on one page",
     "rig": "writes a rig file from what is connected",
+    "bug-report": "collects what somebody else needs to see what went wrong",
+    "session": "tells what a session is, verifies it, or repairs it",
     "scan": "measures, on a real or a simulated rig",
     "target": "draws a board for printing",
     "verify": "is the acceptance test",
@@ -35,6 +37,8 @@ PURPOSES = {
 
 _MEANT = {
     ("artefact",): "artifact shape stl mesh truth",
+    ("bug-report",): "bug bugreport bug_report support issue problem crash",
+    ("session",): "sessions info repair fsck recover rescue damaged",
     ("cache",): "clear clean purge",
     ("characterise",): "calibrate calibration calib characterize characterization characterisation poses",
     ("check",): "sync synchronise synchronize synchronisation synchronization diagnose doctor test",
