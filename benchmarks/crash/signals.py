@@ -1,4 +1,4 @@
-"""Commands that get SIGINT or SIGTERM at random moments from their first millisecond on."""
+"""Commands that get SIGINT, SIGTERM or SIGHUP at random moments from their first millisecond on."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.crash.bench import bench_is_safe
 from benchmarks.crash.kills import _left_running
 from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, run_until
+from fpplab.core.interrupts import SIGNALS
 
 WRONG_CODE, TRACEBACK, UNSAFE, LEFT_RUNNING, BEFORE = (
     "signals: exit codes other than 130",
@@ -28,7 +29,7 @@ FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 def signal_failures(
     folder: Path, programs: tuple[DisturbedProgram, ...], signals: int, seed: int
 ) -> dict[str, list[str]]:
-    """Interrupt programs at random moments, by SIGINT and SIGTERM in turn.
+    """Interrupt programs at random moments, by SIGINT, SIGTERM and SIGHUP in turn.
 
     Before the program's first line Python answers itself, and nothing has begun: such runs are counted apart.
 
@@ -57,7 +58,7 @@ def signal_failures(
         count = max(1, round(signals * program.share / whole))
         seconds = run_until(program, folder, _place(folder, program, "timed")).seconds
         early = list(FIRST_MOMENTS)[: max(1, count // 5)]
-        for number, signalled in zip(range(count), cycle((signal.SIGINT, signal.SIGTERM)), strict=False):
+        for number, signalled in zip(range(count), cycle(SIGNALS), strict=False):
             out = _place(folder, program, f"stopped_{number}")
             moment_s = early[number] if number < len(early) else random.uniform(0.0, seconds)
             ended = run_until(program, folder, out, moment_s, signalled)

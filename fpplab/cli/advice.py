@@ -7,6 +7,7 @@ from difflib import get_close_matches
 
 PURPOSES = {
     "artefact": "writes the true shape of an artefact",
+    "bug-report": "collects what somebody else needs to see what went wrong",
     "cache": "shows and clears what is kept to save time",
     "characterise": "finds camera and projector",
     "check": "finds out what is wrong with a rig",
@@ -26,9 +27,8 @@ PURPOSES = {
     "reconstruct": "makes the points of a recorded session",
     "report": "puts several scans side by side on one page",
     "rig": "writes a rig file from what is connected",
-    "bug-report": "collects what somebody else needs to see what went wrong",
-    "session": "tells what a session is, verifies it, or repairs it",
     "scan": "measures, on a real or a simulated rig",
+    "session": "tells what a session is, verifies it, or repairs it",
     "target": "draws a board for printing",
     "verify": "is the acceptance test",
     "view": "shows a recorded session",
