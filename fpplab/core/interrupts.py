@@ -85,7 +85,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _come_again() -> None:
-    """Have the signal come again, from a thread: an alarm belongs to pylon's emulated camera, and crashes it."""
+    """Have the signal come again, from a thread: an alarm would crash pylon's emulated camera."""
     _again[:] = [_interrupted[-1][1] if _interrupted else signal.SIGINT]
     _thread.start_new_thread(_send_again, ())  # without a lock, which the interrupted code may hold
 
