@@ -9,6 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+from fpplab.core.files import read_bounded
+from fpplab.core.strict_json import parse_object
+
+MOST_BYTES = 10_000
+"""Of what a process writes about itself."""
+
 
 def write_lock_owner(handle: int) -> None:
     """Write this process into a file that it has locked.
@@ -42,7 +48,7 @@ def lock_owner(lock: Path) -> str:
         The process in words.
     """
     try:
-        found = json.loads(lock.read_bytes())
+        found = parse_object(read_bounded(lock, MOST_BYTES))
         return "process {pid} on {host} ('{command}', since {since})".format(**found)
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"
