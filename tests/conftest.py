@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
 import signal
 from collections.abc import Iterator
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from tests.support.commands import ROOT, Command, Demo, run
+from tests.support.commands import ROOT, Command, Demo, ready_program, run
 
 if TYPE_CHECKING:
     from sim.worker import Blender
@@ -26,6 +28,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Benches that tests bring themselves are backends of no installed package.
 os.environ.setdefault("FPPLAB_ALLOW_BACKEND", "tests,acme_camera")
+
+ready_program()  # knows this environment as the suite's
 
 # The suite gives the same answer twice. To look for new counterexamples: FPPLAB_EXPLORE=1.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -51,11 +55,18 @@ def fpplab() -> Command:
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    """`fpplab demo --quick --json`, run once."""
-    folder = tmp_path_factory.mktemp("demo")
-    done = run("demo", "--quick", "--json", "--out", folder)
-    assert done.code == 0, done.err
-    return Demo(folder, done.json)
+    """`fpplab demo --quick --json`, run once for all workers of a run; nobody changes its files."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    folder, answer = shared / "demo", shared / "demo.json"
+    with (shared / "demo.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not answer.exists():
+            done = run("demo", "--quick", "--json", "--out", folder)
+            assert done.code == 0, done.err
+            answer.write_text(done.out)
+    return Demo(folder, json.loads(answer.read_text()))
 
 
 @pytest.fixture(scope="session")

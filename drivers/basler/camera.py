@@ -24,6 +24,7 @@ from drivers.genicam import names as named
 from drivers.genicam.camera import GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
+from drivers.genicam.pixels import PACKED
 from fpplab.core import config
 from fpplab.core.errors import (
     ConfigError,
@@ -31,7 +32,6 @@ from fpplab.core.errors import (
     DeviceTimeoutError,
     DisconnectedError,
     FrameLossError,
-    SettingError,
     StateError,
 )
 from fpplab.core.files import write_text
@@ -70,7 +70,7 @@ class BaslerCamera(GenicamCamera):
     global reset.
     """
 
-    FORMATS: ClassVar = {8: ("Mono8",), 12: ("Mono12", "Mono12p"), 16: ("Mono16",)}
+    FORMATS: ClassVar = {8: ("Mono8",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
     RAW: ClassVar = named.RAW + BASLER_RAW
 
     _camera: Any = None
@@ -261,13 +261,6 @@ class BaslerCamera(GenicamCamera):
 
     def _can_be_triggered(self) -> bool:
         return bool(self._camera.CanWaitForFrameTriggerReady())
-
-    def _format(self, bits: int) -> str:
-        if not self._options.packed or bits != 12:
-            return super()._format(bits)
-        if "Mono12p" not in self._formats(bits):
-            raise SettingError(self.name, "configure", "packed is true", "this camera has no Mono12p")
-        return "Mono12p"
 
     def _await_ready(self, deadline: float, operation: str) -> None:
         """Wait until the camera is ready for a trigger; it drops an earlier one without an error."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Any, cast
 from weakref import WeakSet
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from pypylon import pylon
 
+from drivers.genicam.pixels import unpack12
 from fpplab.core.conventions import Image
 
 POOL_BYTES = 1 << 30
@@ -61,7 +61,7 @@ class BufferPool:
         """
         if result.GetPixelType() == pylon.PixelType_Mono12p:
             packed = np.frombuffer(result.GetImageMemoryView(), np.uint8)
-            return cast(Image, unpack12(packed, result.GetHeight(), result.GetWidth()))
+            return unpack12(packed, result.GetHeight(), result.GetWidth(), result.GetPaddingX())
         if len(self._lent) >= self.size - SPARE:
             return cast(Image, _view(result).copy())
         lease = _Lease(result)
@@ -85,36 +85,3 @@ def _view(result: Any) -> NDArray[Any]:
     pitch = width * dtype.itemsize + result.GetPaddingX()
     memory = result.GetImageMemoryView()
     return np.ndarray((height, width), dtype, memory, strides=(pitch, dtype.itemsize))
-
-
-@numba.njit(cache=True, nogil=True)
-def unpack12(packed: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint16]:
-    """Unpack 12-bit pixels without gaps, least significant bits first.
-
-    Three bytes hold two pixels; the last pixel of an odd number takes two bytes.
-
-    Parameters
-    ----------
-    packed : ndarray
-        uint8, at least ceil(1.5 height width) bytes.
-    height, width : int
-        Size of the image in px.
-
-    Returns
-    -------
-    ndarray
-        uint16 (height, width), values 0 to 4095.
-
-    References
-    ----------
-    GenICam Pixel Format Naming Convention (PFNC), Mono12p
-    """
-    out = np.empty(height * width, np.uint16)
-    for pair in range(out.size // 2):
-        low, middle, high = packed[3 * pair], packed[3 * pair + 1], packed[3 * pair + 2]
-        out[2 * pair] = low + (middle & 0x0F) * 256
-        out[2 * pair + 1] = (middle >> 4) + high * 16
-    if out.size % 2:
-        last = out.size // 2 * 3
-        out[-1] = packed[last] + (packed[last + 1] & 0x0F) * 256
-    return out.reshape(height, width)

@@ -27,8 +27,6 @@ from drivers.genicam.options import GenicamOptions
 class BaslerOptions(GenicamOptions):
     """The camera's section in a rig file; the module shows an example."""
 
-    packed: bool = False
-    """Whether 12-bit frames are transferred as Mono12p, three quarters of the data of Mono12."""
     packet_bytes: Annotated[int, Field(ge=1)] | None = None
     """Size of an Ethernet camera's packets in bytes; left as it is without it."""
     packet_delay_ticks: Annotated[int, Field(ge=0)] | None = None

@@ -13,7 +13,8 @@ from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
 from drivers.genicam.names import US_PER_S
 from drivers.genicam.options import EDGES, SHUTTERS, GenicamOptions, TriggerLine
-from fpplab.core.errors import CapabilityError
+from drivers.genicam.pixels import PACKED
+from fpplab.core.errors import CapabilityError, SettingError
 from fpplab.devices import Camera, CameraCaps, CameraSettings, Trigger
 
 
@@ -129,7 +130,12 @@ class GenicamCamera(Camera):
         return [name for name in self.FORMATS[bits] if name in known]
 
     def _format(self, bits: int) -> str:
-        return self._formats(bits)[0]
+        formats = self._formats(bits)
+        if not self._options.packed or bits != 12:
+            return formats[0]
+        if PACKED not in formats:
+            raise SettingError(self.name, "configure", "packed is true", f"this camera has no {PACKED}")
+        return PACKED
 
     def _can_be_triggered(self) -> bool:
         """Whether it can be known when the camera is ready for its first trigger."""

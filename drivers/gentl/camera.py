@@ -1,7 +1,7 @@
 """Any GenICam camera behind the interface of `fpplab.devices`, through a GenTL producer.
 
 `drivers.gentl.options` describes its section in a rig file. What the camera must have: an exposure that can
-be set, `TriggerSelector` with `FrameStart`, and unpacked monochrome pixels.
+be set, `TriggerSelector` with `FrameStart`, and monochrome pixels.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from drivers.genicam import names as named
 from drivers.genicam.camera import GenicamCamera
 from drivers.genicam.features import Features
 from drivers.genicam.gain import CameraGain
+from drivers.genicam.pixels import PACKED
 from drivers.gentl.options import GentlOptions
 from drivers.gentl.producer import SPARE, GentlFrame, GentlProducer
 from fpplab.core import config
@@ -46,7 +47,7 @@ class GentlCamera(GenicamCamera):
     An emulated bench may replace the producer by its attribute `gentl`.
     """
 
-    FORMATS: ClassVar = {8: ("Mono8",), 10: ("Mono10",), 12: ("Mono12",), 16: ("Mono16",)}
+    FORMATS: ClassVar = {8: ("Mono8",), 10: ("Mono10",), 12: ("Mono12", PACKED), 16: ("Mono16",)}
 
     _options: GentlOptions
     _producer: Any = None
@@ -104,7 +105,7 @@ class GentlCamera(GenicamCamera):
                 self.name,
                 "open",
                 f"its pixel formats are {formats}",
-                "a camera that delivers Mono8, Mono10, Mono12 or Mono16 is needed",
+                "a camera that delivers Mono8, Mono10, Mono12, Mono12p or Mono16 is needed",
             )
         return caps
 

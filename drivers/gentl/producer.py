@@ -7,7 +7,8 @@ told is None here.
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,9 @@ from typing import Any
 import numpy as np
 from genicam import gentl
 from harvesters.core import Harvester
+from harvesters.util.pfnc import dict_by_ints
 
+from drivers.genicam.pixels import image_from
 from drivers.gentl.nodes import GentlNodeMap
 from fpplab.core.conventions import Image
 from fpplab.core.errors import ConfigError
@@ -164,16 +167,29 @@ class GentlEnd:
         GentlFrame or None
             The frame; None where none came in time.
         """
-        try:
-            buffer = self._acquirer.fetch(timeout=max(timeout_s, 1e-3))
-        except gentl.TimeoutException:
-            return None
-        if buffer is None:
-            return None
-        with _returned(buffer):
-            part = buffer.payload.components[0]
-            image = np.array(part.data).reshape(part.height, -1)[:, : part.width]
-            return GentlFrame(image, buffer.module.frame_id, _time_s(buffer.module))
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            left_s = deadline_s - time.monotonic()
+            try:
+                buffer = self._acquirer.fetch(timeout=max(left_s, 1e-3), is_raw=True)
+            except gentl.TimeoutException:
+                return None
+            if buffer is not None:
+                with _returned(buffer):
+                    return GentlFrame(self._image(buffer), buffer.frame_id, _time_s(buffer))
+            if left_s <= 0.0:
+                return None
+
+    def _image(self, buffer: Any) -> Image:
+        """Decode a buffer here: harvesters keeps the padding of rows, and unpacks across it."""
+        nodes = self._acquirer.remote_device.node_map
+        height = _asked(lambda: buffer.height, lambda: nodes.Height.value)
+        width = _asked(lambda: buffer.width, lambda: nodes.Width.value)
+        number = _asked(lambda: buffer.pixel_format, lambda: int(nodes.PixelFormat.get_int_value()))
+        padding = _asked(lambda: buffer.padding_x, lambda: 0)
+        offset = _asked(lambda: buffer.image_offset, lambda: 0)
+        raw = np.frombuffer(buffer.raw_buffer, np.uint8)[offset:]
+        return image_from(raw, dict_by_ints.get(number, f"{number:#x}"), height, width, padding)
 
     def stop(self) -> None:
         """End the transfer, and drop the frames that wait."""
@@ -210,13 +226,21 @@ def _returned(buffer: Any) -> Iterator[None]:
     try:
         yield
     finally:
-        buffer.queue()
+        buffer.parent.queue_buffer(buffer)
 
 
 def _time_s(buffer: Any) -> float | None:
     with suppress(gentl.GenericException):
         return float(buffer.timestamp_ns) / NS_PER_S or None
     return None
+
+
+def _asked(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> int:
+    """What the producer tells of a buffer, or else the camera's own word."""
+    try:
+        return int(of_buffer())
+    except gentl.GenericException:
+        return int(otherwise())
 
 
 def _told(info: Any, name: str) -> str:

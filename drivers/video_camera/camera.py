@@ -175,6 +175,8 @@ class VideoCamera(Camera):
             remedy = "add yourself to the group video (sudo usermod -aG video $USER), and log in again"
             return DeviceError(self.name, operation, f"this user may not open {self._options.device}", remedy)
         said = error.strerror or str(error)
+        if error.errno == errno.ENOSYS:
+            return CapabilityError(self.name, operation, said, "use the GenTL producer of the camera's maker")
         return DeviceError(self.name, operation, f"the kernel says: {said}", "unplug it and plug it in again")
 
     def _make_raw(self) -> None:

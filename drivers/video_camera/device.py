@@ -6,7 +6,6 @@ Methods raise `OSError` as the kernel does.
 from __future__ import annotations
 
 import errno
-import fcntl
 import mmap
 import os
 import select
@@ -19,6 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.video_camera import structures as v4l2
+
+try:
+    import fcntl
+except ImportError:  # the interface is Linux's
+    fcntl = None  # type: ignore[assignment]
 
 BUFFERS = 4
 """Frames that the kernel may fill before one is taken."""
@@ -75,6 +79,8 @@ class VideoDevice:
     """
 
     def __init__(self, path: str) -> None:
+        if fcntl is None:
+            raise OSError(errno.ENOSYS, "video cameras are read by Linux's V4L2, which this system has not")
         self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         self._memory: list[mmap.mmap] = []
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import io
 import logging
 import os
@@ -19,6 +18,7 @@ from typing import Any, BinaryIO, cast
 
 from fpplab.core.direct import DirectWriter
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.lock import try_lock
 
 MUCH = 1 << 30
 """Bytes from which on the space that work needs is said without being asked."""
@@ -52,7 +52,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 def _regular(path: str, flags: int) -> int:
     """Open a descriptor without waiting for anybody, and refuse what is no file."""
-    handle = os.open(path, flags | os.O_NONBLOCK)
+    handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # which Windows has not
     kind = os.fstat(handle).st_mode
     if not stat.S_ISREG(kind):
         os.close(handle)
@@ -190,10 +190,10 @@ def _draft(path: Path) -> Iterator[io.BufferedWriter]:
     except OSError as error:
         raise DataError(_cannot_write(path, error)) from error
     try:
-        os.fchmod(handle, 0o644)
+        os.chmod(name, 0o644)
         with os.fdopen(handle, "wb") as stream:
             with suppress(OSError):  # a file system without locks: its drafts stay, see `sweep_file_drafts`
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                try_lock(handle)
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -223,13 +223,10 @@ def sweep_file_drafts(path: Path) -> None:
 
 
 def _remove_unlocked(draft: Path) -> None:
-    handle = os.open(draft, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        with suppress(BlockingIOError):  # another process writes it
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            draft.unlink()
-    finally:
-        os.close(handle)
+    with open_regular(draft) as stream:
+        is_left = try_lock(stream.fileno())
+    if is_left:  # closed by now: Windows deletes no open file
+        draft.unlink()
 
 
 def flush_folder(folder: Path) -> None:
@@ -240,6 +237,8 @@ def flush_folder(folder: Path) -> None:
     folder : Path
         In which a file was made or renamed.
     """
+    if os.name == "nt":  # where folders cannot be opened
+        return
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,19 +1,18 @@
 """A shard on disk: a folder with one NumPy file for each field, samples along its first axis.
 
 It is written to a hidden draft folder, which gets its final name once everything in it is on disk, so that a
-shard under its final name is complete. A draft belongs to the process that holds its lock, which the
-operating system releases when the process dies; the next one starts the draft again.
+shard under its final name is complete. A draft belongs to the process that holds the lock of the
+file beside it, which the operating system releases when the process dies; the next one starts it again.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +22,7 @@ import numpy as np
 
 from fpplab.core.errors import DataError
 from fpplab.core.files import flush_folder, open_regular, read_bounded, writing
+from fpplab.core.lock import locked_file
 from fpplab.core.strict_json import parse_object
 from fpplab.dataset.fields import Arrays, FieldSpec
 
@@ -92,19 +92,11 @@ def claim_shard(folder: Path, number: int) -> Iterator[Path | None]:
         if final.exists():
             yield None
             return
+        is_mine = stack.enter_context(locked_file(draft.with_name(f"{draft.name}.lock")))
+        if not is_mine or final.exists():  # finished since the first check
+            yield None
+            return
         draft.mkdir(exist_ok=True)
-        handle = os.open(draft, os.O_RDONLY)
-        stack.callback(os.close, handle)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield None
-            return
-        if final.exists():  # finished since the first check
-            with suppress(OSError):
-                draft.rmdir()
-            yield None
-            return
         for left in draft.iterdir():
             left.unlink()
         try:
@@ -237,7 +229,7 @@ def check_shard(shard: Path) -> None:
         sums = parse_object(read_bounded(shard / CHECKSUMS, MOST_SUMS_BYTES))
         for name, expected in sums.items():
             if Path(name).name != name:
-                raise ValueError(f"it names '{name}', which is not in its folder")
+                raise DataError(f"{shard / CHECKSUMS}: names '{name}', which is not in its folder")
             with open_regular(shard / name) as stream:
                 if hashlib.file_digest(cast(BufferedReader, stream), "sha256").hexdigest() != expected:
                     raise DataError(

@@ -4,7 +4,7 @@ Commands that measure share a rig's lock, so that nothing changes between them: 
 that is open elsewhere. A watcher (`fpplab live`) has the rig alone, one frame at a time: before each it asks
 whether somebody waits, and if so closes the devices until that command is done.
 
-Three files per rig file, locked by `flock`, which the system unlocks when a process ends, however it does:
+Three files per rig file, whose locks the system gives back when a process ends, however it does:
 `wanted` is shared by all that want to measure, `used` is shared by those that do or held alone by the
 watcher, and `watched` is the watcher's. They lie in a folder of the user's own, named by the rig file's
 place: two rig files that name the same camera are two rigs here.
@@ -12,7 +12,6 @@ place: two rig files that name the same camera are two rigs here.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import logging
 import os
@@ -23,13 +22,16 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from fpplab.core.errors import DeviceError
-from fpplab.core.lock_owner import lock_owner, write_lock_owner
+from fpplab.core.lock import lock_owner, open_lock, try_lock, write_lock_owner
 
 LOOK_S = 0.02
 """How often a command that waits for a rig looks again, in s."""
 
 PATIENCE_S = 60.0
 """How long a command waits for a rig, in s: a watcher lets go within a frame."""
+
+USER = os.getuid() if hasattr(os, "getuid") else 0
+"""Whose folder it is; on Windows each user has a folder for temporary files."""
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +67,7 @@ class RigTurn:
         """
         handle = _opened(self._files, "wanted")
         try:
-            return not _locks(handle, fcntl.LOCK_EX)
+            return not _locks(handle)
         finally:
             os.close(handle)
 
@@ -88,7 +90,7 @@ class RigTurn:
             Whether it is the watcher's now.
         """
         if self._used is None and not self.wanted():
-            self._used = _if_locked(self._files, "used", fcntl.LOCK_EX)
+            self._used = _if_locked(self._files, "used")
         return self.is_mine
 
     def yield_rig(self) -> None:
@@ -118,7 +120,7 @@ def watching_rig(source: Path | str) -> Iterator[RigTurn]:
         Another process watches it already.
     """
     files = _files_of(source)
-    handle = _if_locked(files, "watched", fcntl.LOCK_EX)
+    handle = _if_locked(files, "watched")
     if handle is None:
         who = lock_owner(_named(files, "watched"))
         raise DeviceError(str(source), "watch", f"{who} watches it already", "end that first")
@@ -169,10 +171,10 @@ def using_rig(source: Path | str) -> Iterator[None]:
 def _await(handle: int, files: Path, source: Path | str) -> None:
     """Wait until a lock can be shared; the short sleeps leave Ctrl-C its effect."""
     end = time.monotonic() + PATIENCE_S
-    if _locks(handle, fcntl.LOCK_SH):
+    if _locks(handle, shared=True):
         return
     _log.info("%s: waiting until %s lets go of it", source, lock_owner(_named(files, "watched")))
-    while not _locks(handle, fcntl.LOCK_SH):
+    while not _locks(handle, shared=True):
         if time.monotonic() > end:
             who = lock_owner(_named(files, "watched"))
             found = f"{who} has not let go of it within {PATIENCE_S:g} s"
@@ -182,13 +184,13 @@ def _await(handle: int, files: Path, source: Path | str) -> None:
 
 def _files_of(source: Path | str) -> Path:
     """The common beginning of a rig's lock files."""
-    folder = Path(tempfile.gettempdir()) / f"fpplab-rigs-{os.getuid()}"
+    folder = Path(tempfile.gettempdir()) / f"fpplab-rigs-{USER}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         owner = folder.lstat().st_uid
     except OSError as error:
         raise _no_locks(folder, error) from error
-    if owner != os.getuid():
+    if owner != USER:
         raise DeviceError(str(source), "open", f"{folder} belongs to another user", "delete it")
     return folder / hashlib.sha256(str(Path(source).resolve()).encode()).hexdigest()[:16]
 
@@ -206,26 +208,23 @@ def _opened(files: Path, name: str) -> int:
     """A lock file; it stays, for its lock is what counts, and to delete it would make two of it."""
     place = _named(files, name)
     try:
-        return os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        return open_lock(place, 0o600)
     except OSError as error:
         raise _no_locks(place, error) from error
 
 
-def _locks(handle: int, kind: int) -> bool:
+def _locks(handle: int, shared: bool = False) -> bool:
     """Whether a lock could be had at once."""
     try:
-        fcntl.flock(handle, kind | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        return try_lock(handle, shared)
     except OSError as error:
         raise _no_locks(Path(tempfile.gettempdir()), error) from error
-    return True
 
 
-def _if_locked(files: Path, name: str, kind: int) -> int | None:
+def _if_locked(files: Path, name: str) -> int | None:
     """The descriptor of a file that could be locked at once, or None."""
     handle = _opened(files, name)
-    if _locks(handle, kind):
+    if _locks(handle):
         return handle
     os.close(handle)
     return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.conformance.fault import Fault
 
 BASLER, FAMILIES, LINK = (f"drivers/basler/{name}.py" for name in ("camera", "families", "link"))
-NAMES, GAIN = (f"drivers/genicam/{name}.py" for name in ("names", "gain"))
+NAMES, GAIN, PIXELS = (f"drivers/genicam/{name}.py" for name in ("names", "gain", "pixels"))
 GENTL, PRODUCER = (f"drivers/gentl/{name}.py" for name in ("camera", "producer"))
 VIDEO, CONTROLS = (f"drivers/video_camera/{name}.py" for name in ("camera", "controls"))
 
@@ -151,7 +151,35 @@ GENTL_AND_VIDEO = [
     Fault(
         "gentl: Ctrl-C is the library's", PRODUCER, "_own_ctrl_c", "signal.signal(signal.SIGINT, own)", "own"
     ),
-    Fault("gentl: buffers are kept", PRODUCER, "_returned", "buffer.queue()", "buffer.payload"),
+    Fault(
+        "gentl: buffers are kept",
+        PRODUCER,
+        "_returned",
+        "buffer.parent.queue_buffer(buffer)",
+        "buffer.parent",
+    ),
+    Fault(
+        "gentl: an incomplete frame is the end",
+        *(PRODUCER, "GentlEnd.fetch", "if left_s <= 0.0:", "if buffer is None:"),
+    ),
+    Fault(
+        "gentl: rows have no padding", PRODUCER, "GentlEnd._image", "lambda: buffer.padding_x", "lambda: 0"
+    ),
+    Fault(
+        "gentl: frames begin with the buffer",
+        *(PRODUCER, "GentlEnd._image", "lambda: buffer.image_offset", "lambda: 0"),
+    ),
+    Fault("pixels: rows follow each other", PIXELS, "_rows", "row_bytes + padding", "row_bytes"),
+    Fault("pixels: packed rows never begin anew", PIXELS, "unpack12", "if not padding:", "if height:"),
+    Fault("pixels: frames share the buffer", PIXELS, "image_from", "rows.copy()", "np.asarray(rows)"),
+    Fault(
+        "pixels: half a frame is one",
+        *(PIXELS, "_rows", "raw.size < pitch * height - padding", "raw.size < row_bytes"),
+    ),
+    Fault(
+        "packed is not a choice",
+        *("drivers/genicam/camera.py", "GenicamCamera._format", "not self._options.packed", "self._options"),
+    ),
     Fault(
         "gentl: raw numbers are dB",
         *(GAIN, "CameraGain.__init__", "GAIN_RAW if in_db else GAIN_DB", "GAIN_RAW"),

@@ -229,8 +229,8 @@ DRIVER_OF_BASLER = [
     ),
     Fault(
         "basler: halves of packed pixels swapped",
-        BASLER_FRAMES,
-        "unpack12",
+        "drivers/genicam/pixels.py",
+        "_unpack",
         "low + (middle & 0x0F) * 256",
         "low + (middle >> 4) * 256",
     ),

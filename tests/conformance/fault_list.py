@@ -19,6 +19,7 @@ from tests.conformance.interface_faults import (
     SIMULATED,
     STAGE_AND_FIXTURE,
 )
+from tests.conformance.lock_faults import LOCKED
 from tests.conformance.timing_faults import CHECKED, STARTED, TIMED
 
 FAULTS: list[Fault] = (
@@ -40,4 +41,5 @@ FAULTS: list[Fault] = (
     + DISPLAYS
     + TIMING
     + RIG_FILES
+    + LOCKED
 )

@@ -64,7 +64,10 @@ class Suite:
 
 NODE_MAPS = Suite(
     ("rig_pylon.yaml",),
-    ("test_basler_families.py", "test_basler_features.py", "test_basler.py", "test_basler_faults.py"),
+    (
+        *("test_pixels.py", "test_basler_families.py", "test_basler_features.py"),
+        *("test_basler.py", "test_basler_faults.py"),
+    ),
 )
 VIDEO_PORT = Suite(("rig_dlp4500_video.yaml",), ("test_dlp4500_video.py",))
 TRIGGER_CHECK = Suite(
@@ -74,11 +77,15 @@ TRIGGER_CHECK = Suite(
 DISPLAY = Suite(("rig_reference.yaml",), ("test_display_device.py", "test_display_window.py"))
 FOUND = Suite(("rig_reference.yaml",), ("test_discovery.py",))
 SET_UP = Suite(("rig_reference.yaml",), ("../acquisition/test_rig_setup.py",))
+LOCKS = Suite(
+    ("rig_reference.yaml",),
+    ("../core/test_lock.py", "../sessions/test_lock.py", "../live/test_keys.py"),
+)
 SUITES = {
     "sim/": Suite(("rig_simulated.yaml",)),
     "drivers/basler/": NODE_MAPS,
     "drivers/genicam/": NODE_MAPS,
-    "drivers/gentl/": Suite(("rig_gentl.yaml",), ("test_gentl.py",)),
+    "drivers/gentl/": Suite(("rig_gentl.yaml",), ("test_pixels.py", "test_gentl.py")),
     "drivers/video_camera/": Suite(("rig_video.yaml",), ("test_video_camera.py",)),
     "drivers/dlp4500/on_video.py": VIDEO_PORT,
     "drivers/display/": DISPLAY,
@@ -90,6 +97,8 @@ SUITES = {
     ),
     "fpplab/acquisition/rig_setup.py": SET_UP,
     "fpplab/cli/commands/rig.py": SET_UP,
+    "fpplab/core/lock.py": LOCKS,
+    "fpplab/live/keys.py": LOCKS,
     "drivers/dlp4500/": Suite(
         ("rig_dlp4500.yaml",),
         (

@@ -12,7 +12,7 @@ from fpplab.core import config, files
 from fpplab.core.checksums import check_recorded, write_recorded
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import read_bounded, whole_lines
-from fpplab.core.lock_owner import lock_owner
+from fpplab.core.lock import lock_owner
 from fpplab.core.strict_json import parse_json, parse_object
 from fpplab.dataset.card import read_card
 from fpplab.dataset.shard import check_shard

@@ -114,7 +114,9 @@ class Result:
         return self.height
 
     def GetPaddingX(self) -> int:
-        return (self.raw.nbytes - self.height * self.width * self.raw.itemsize) // self.height
+        is_packed = self.pixel_type == pylon.PixelType_Mono12p
+        row_bytes = 3 * self.width // 2 if is_packed else self.width * self.raw.itemsize
+        return self.raw.nbytes // self.height - row_bytes
 
     def GetImageMemoryView(self) -> memoryview:
         return memoryview(self.raw.reshape(-1).view(np.uint8))

@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pypylon import pylon
 
 from drivers.basler import BaslerCamera
-from drivers.basler.frames import unpack12
+from drivers.genicam.pixels import unpack12
 from fpplab.core.errors import CapabilityError, ConfigError, FrameLossError, SettingError
 from fpplab.devices import CameraSettings, State
 from tests.drivers.node_camera import (
@@ -29,6 +26,7 @@ from tests.drivers.node_camera import (
     number,
     switch,
 )
+from tests.drivers.test_pixels import packed
 
 Make = Callable[..., BaslerCamera]
 
@@ -59,20 +57,6 @@ def but(**nodes: Any) -> NodeCamera:
 
 def value(end: NodeCamera, name: str) -> Any:
     return end.map.GetNode(name).GetValue()
-
-
-def packed(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Twelve bits after twelve bits, least significant first, written bit by bit."""
-    bits = (pixels.reshape(-1, 1) >> np.arange(12)) & 1
-    return np.packbits(bits.astype(np.uint8).reshape(-1), bitorder="little")
-
-
-@given(st.integers(1, 9), st.integers(1, 9), st.randoms(use_true_random=False))
-def test_packed_pixels_come_out_as_they_went_in(height: int, width: int, random: Any) -> None:
-    pixels = np.array([random.randrange(4096) for _ in range(height * width)], np.uint16)
-    image = unpack12(packed(pixels), height, width)
-    assert image.dtype == np.uint16
-    np.testing.assert_array_equal(image, pixels.reshape(height, width))
 
 
 def test_unpacking_agrees_with_pylons_own() -> None:
@@ -106,10 +90,12 @@ def test_packed_pixels_that_are_not_there_are_refused(made: Make) -> None:
         camera.configure(CameraSettings(0.01, bits=12))
 
 
-def test_a_packed_frame(made: Make) -> None:
+@pytest.mark.parametrize("margin", [0, 3])
+def test_a_packed_frame(made: Make, margin: int) -> None:
     end = NodeCamera()
     pixels = np.random.default_rng(1).integers(0, 4096, (8, 64), np.uint16)
-    end.results.append(Result(packed(pixels), 64, 8, pylon.PixelType_Mono12p, 0, 1_500_000_000))
+    rows = np.pad(packed(pixels).reshape(8, -1), [(0, 0), (0, margin)], constant_values=255)
+    end.results.append(Result(rows, 64, 8, pylon.PixelType_Mono12p, 0, 1_500_000_000))
     camera = made(end, packed=True)
     camera.configure(CameraSettings(0.01, bits=12))
     frame = camera.snap()

@@ -7,8 +7,9 @@ import pty
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 
@@ -50,3 +51,50 @@ def test_without_a_terminal_there_are_no_keys(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(sys, "stdin", nothing)
         with terminal_keys(SimpleQueue()) as there:
             assert not there
+
+
+class Console:
+    """What msvcrt gives of the keys typed at a console of Windows."""
+
+    def __init__(self, typed: str) -> None:
+        self.left = list(typed)
+
+    def kbhit(self) -> bool:
+        return bool(self.left)
+
+    def getwch(self) -> str:
+        return self.left.pop(0)
+
+
+@pytest.fixture
+def console(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Console]:
+    """Makes this computer one of Windows whose operator has typed something."""
+
+    def typed(keys: str) -> Console:
+        there = Console(keys)
+        monkeypatch.setattr("fpplab.live.keys.termios", None)
+        monkeypatch.setitem(sys.modules, "msvcrt", there)
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+        return there
+
+    return typed
+
+
+def test_keys_of_a_windows_console_become_orders(console: Callable[[str], Console]) -> None:
+    """The arrow to the left is two characters, of which the second is K; with the prefix of others, q."""
+    orders: SimpleQueue[Order] = SimpleQueue()
+    there = console("a\xe0K\x00q+z<q")
+    with terminal_keys(orders) as is_there:
+        assert is_there
+        deadline = time.monotonic() + 10
+        while (there.left or orders.qsize() < 4) and time.monotonic() < deadline:
+            time.sleep(0.01)
+    found = [orders.get_nowait() for _ in range(4)]
+    assert found == [Order.ADVICE, Order.LONGER, Order.LESS_GAIN, Order.QUIT]
+    assert orders.empty()
+
+
+def test_ctrl_c_that_a_windows_console_takes_for_a_key_interrupts(console: Callable[[str], Console]) -> None:
+    console("\x03")
+    with pytest.raises(KeyboardInterrupt), terminal_keys(SimpleQueue()):
+        time.sleep(10)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import signal
 import subprocess
@@ -108,10 +107,10 @@ def test_folders_made_for_the_lock_alone_do_not_stay(tmp_path: Path) -> None:
 
 
 def test_a_file_system_that_cannot_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(handle: int, how: int) -> None:
+    def refuse(handle: int, shared: bool = False) -> bool:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr("fpplab.core.lock.try_lock", refuse)
     with pytest.raises(DataError, match="cannot lock files"), only_writer(tmp_path / "part"):
         pass
 

@@ -246,7 +246,19 @@ def test_a_session_of_an_unknown_projector_has_its_pictures(tmp_path: Path) -> N
 
 
 @pytest.fixture
-def served() -> Iterator[Viewer[MeasurementView]]:
+def older() -> set[psutil.Process]:
+    """What an earlier test of this worker left running, such as the tracker of shared memory."""
+    return set(processes())
+
+
+@pytest.fixture
+def started(served: Viewer[MeasurementView], older: set[psutil.Process]) -> list[psutil.Process]:
+    """The viewer's processes."""
+    return [process for process in processes() if process not in older]
+
+
+@pytest.fixture
+def served(older: set[psutil.Process]) -> Iterator[Viewer[MeasurementView]]:
     with Viewer(MeasurementView, "browser") as viewer:
         show(viewer, 0)
         until(lambda: viewer.where)
@@ -268,13 +280,15 @@ def processes() -> list[psutil.Process]:
     return psutil.Process().children(recursive=True)
 
 
-def listening() -> list[Any]:
-    found = [c for p in processes() for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+def listening(started: list[psutil.Process]) -> list[Any]:
+    found = [c for p in started for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
     return [connection.laddr for connection in found]
 
 
-def test_the_viewer_is_reached_from_this_computer_alone_and_ends(served: Viewer[MeasurementView]) -> None:
-    addresses, started = listening(), processes()
+def test_the_viewer_is_reached_from_this_computer_alone_and_ends(
+    served: Viewer[MeasurementView], started: list[psutil.Process]
+) -> None:
+    addresses = listening(started)
     assert len(addresses) == 3  # data, rerun's own page, and the page that is announced
     assert {address.ip for address in addresses} == {"127.0.0.1"}
     assert any(f"http://127.0.0.1:{address.port}/" == served.where for address in addresses)
@@ -304,9 +318,11 @@ def test_the_page_may_connect_to_this_computer_alone(served: Viewer[MeasurementV
     ],
 )
 def test_a_viewer_that_dies_does_not_stop_the_measurement(
-    name: str, served: Viewer[MeasurementView], caplog: pytest.LogCaptureFixture
+    name: str,
+    served: Viewer[MeasurementView],
+    started: list[psutil.Process],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    started = processes()
     is_it = {"rerun": lambda p: p.name() == "rerun"}.get(name, lambda p: any(name in w for w in p.cmdline()))
     next(p for p in started if is_it(p) and (name == "rerun" or p.name() != "rerun")).kill()
     with caplog.at_level(logging.WARNING, "fpplab"):
@@ -323,10 +339,9 @@ def test_a_viewer_that_dies_does_not_stop_the_measurement(
 
 @pytest.mark.slow
 def test_a_viewer_that_hangs_is_not_waited_for(
-    served: Viewer[MeasurementView], monkeypatch: pytest.MonkeyPatch
+    served: Viewer[MeasurementView], started: list[psutil.Process], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewers, "QUIET_S", 1.0)
-    started = processes()
     for one in started:
         one.suspend()
     since = time.monotonic()

@@ -1,0 +1,119 @@
+"""Pixels from the bytes of a frame: rows that may be padded, and 12 bits that may be packed.
+
+The names are those of GenICam's Pixel Format Naming Convention (PFNC).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.conventions import Image
+
+PIXELS: dict[str, Any] = {
+    "Mono8": np.uint8,
+    "Mono10": np.uint16,
+    "Mono12": np.uint16,
+    "Mono16": np.uint16,
+}
+"""Unpacked formats, whose pixels are right-justified, least significant byte first."""
+PACKED = "Mono12p"
+
+
+def image_from(raw: NDArray[np.uint8], pixel_format: str, height: int, width: int, padding: int) -> Image:
+    """Take the pixels out of the bytes of a frame, as a copy.
+
+    Parameters
+    ----------
+    raw : ndarray of uint8
+        The frame's bytes; more may follow.
+    pixel_format : str
+        One of `PIXELS`, or `PACKED`.
+    height, width : int
+        Size of the image in px.
+    padding : int
+        Bytes behind each row.
+
+    Returns
+    -------
+    ndarray of uint8 or uint16, (height, width)
+        The image.
+
+    Raises
+    ------
+    ValueError
+        The format is not known, or there are too few bytes.
+    """
+    if pixel_format == PACKED:
+        return unpack12(raw, height, width, padding)
+    if pixel_format not in PIXELS:
+        raise ValueError(f"pixels of the format {pixel_format} are not known")
+    dtype = np.dtype(PIXELS[pixel_format])
+    rows = _rows(raw, height, width * dtype.itemsize, padding)
+    return rows.copy().view(dtype.newbyteorder("<")).astype(dtype, copy=False)
+
+
+def unpack12(raw: NDArray[np.uint8], height: int, width: int, padding: int = 0) -> NDArray[np.uint16]:
+    """Unpack 12-bit pixels, least significant bits first: three bytes hold two pixels.
+
+    Without padding the pixels follow one another without gaps, even from row to row. With padding each row
+    begins with a byte of its own.
+
+    Parameters
+    ----------
+    raw : ndarray of uint8
+        The frame's bytes; more may follow.
+    height, width : int
+        Size of the image in px.
+    padding : int, optional
+        Bytes behind each row.
+
+    Returns
+    -------
+    ndarray of uint16, (height, width)
+        Values 0 to 4095.
+
+    Raises
+    ------
+    ValueError
+        There are too few bytes.
+
+    References
+    ----------
+    GenICam Pixel Format Naming Convention, Mono12p
+    """
+    if not padding:
+        whole: NDArray[np.uint16] = _unpack(_rows(raw, 1, _packed_bytes(height * width), 0), height * width)
+        return whole.reshape(height, width)
+    unpacked: NDArray[np.uint16] = _unpack(_rows(raw, height, _packed_bytes(width), padding), width)
+    return unpacked
+
+
+def _packed_bytes(pixels: int) -> int:
+    return (3 * pixels + 1) // 2
+
+
+def _rows(raw: NDArray[np.uint8], height: int, row_bytes: int, padding: int) -> NDArray[np.uint8]:
+    """A view of the rows without their padding, which the last row may lack."""
+    pitch = row_bytes + padding
+    if raw.size < pitch * height - padding:
+        raise ValueError(f"{raw.size} bytes are too few for {height} rows of {pitch} bytes")
+    return np.lib.stride_tricks.as_strided(raw, (height, row_bytes), (pitch, 1), writeable=False)
+
+
+@numba.njit(cache=True, nogil=True)
+def _unpack(rows: Any, width: int) -> Any:
+    """uint16 (rows, width) from uint8 (rows, bytes); of an odd number the last pixel takes two bytes."""
+    out = np.empty((rows.shape[0], width), np.uint16)
+    for row in range(rows.shape[0]):
+        for pair in range(width // 2):
+            low, middle, high = rows[row, 3 * pair], rows[row, 3 * pair + 1], rows[row, 3 * pair + 2]
+            out[row, 2 * pair] = low + (middle & 0x0F) * 256
+            out[row, 2 * pair + 1] = (middle >> 4) + high * 16
+        if width % 2:
+            last = width // 2 * 3
+            out[row, -1] = rows[row, last] + (rows[row, last + 1] & 0x0F) * 256
+    return out

@@ -1,0 +1,211 @@
+"""Locks between processes: of files, given back by the system when a process ends, however it does.
+
+Linux and macOS lock a whole file by `flock`. Windows locks single bytes, and each for one process alone:
+there a file's lock is a row of bytes far behind its content, of which one is taken to share it, and all to
+have it alone. Whoever holds a lock may write who it is into the file, for the messages of all others.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from fpplab.core.errors import DataError
+from fpplab.core.strict_json import parse_object
+
+MOST_BYTES = 10_000
+"""That are read of what a process writes about itself."""
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+FIRST_BYTE, SHARES = 1 << 30, 32
+"""Where the bytes begin that are locked on Windows, and how many processes can share a lock there."""
+
+
+def open_lock(path: Path, mode: int = 0o644) -> int:
+    """Open a lock file, made if it is not there.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    mode : int, optional
+        Permissions of a new one.
+
+    Returns
+    -------
+    int
+        Its descriptor, for `try_lock`; closing it gives the lock back.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened.
+    """
+    return os.open(path, os.O_RDWR | os.O_CREAT, mode)  # Python lets no child inherit it
+
+
+def try_lock(handle: int, shared: bool = False) -> bool:
+    """Lock an open file at once, or not at all.
+
+    Parameters
+    ----------
+    handle : int
+        Descriptor of the file.
+    shared : bool, optional
+        Whether others may share the lock; by default it is held alone.
+
+    Returns
+    -------
+    bool
+        Whether it is locked now; False while another one has it.
+
+    Raises
+    ------
+    OSError
+        The file system cannot lock files.
+    """
+    if fcntl is None:
+        return _try_bytes(handle, shared)
+    try:
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _try_bytes(handle: int, shared: bool) -> bool:
+    """As `try_lock`, by single bytes."""
+    wanted = [(FIRST_BYTE + n, 1) for n in range(SHARES)] if shared else [(FIRST_BYTE, SHARES)]
+    return any(_lock_bytes(handle, *bytes_) for bytes_ in wanted)
+
+
+def _lock_bytes(handle: int, first: int, count: int) -> bool:
+    import msvcrt
+
+    windows: Any = msvcrt  # whose types are those of another system
+    os.lseek(handle, first, os.SEEK_SET)
+    try:
+        windows.locking(handle, windows.LK_NBLCK, count)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EDEADLK):
+            return False
+        raise
+    return True
+
+
+@contextmanager
+def locked_file(path: Path) -> Iterator[bool]:
+    """Hold a file's lock alone for a while; the file, made for it, is deleted afterwards.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file. Its folder must exist.
+
+    Yields
+    ------
+    bool
+        Whether the lock could be had; False while another process has it.
+
+    Raises
+    ------
+    OSError
+        The file cannot be made.
+    DataError
+        The file system cannot lock files.
+    """
+    handle = _locked(path)
+    try:
+        yield handle is not None
+    finally:
+        if handle is not None:
+            with suppress(PermissionError):  # Windows deletes no open file: it stays, unlocked
+                path.unlink(missing_ok=True)  # while it is locked, so that nobody else's is taken away
+            os.close(handle)
+
+
+def _locked(path: Path) -> int | None:
+    """The descriptor of a file that was locked at once."""
+    while True:
+        handle = open_lock(path)
+        try:
+            if not _lock(handle, path):
+                os.close(handle)
+                return None
+            if _is_there_still(handle, path):
+                write_lock_owner(handle)
+                return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _lock(handle: int, path: Path) -> bool:
+    try:
+        return try_lock(handle)
+    except OSError as error:
+        raise DataError(
+            f"{path.parent}: this file system cannot lock files ({error.strerror}), so that two commands "
+            "could write into one folder; name an output on a disk of this computer"
+        ) from error
+
+
+def _is_there_still(handle: int, path: Path) -> bool:
+    """Whether the file was not deleted, by the one who held it before, since it was opened."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def write_lock_owner(handle: int) -> None:
+    """Write this process into a file that it has locked.
+
+    Parameters
+    ----------
+    handle : int
+        Descriptor of the file, open for writing.
+    """
+    owner = {
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "since": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "command": " ".join(["fpplab", *sys.argv[1:]])[:200],
+    }
+    os.ftruncate(handle, 0)
+    os.lseek(handle, 0, os.SEEK_SET)
+    os.write(handle, json.dumps(owner).encode())
+
+
+def lock_owner(lock: Path) -> str:
+    """Say who holds a lock; it may not have written its name yet.
+
+    Parameters
+    ----------
+    lock : Path
+        The file.
+
+    Returns
+    -------
+    str
+        The process in words.
+    """
+    try:
+        with lock.open("rb") as file:
+            found = parse_object(file.read(MOST_BYTES))
+        return "process {pid} on {host} ('{command}', since {since})".format(**found)
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"
