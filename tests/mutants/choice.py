@@ -9,8 +9,10 @@ from pathlib import Path
 from tests.mutants.coverage_map import CoverageMap
 from tests.mutants.seeding import Mutant
 
-SECONDS = 60.0
+SECONDS = 30.0
 """Tests are added as long as they take no longer than this together."""
+DEEPEST = 3
+"""Machine code is called by machine code of other modules, so many times over."""
 
 
 class Chooser:
@@ -48,13 +50,14 @@ class Chooser:
 
     def _indirect(self, mutant: Mutant) -> set[str]:
         """Tests of machine code, whose lines are not recorded: those that execute what calls it."""
-        tree = ast.parse((self._root / mutant.file).read_text(encoding="utf-8"))
-        if not is_compiled(tree, mutant.line):
+        if "import njit" not in (self._root / mutant.file).read_text(encoding="utf-8"):
             return set()
-        found = self._callers(mutant.file)
-        for importer in importers(self._root, mutant.file):
-            found |= self._callers(importer)
-        return found
+        files = {mutant.file}
+        for _ in range(DEEPEST):
+            files |= {importer for file in files for importer in importers(self._root, file)}
+            if found := {test for file in files for test in self._callers(file)}:
+                return found
+        return set()
 
     def _callers(self, file: str) -> set[str]:
         """Tests that execute functions of a file, not only import it."""
@@ -68,23 +71,15 @@ class Chooser:
         return self._known.tests_of(file, lines)
 
 
-def is_compiled(tree: ast.Module, line: int) -> bool:
-    """Whether a line belongs to a function that numba compiles."""
-    return any(
-        isinstance(node, ast.FunctionDef)
-        and node.lineno <= line <= (node.end_lineno or 0)
-        and any("njit" in ast.unparse(decorator) for decorator in node.decorator_list)
-        for node in ast.walk(tree)
-    )
-
-
 def importers(root: Path, file: str) -> list[str]:
     """Files of the packages that import a module."""
-    module = re.escape(Path(file).with_suffix("").as_posix().replace("/", "."))
-    pattern = re.compile(rf"^\s*(?:from|import) {module}\b", re.MULTILINE)
-    package = file.partition("/")[0]
+    package, _, module = Path(file).with_suffix("").as_posix().replace("/", ".").rpartition(".")
+    whole = re.escape(f"{package}.{module}")
+    pattern = re.compile(
+        rf"^\s*(?:(?:from|import) {whole}\b|from {re.escape(package)} import .*\b{module}\b)", re.MULTILINE
+    )
     return [
         path.relative_to(root).as_posix()
-        for path in sorted((root / package).rglob("*.py"))
+        for path in sorted((root / file.partition("/")[0]).rglob("*.py"))
         if pattern.search(path.read_text(encoding="utf-8"))
     ]

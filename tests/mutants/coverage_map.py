@@ -9,12 +9,13 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from pathlib import Path
 
 import coverage
 
 from tests.mutants.recording import CONTEXT, RESULTS
-from tests.mutants.tree import PACKAGES, copy_tree
+from tests.mutants.tree import PACKAGES, ROOT, copy_tree
 
 STARTUP = Path(__file__).with_name("startup")
 SETTINGS = """\
@@ -89,12 +90,25 @@ def _write(folder: Path, tree: Path) -> None:
     (folder / "map.json").write_text(text, encoding="utf-8")
 
 
+def _lines_now(then: Path, now: Path) -> dict[int, int] | None:
+    """The lines of a file as it was by those that it has; None where it is gone."""
+    if not now.exists():
+        return None
+    old, new = (path.read_text(encoding="utf-8").splitlines() for path in (then, now))
+    if old == new:
+        return {line: line for line in range(1, len(new) + 1)}
+    blocks = SequenceMatcher(None, old, new, autojunk=False).get_matching_blocks()
+    return {block.a + k + 1: block.b + k + 1 for block in blocks for k in range(block.size)}
+
+
 def load(folder: Path) -> CoverageMap:
-    """Read the map."""
+    """Read the map; of files that changed since it was made, what is the same is found at its new place."""
     data = json.loads((folder / "map.json").read_text(encoding="utf-8"))
     names = [name for name, _ in data["tests"]]
-    lines = {
-        file: {int(line): [names[k] for k in tests] for line, tests in found.items()}
-        for file, found in data["lines"].items()
-    }
+    lines = {}
+    for file, found in data["lines"].items():
+        if (now := _lines_now(folder / "tree" / file, ROOT / file)) is not None:
+            lines[file] = {
+                now[int(line)]: [names[k] for k in tests] for line, tests in found.items() if int(line) in now
+            }
     return CoverageMap(lines, dict(data["tests"]))
