@@ -14,6 +14,7 @@ from pathlib import Path
 from fpplab.core.errors import DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines, write_text, writing
 from fpplab.core.session_names import CHECKSUMS
+from fpplab.core.strict_json import parse_object
 
 
 def write_recorded(path: Path, text: str) -> None:
@@ -70,7 +71,7 @@ def _recorded(record: Path, name: str) -> list[str]:
     known = []
     for number, line in enumerate(whole_lines(record), 1):
         try:
-            entry = json.loads(line)
+            entry = parse_object(line)
             file, sha256 = entry["file"], entry["sha256"]
         except (ValueError, TypeError, KeyError) as error:
             raise DataError(f"{record} line {number}: is not the checksum of a file") from error
