@@ -325,10 +325,13 @@ def match_twin(
         The record is damaged.
     """
     epochs = record.read()
-    begin = _best(epochs).parameters.parameters() if epochs else start
-    twin.become(begin)
+    if not epochs:
+        start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
+    elif epochs[-1].next_frame is not None:
+        twin.count_frames_from(epochs[-1].next_frame)
+    twin.become(_best(epochs).parameters.parameters() if epochs else start)
     white = "paper" if reference.response is not None else "white"
-    samples = _samples_of_poses(reference, begin)
+    samples = _samples_of_poses(reference, epochs[-1].parameters.parameters() if epochs else start)
     before = epochs[-1].seconds if epochs else 0.0
     started = time.monotonic() - before
     watch = _StepWatch(started, limits, progress, tell)
@@ -338,7 +341,7 @@ def match_twin(
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
         first = evaluate(reference, twin, weights)
-        _record_epoch(state, "start", first, _difference(state), True, observe)
+        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
@@ -421,13 +424,14 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
 def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
-    tried = step.propose(state.at)
+    written = ParametersFile.of(step.propose(state.at))
+    tried = written.parameters()
     twin.become(tried)
     known = None if step.characterises else best.loss["epsilon_v_px"]
     found = evaluate(state.at.reference, twin, state.weights, known)
     state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
-    _record_epoch(state, step.name, found, difference, _accepted(best, found, difference), observe)
+    _record_epoch(state, step.name, written, found, difference, _accepted(best, found, difference), observe)
 
 
 def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
@@ -458,7 +462,13 @@ def _noise(state: _State) -> float:
 
 
 def _record_epoch(
-    state: _State, name: str, found: TwinEvaluation, difference: float, accepted: bool, observe: EpochObserver
+    state: _State,
+    name: str,
+    tried: ParametersFile,
+    found: TwinEvaluation,
+    difference: float,
+    accepted: bool,
+    observe: EpochObserver,
 ) -> None:
     if not np.isfinite(found.loss.board):
         raise CalibrationError(
@@ -471,7 +481,8 @@ def _record_epoch(
         loss=found.loss.summary(),
         difference=difference,
         seconds=state.seconds,
-        parameters=ParametersFile.of(state.at.twin.parameters),
+        parameters=tried,
+        next_frame=state.at.twin.next_frame,
     )
     state.record.add(epoch)
     state.epochs.append(epoch)

@@ -64,6 +64,7 @@ def scan_command(
             bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once.
+        from fpplab.core.session_names import RECORDING
         from fpplab.diagnosis import UselessScanError
         from fpplab.phase.precision import uncertain_orders
         from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
@@ -72,7 +73,6 @@ def scan_command(
         from fpplab.report.provenance import session_provenance
         from fpplab.sessions.lock import only_writer
         from fpplab.viewer.measurement import MeasurementView, frame_observer
-        from fpplab.viewer.recorded import RECORDING
 
         # The report is written last: without it, all that is left may be to finish.
         finished = (out / REPORT).is_file()
