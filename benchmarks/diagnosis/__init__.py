@@ -97,7 +97,7 @@ Work = tuple[Callable[[str, int], T], str, int]
 
 
 @dataclass(frozen=True)
-class Part:
+class Selection:
     """What is measured.
 
     Attributes
@@ -123,15 +123,15 @@ def run() -> list[Result]:
     list of Result
         Shares named, and how near advice comes to the best noise.
     """
-    return measure(Part())
+    return measure(Selection())
 
 
-def measure(part: Part) -> list[Result]:
+def measure(part: Selection) -> list[Result]:
     """Measure a part.
 
     Parameters
     ----------
-    part : Part
+    part : Selection
         Which one.
 
     Returns
@@ -162,25 +162,25 @@ def measure(part: Part) -> list[Result]:
         ]
 
 
-def _faults(part: Part) -> list[Work[Judged]]:
+def _faults(part: Selection) -> list[Work[Judged]]:
     seeds = range(part.seed, part.seed + part.count)
     causes = part.causes or tuple(JUDGES)
     # Seed by seed, since benches of one seed are compared with the same bench without fault.
     return [(JUDGES[cause], cause.split()[0], k) for k in seeds for cause in causes]
 
 
-def _healthy(part: Part) -> list[Work[Judged]]:
+def _healthy(part: Selection) -> list[Work[Judged]]:
     formulas: list[Work[Judged]] = [(of_scan, "", part.seed + k) for k in range(FORMULA_RIGS)]
     names = zip(cycle(SIMULATED_RIGS), range(2 * len(SIMULATED_RIGS)), strict=False)
     return [*formulas, *((of_rig, name, part.seed + FORMULA_RIGS + k) for name, k in names)]
 
 
-def _pairs(part: Part) -> list[Work[Judged]]:
+def _pairs(part: Selection) -> list[Work[Judged]]:
     seeds = range(part.seed + PAIRS_AFTER, part.seed + PAIRS_AFTER + PAIR_COUNT)
     return [(of_pair, "+".join(pair), seed) for pair in PAIRS for seed in seeds]
 
 
-def _advised(part: Part) -> list[Work[Followed]]:
+def _advised(part: Selection) -> list[Work[Followed]]:
     return [(follow, cause, part.seed + ADVICE_AFTER + k) for k, cause in enumerate(BAD_RIGS)]
 
 

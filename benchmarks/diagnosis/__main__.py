@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.diagnosis import COUNT, JUDGES, JUDGING_SEED, Part, measure
+from benchmarks.diagnosis import COUNT, JUDGES, JUDGING_SEED, Selection, measure
 from fpplab.cli import console
 from fpplab.cli.app import Json
 
@@ -25,7 +25,7 @@ def diagnosis_command(
     json: Json = False,
 ) -> None:
     """Judge benches with and without faults, and say which faults were named."""
-    results = measure(Part(seed, count, tuple(causes.split(",")) if causes else ()))
+    results = measure(Selection(seed, count, tuple(causes.split(",")) if causes else ()))
     rows = [list(asdict(one).values()) for one in results]
     columns = ["name", "value", "unit", "baseline", "ratio"]
     answer = {"results": [asdict(one) for one in results]}

@@ -212,7 +212,8 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     if len(cycles) == 0:
         return None
     bins = np.rint(4.0 * (position - position.min())).astype(np.intp)
-    total, count = np.bincount(bins, rough), np.bincount(bins)
+    count = np.bincount(bins)
+    total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
     total = total - count * _of_fringes(places, total, count, fine)
     sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from benchmarks.diagnosis import COUNT, JUDGES, JUDGING_SEED, Part, measure
+from benchmarks.diagnosis import COUNT, JUDGES, JUDGING_SEED, Selection, measure
 from fpplab.core.errors import ConfigError
 from tests.support.commands import ROOT
 
@@ -18,13 +18,13 @@ ARGUMENTS = ["--seed", "600", "--count", "1", "--causes", "small_angle,no_permis
 
 def test_more_than_the_faults_asked_for_are_judged_on_seeds_of_their_own() -> None:
     assert len(JUDGES) >= 24
-    assert Part() == Part(JUDGING_SEED, COUNT, ())
+    assert Selection() == Selection(JUDGING_SEED, COUNT, ())
     assert (JUDGING_SEED, COUNT) == (1000, 10)
 
 
 def test_a_cause_that_there_is_not_is_refused() -> None:
     with pytest.raises(ConfigError, match="--causes: 'rain' is none of camera_focus, "):
-        measure(Part(600, 1, ("rain",)))
+        measure(Selection(600, 1, ("rain",)))
 
 
 @pytest.mark.slow
