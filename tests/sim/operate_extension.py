@@ -1,7 +1,7 @@
-"""Install the extension in Blender, operate it as an operator would, and disable it; see test_extension.py.
+"""Install the extension in Blender, operate it as an operator does, and disable it; see test_extension.py.
 
-Arguments: the archive, the Python that has fpplab, the folder for results, a rig file, and which of `PARTS` to
-do. Writes `told.json` with what was seen, and what differs from before once the extension is disabled.
+Arguments: the archive, the Python that has fpplab, the folder for results, a rig file, and which of `PARTS`
+to do. Writes `told.json` with what was seen, and what differs from before once the extension is disabled.
 """
 
 from __future__ import annotations

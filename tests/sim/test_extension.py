@@ -368,7 +368,7 @@ def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path
 
 @pytest.mark.slow
 def test_exported_scene_stands_alone(tmp_path: Path, small_rig: Path, python_path: str) -> None:
-    """Opened without the extension it renders the twin's picture; its fringes are stored at half precision."""
+    """Opened without the extension it renders the twin's picture; its fringes are at half precision."""
     chosen = ("--rig", small_rig, "--item", "board", "--stripes", 20, "--steps", 4, "--step", 1)
     for command, name in (("export", "rig.blend"), ("describe", "rig.npz")):
         done = twin_command(python_path, command, *chosen, "--out", tmp_path / name)

@@ -14,7 +14,8 @@ from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.dlp4500.flash import memory
-from drivers.dlp4500.protocol import VERSION, Command, RawBytes, RegisterField, RegisterLayout
+from drivers.dlp4500.layout import Command, RawBytes, RegisterField, RegisterLayout
+from drivers.dlp4500.protocol import VERSION
 from drivers.dlp4500.transport import Link
 from fpplab.core.errors import (
     DeviceError,
