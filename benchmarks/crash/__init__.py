@@ -7,7 +7,6 @@ failures, and its baseline 0.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +50,7 @@ def run() -> list[Result]:
 
 
 def crash_figures(counts: CrashCounts, programs: tuple[DisturbedProgram, ...]) -> list[Result]:
-    """Disturb some programs; what fails is described on stderr.
+    """Disturb some programs; each failure is described on stderr at once.
 
     Parameters
     ----------
@@ -71,11 +70,4 @@ def crash_figures(counts: CrashCounts, programs: tuple[DisturbedProgram, ...]) -
         found = kill_failures(folder, programs, counts.kills, counts.seed)
         found |= signal_failures(folder, programs, counts.signals, counts.seed)
         found |= contest_failures(folder, counts.contests)
-    return [below(name, len(failures), "", 0) for name, failures in _told(found).items()]
-
-
-def _told(found: dict[str, list[str]]) -> dict[str, list[str]]:
-    for name, failures in found.items():
-        for words in failures:
-            sys.stderr.write(f"{name}: {words}\n")
-    return found
+    return [below(name, len(failures), "", 0) for name, failures in found.items()]

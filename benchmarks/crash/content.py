@@ -61,7 +61,9 @@ def timeless(file: Path, stem: str) -> bytes:
         What is to be the same in every run.
     """
     read = READERS.get(file.suffix)
-    return file.read_bytes() if read is None else read(file.read_text("utf-8")).replace(stem, "OUT").encode()
+    if read is None:
+        return file.read_bytes()
+    return re.sub(re.escape(stem), "OUT", read(file.read_text("utf-8")), flags=re.IGNORECASE).encode()
 
 
 def _without_times(value: Any) -> Any:

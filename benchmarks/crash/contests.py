@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from benchmarks.crash.content import content_of
+from benchmarks.crash.failures import Failures, no_failures, note_failure
 from benchmarks.crash.programs import SCAN, EndedRun, note_of, run_until, start
 
 NOT_ONE, NOT_TOLD, DAMAGED = (
@@ -16,7 +17,7 @@ NOT_ONE, NOT_TOLD, DAMAGED = (
 TOLD = "is writing into it"
 
 
-def contest_failures(folder: Path, contests: int) -> dict[str, list[str]]:
+def contest_failures(folder: Path, contests: int) -> Failures:
     """Start scans into one folder at once, two and four in turn, every other pair with `--force`.
 
     Parameters
@@ -33,7 +34,7 @@ def contest_failures(folder: Path, contests: int) -> dict[str, list[str]]:
     """
     if contests == 0:
         return {}
-    found: dict[str, list[str]] = {NOT_ONE: [], NOT_TOLD: [], DAMAGED: []}
+    found = no_failures(NOT_ONE, NOT_TOLD, DAMAGED)
     whole = folder / "contest_whole"
     run_until(SCAN, folder, whole)
     expected = content_of(whole)
@@ -46,10 +47,12 @@ def contest_failures(folder: Path, contests: int) -> dict[str, list[str]]:
         words = f"{count} processes{' with --force' if force else ''}, contest {number}"
         codes = [one.code for one in ended]
         if codes.count(0) != 1:
-            found[NOT_ONE].append(f"{words}: exit codes {codes}")
-        found[NOT_TOLD] += [f"{words}: {one.err[-500:]}" for one in ended if not _is_told(one)]
+            note_failure(found, NOT_ONE, f"{words}: exit codes {codes}")
+        for one in ended:
+            if not _is_told(one):
+                note_failure(found, NOT_TOLD, f"{words}: {one.err[-500:]}")
         if content_of(out) != expected:
-            found[DAMAGED].append(words)
+            note_failure(found, DAMAGED, words)
         shutil.rmtree(out)
     print(f"{contests} contests", flush=True)
     return found

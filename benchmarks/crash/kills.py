@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 
 from benchmarks.crash.content import content_of
+from benchmarks.crash.failures import Failures, no_failures, note_failure
 from benchmarks.crash.programs import DisturbedProgram, run_until
 from fpplab.core.errors import FppError
 from fpplab.core.session_names import JOURNAL
@@ -44,7 +45,7 @@ class _Series:
     program: DisturbedProgram
     folder: Path
     random: np.random.Generator
-    found: dict[str, list[str]]
+    found: Failures
     expected: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
 
@@ -72,10 +73,10 @@ class _Series:
             ended = run_until(self.program, self.folder, out)
         self._look(out, known, f"{self.program.name}, {out.name}, completed")
         if not ended.is_done:
-            self.found[NOT_RESUMED].append(f"{self.program.name}, {out.name}: {ended.err[-1500:]}")
+            note_failure(self.found, NOT_RESUMED, f"{self.program.name}, {out.name}: {ended.err[-1500:]}")
         elif (content := content_of(out)) != self.expected:
             apart = sorted(n for n in {*content, *self.expected} if content.get(n) != self.expected.get(n))
-            self.found[DIFFERENT].append(f"{self.program.name}, {out.name} in {', '.join(apart)}")
+            note_failure(self.found, DIFFERENT, f"{self.program.name}, {out.name} in {', '.join(apart)}")
             return kills  # its files are left to be looked at
         _remove(out)
         return kills
@@ -89,21 +90,20 @@ class _Series:
 
     def _look(self, out: Path, known: dict[str, str], words: str) -> dict[str, str]:
         """Read all sessions, and what they have acknowledged, which must hold what they had before."""
-        for _ in _left_running(self.folder):
-            self.found[LEFT_RUNNING].append(words)
+        for _ in left_running(self.folder):
+            note_failure(self.found, LEFT_RUNNING, words)
         try:
             now = dict(_acknowledged(out))
         except FppError as error:
-            self.found[UNREADABLE].append(f"{words}: {error}")
+            note_failure(self.found, UNREADABLE, f"{words}: {error}")
             return known
         lost = [name for name, line in known.items() if now.get(name) != line]
-        self.found[LOST] += [f"{words}: {name}" for name in lost]
+        for name in lost:
+            note_failure(self.found, LOST, f"{words}: {name}")
         return now
 
 
-def kill_failures(
-    folder: Path, programs: tuple[DisturbedProgram, ...], kills: int, seed: int
-) -> dict[str, list[str]]:
+def kill_failures(folder: Path, programs: tuple[DisturbedProgram, ...], kills: int, seed: int) -> Failures:
     """Kill programs at random moments.
 
     Parameters
@@ -122,9 +122,7 @@ def kill_failures(
     dict of str to list of str
         Descriptions of what went wrong, by kind.
     """
-    found: dict[str, list[str]] = {
-        kind: [] for kind in (UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING)
-    }
+    found = no_failures(UNREADABLE, LOST, NOT_RESUMED, DIFFERENT, LEFT_RUNNING)
     if kills == 0:
         return {}
     whole = sum(program.share for program in programs)
@@ -150,8 +148,19 @@ def _acknowledged(out: Path) -> Iterator[tuple[str, str]]:
             yield f"{journal.parent.name}/{record.index}", record.model_dump_json()
 
 
-def _left_running(folder: Path) -> Iterator[int]:
-    """Processes of killed commands: they work in their folder, and this process does not."""
+def left_running(folder: Path) -> Iterator[int]:
+    """End the processes that commands have left running: they work in the folder, and this process does not.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the commands ran.
+
+    Yields
+    ------
+    int
+        Number of each process that still runs after `CHILDREN_S`.
+    """
     end = time.monotonic() + CHILDREN_S
     while found := [one for one in psutil.process_iter() if _works_in(one, folder)]:
         if time.monotonic() > end:

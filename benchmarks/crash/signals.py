@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.crash.bench import bench_is_safe
-from benchmarks.crash.kills import _left_running
+from benchmarks.crash.failures import Failures, note_failure
+from benchmarks.crash.kills import left_running
 from benchmarks.crash.programs import DisturbedProgram, EndedRun, note_of, run_until
 from fpplab.core.interrupts import SIGNALS
 
@@ -28,7 +29,7 @@ FIRST_MOMENTS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 def signal_failures(
     folder: Path, programs: tuple[DisturbedProgram, ...], signals: int, seed: int
-) -> dict[str, list[str]]:
+) -> Failures:
     """Interrupt programs at random moments, by SIGINT, SIGTERM and SIGHUP in turn.
 
     Before the program's first line Python answers itself, and nothing has begun: such runs are counted apart.
@@ -66,8 +67,9 @@ def signal_failures(
             words = f"{program.name}, {signalled.name} at {moment_s:.3f} s: exit code {ended.code}"
             _judge(ended, signalled, f"{words}\n{ended.err[-1500:]}", found)
             if not bench_is_safe(note_of(out)):
-                found[UNSAFE].append(words)
-            found[LEFT_RUNNING] += [words for _ in _left_running(folder)]
+                note_failure(found, UNSAFE, words)
+            for _ in left_running(folder):
+                note_failure(found, LEFT_RUNNING, words)
         print(f"{program.name}: interrupted {count} times", flush=True)
     return found
 
@@ -79,14 +81,14 @@ def _place(folder: Path, program: DisturbedProgram, name: str) -> Path:
     return out
 
 
-def _judge(ended: EndedRun, number: signal.Signals, words: str, found: dict[str, list[str]]) -> None:
+def _judge(ended: EndedRun, number: signal.Signals, words: str, found: Failures) -> None:
     if _is_before(ended, number):
-        found[BEFORE].append(words.splitlines()[0])
+        note_failure(found, BEFORE, words.splitlines()[0])
         return
     if ended.code not in (0, 130):
-        found[WRONG_CODE].append(words)
+        note_failure(found, WRONG_CODE, words)
     if "Traceback" in ended.err:
-        found[TRACEBACK].append(words)
+        note_failure(found, TRACEBACK, words)
 
 
 def _is_before(ended: EndedRun, number: signal.Signals) -> bool:

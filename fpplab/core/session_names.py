@@ -16,10 +16,8 @@ DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "verdict.yaml",
 )
 """The results."""
-RECORDING = "view.rrd"
-"""What `--view` showed."""
 SESSION_FILES = frozenset(
     (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
-    + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)
+    + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, "view.rrd")
 )
 """Every file that fpplab writes into a session, beside the folder of its frames."""
