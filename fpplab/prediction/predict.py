@@ -41,7 +41,7 @@ DRAWS = 3
 
 
 @dataclass(frozen=True)
-class Interval:
+class FigureInterval:
     """A predicted figure with its interval of 95 %.
 
     Attributes
@@ -88,7 +88,7 @@ class Prediction:
     ----------
     item : str
         Name of the item.
-    figures : dict of str to Interval
+    figures : dict of str to FigureInterval
         By attribute of `MeasuredFigures`, and `seconds`.
     images : int
         Number of images.
@@ -99,7 +99,7 @@ class Prediction:
     """
 
     item: str
-    figures: dict[str, Interval]
+    figures: dict[str, FigureInterval]
     images: int
     pixels: int
     discrepancy: Discrepancy | None
@@ -172,7 +172,7 @@ def predict(
     discrepancy = Discrepancy.beside(Path(rig.source))
     figures = _intervals([one for one, _ in draws], draws[0][1], discrepancy)
     seconds = plan_seconds(rig, plan)
-    figures["seconds"] = Interval(seconds, seconds, seconds)
+    figures["seconds"] = FigureInterval(seconds, seconds, seconds)
     images = len(study.patterns)
     return Prediction(item, figures, images, int(np.count_nonzero(seen & counted)), discrepancy)
 
@@ -297,7 +297,7 @@ class _Sampled:
 
 def _intervals(
     draws: list[MeasuredFigures], cloud: Cloud, discrepancy: Discrepancy | None
-) -> dict[str, Interval]:
+) -> dict[str, FigureInterval]:
     """Intervals by the scatter of the draws, the calibration, and what bench and twin differed by."""
     known = discrepancy or Discrepancy()
     values = {name: np.array([getattr(one, name) for one in draws]) for name in vars(draws[0])}
@@ -305,10 +305,10 @@ def _intervals(
     mean = {name: float(one.mean()) for name, one in values.items()}
     form_um = 0.0 if cloud.sigma_form_mm is None else 1e3 * float(np.median(cloud.sigma_form_mm))
 
-    def scale(name: str, further: float, least_above: float = 0.0) -> Interval:
+    def scale(name: str, further: float, least_above: float = 0.0) -> FigureInterval:
         relative = float(np.hypot(spread[name] / max(mean[name], 1e-12), further))
         value, factor = mean[name], float(np.exp(COVERAGE * relative))
-        return Interval(value, value / factor, float(np.hypot(value * factor, COVERAGE * least_above)))
+        return FigureInterval(value, value / factor, float(np.hypot(value * factor, COVERAGE * least_above)))
 
     noise = known.noise.sigma if known.noise else 0.0
     distance = known.distance.sigma if known.distance else noise
@@ -319,9 +319,9 @@ def _intervals(
     return {
         "distance_um": scale("distance_um", distance, form_um),
         "noise_um": scale("noise_um", noise),
-        "completeness": Interval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
+        "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
         # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
-        "wrong_order": Interval(risk, *_risk_ends(risk, noise + spread["noise_um"] / mean["noise_um"])),
+        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + spread["noise_um"] / mean["noise_um"])),
     }
 
 

@@ -41,7 +41,18 @@ class ResponseLike(Protocol):
         ...
 
     def apply(self, levels_in: Floats) -> Floats:
-        """Levels seen for levels shown."""
+        """Compute the levels seen for levels shown.
+
+        Parameters
+        ----------
+        levels_in : Floats
+            Levels shown, in [0, 1].
+
+        Returns
+        -------
+        Floats
+            Levels seen, as shares of full scale, of the same shape.
+        """
         ...
 
 

@@ -212,8 +212,8 @@ def test_great_read_noise_is_found(truth: TwinParameters) -> None:
 
 
 def test_the_right_noise_is_better_although_images_are_less_alike(truth: TwinParameters) -> None:
-    shaken = replace(truth, vibration_mm=0.02)
-    held = reference_of(shaken, 4, NOISY_PLAN)
+    moving = replace(truth, vibration_mm=0.02)
+    held = reference_of(moving, 4, NOISY_PLAN)
 
     def judged(vibration_mm: float) -> tuple[float, float]:
         twin = PlaneTwin(replace(truth, vibration_mm=vibration_mm), 8)
