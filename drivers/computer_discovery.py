@@ -11,6 +11,8 @@ from fpplab.devices.discovery import FoundDevice, FoundDevices
 
 VIDEO_CLASS, VIDEO_NODES = Path("/sys/class/video4linux"), Path("/dev")
 """Where Linux lists video devices, and their nodes."""
+GENTL_DRIVER = "drivers.gentl:GentlCamera"
+"""Driver of their cameras, as rig files name it."""
 PRODUCER_PATH = "GENICAM_GENTL64_PATH"
 """Environment variable that lists the folders of GenTL producers."""
 
@@ -80,27 +82,38 @@ def video_cameras() -> FoundDevices:
 
 
 def producers() -> FoundDevices:
-    """List the GenTL producers that `GENICAM_GENTL64_PATH` names: each opens the cameras of one maker.
+    """List the cameras of the GenTL producers that `GENICAM_GENTL64_PATH` names.
 
     Returns
     -------
     FoundDevices
-        One camera for each producer, and the folders that do not exist or hold none.
+        The cameras; folders that do not exist or hold no producer, and producers that do not answer.
     """
     found = FoundDevices([], [])
     for name in filter(None, os.environ.get(PRODUCER_PATH, "").split(os.pathsep)):
         files = sorted(Path(name).glob("*.cti"))
         for file in files:
-            # Which cameras it has, its own library tells: the rig file needs the serial number of one.
-            found.devices.append(
-                FoundDevice("camera", f"GenTL producer {file.stem}", "", str(file), {}, "rig_gentl.yaml")
-            )
+            _add_cameras_of(file.absolute(), found)
         if not files:
             found.missing.append(
                 f"{PRODUCER_PATH} names {name}, which holds no producer (*.cti); correct it, or install the "
                 "camera maker's software again"
             )
     return found
+
+
+def _add_cameras_of(producer: Path, found: FoundDevices) -> None:
+    from drivers.gentl.listing import listed_cameras
+
+    listed = listed_cameras(producer)
+    if isinstance(listed, str):
+        found.missing.append(f"cameras of the GenTL producer {producer} are not listed: {listed}")
+        return
+    for one in listed:
+        model = " ".join(filter(None, (one.vendor, one.model)))
+        section = {"backend": GENTL_DRIVER, "producer": str(producer), "serial": one.serial}
+        link = f"GenTL {one.layer}, {producer.name}"
+        found.devices.append(FoundDevice("camera", model, one.serial, link, section, "rig_gentl.yaml"))
 
 
 def _text(file: Path) -> str:

@@ -114,7 +114,14 @@ def find_devices() -> FoundDevices:
             continue
         found.devices.extend(part.devices)
         found.missing.extend(part.missing)
-    return FoundDevices([_with_video_port(one, found.devices) for one in found.devices], found.missing)
+    listed = [one for one in found.devices if not _is_again(one, found.devices)]
+    return FoundDevices([_with_video_port(one, listed) for one in listed], found.missing)
+
+
+def _is_again(device: FoundDevice, all_found: Iterable[FoundDevice]) -> bool:
+    """Whether a camera of a GenTL producer is listed with a driver of its own as well."""
+    others = [d for d in all_found if d.section.get("backend") != computer_discovery.GENTL_DRIVER]
+    return device not in others and device.serial in {d.serial for d in others if d.kind == "camera"}
 
 
 def _with_video_port(device: FoundDevice, all_found: Iterable[FoundDevice]) -> FoundDevice:

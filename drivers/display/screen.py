@@ -19,6 +19,8 @@ from multiprocessing.shared_memory import SharedMemory
 from statistics import median
 from typing import Any
 
+from drivers.apart import libraries_silent
+
 EVENTS_S = 0.02
 """Interval in s at which window events are processed while no command comes."""
 QUEUED_FRAMES = 3
@@ -152,7 +154,7 @@ def serve_screen(connection: Connection, wanted: int | str, size: tuple[int, int
         Width and height that the display must have, in px; None for any.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver's process handles Ctrl-C
-    with suppress(EOFError, OSError):
+    with suppress(EOFError, OSError), libraries_silent():
         try:
             with open_screen(wanted, size) as screen:
                 connection.send(OpenedScreen(screen.display, screen.vsync_s))
@@ -177,7 +179,7 @@ def serve_displays(connection: Connection) -> None:
         Takes the answer.
     """
     try:
-        with _video() as sdl:
+        with libraries_silent(), _video() as sdl:
             connection.send(_displays(sdl))
     except ScreenError as error:
         connection.send(error.failure)

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.apart import ask_apart
 from drivers.display import screen
 from drivers.display.screen import DisplayInfo, OpenedScreen, ShowFrame
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError
@@ -215,21 +216,7 @@ def connected_displays() -> list[DisplayInfo]:
     DeviceError
         SDL finds none, or does not answer.
     """
-    context = multiprocessing.get_context("spawn")
-    mine, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=screen.serve_displays, args=(theirs,), name="displays", daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        found = mine.recv() if mine.poll(START_S) else None
-    except EOFError:
-        found = None
-    finally:
-        mine.close()
-        process.join(STOP_S)
-        if process.is_alive():
-            process.kill()
-            process.join()
+    found = ask_apart(screen.serve_displays, patience_s=START_S)
     if isinstance(found, screen.ScreenFailure):
         raise DeviceError("displays", "list", found.found, found.remedy)
     if found is None:

@@ -81,7 +81,7 @@ class GentlProducer:
             By serial number, or by the producer's own name where a camera has no serial number.
         """
         self._harvester.update()
-        return {_told(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list}
+        return {told_of(info, "serial_number") or info.id_: info for info in self._harvester.device_info_list}
 
     def attach(self, info: Any) -> GentlEnd:
         """Open a camera.
@@ -129,9 +129,9 @@ class GentlEnd:
 
     def __init__(self, acquirer: Any, info: Any) -> None:
         self._acquirer = acquirer
-        self.model = " ".join(filter(None, (_told(info, "vendor"), _told(info, "model"))))
-        self.link = f"GenTL {_told(info, 'tl_type')}"
-        self.first_number = FIRST_FRAME.get(_told(info, "tl_type"))
+        self.model = " ".join(filter(None, (told_of(info, "vendor"), told_of(info, "model"))))
+        self.link = f"GenTL {told_of(info, 'tl_type')}"
+        self.first_number = FIRST_FRAME.get(told_of(info, "tl_type"))
 
     def GetNodeMap(self) -> GentlNodeMap:
         """Return the camera's node map.
@@ -243,8 +243,21 @@ def _asked(of_buffer: Callable[[], int], otherwise: Callable[[], int]) -> int:
         return int(otherwise())
 
 
-def _told(info: Any, name: str) -> str:
-    """Return what the producer tells; empty where it refuses to."""
+def told_of(info: Any, name: str) -> str:
+    """Return what a producer tells of a camera.
+
+    Parameters
+    ----------
+    info : harvesters.core.DeviceInfo
+        One of the values of `GentlProducer.cameras`.
+    name : str
+        What is asked for, such as "vendor".
+
+    Returns
+    -------
+    str
+        The answer; empty where the producer refuses one.
+    """
     with suppress(gentl.GenericException, AttributeError):
         return str(getattr(info, name) or "")
     return ""

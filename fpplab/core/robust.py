@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,3 +103,20 @@ def clustered_covariance(rows: Floats, scores: Floats, within: Mask, cell: NDArr
     np.add.at(sums, cell, rows * scores[:, None])
     inverse = np.linalg.pinv(rows[within].T @ rows[within], rcond=1e-12)
     return np.asarray(inverse @ (sums.T @ sums) @ inverse * cells / (cells - count))
+
+
+def error_limit(errors: NDArray[np.floating[Any]]) -> float:
+    """Compute the limit of the symmetric colour range of signed errors.
+
+    Parameters
+    ----------
+    errors : NDArray of float
+        NaN where not known.
+
+    Returns
+    -------
+    float
+        The 98th percentile of the absolute values that are finite; 1 where there are none.
+    """
+    known = np.abs(errors[np.isfinite(errors)])
+    return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0

@@ -19,6 +19,9 @@ COLOURS = 3
 LEAST_COLOUR = 0.9
 """Least brightness of the frames of one colour, as a share of the others'."""
 
+CREST_PERCENTILE = 90
+"""Share of the pixels, in %, that are darker than the crests of the fringes."""
+
 FEWEST_STRIPES = 4.0
 """Stripes of a set from which on the mean of a frame does not depend on its phase."""
 
@@ -28,7 +31,7 @@ MANY_STRIPES = 16.0
 DISTINCT = 4.0
 """How many times the scatter of all frames' brightness a colour must be off."""
 
-MOST_BANDS = 0.015
+MOST_BANDS = 0.02
 """Scatter of the rows' brightness between frames that is told."""
 
 FEWEST_IN_ROW, FEWEST_ROWS = 20, 40
@@ -39,7 +42,9 @@ HARMONICS = (2, 3, 4)
 
 
 def frame_levels(sample: FrameSample) -> Floats:
-    """Compute the mean brightness of each frame where the scene is bright.
+    """Compute the brightness of each frame at the crests of its fringes, where the scene is bright.
+
+    The mean would depend on the phase, where the camera sees few stripes.
 
     Parameters
     ----------
@@ -53,7 +58,7 @@ def frame_levels(sample: FrameSample) -> Floats:
     """
     brightest = sample.spread.max(axis=0)
     bright = brightest >= 0.5 * np.percentile(brightest, 95)
-    return np.asarray(sample.spread[:, bright].mean(axis=1))
+    return np.asarray(np.percentile(sample.spread[:, bright], CREST_PERCENTILE, axis=1))
 
 
 def missing_colour(sample: FrameSample) -> Finding | None:

@@ -103,15 +103,15 @@ def criteria_of(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> tuple[Cr
 
 
 def _of_points(sample: FrameSample, decoded: Decoded, cloud: Cloud) -> Iterator[Criterion]:
-    lit = max(sample.lit_pixels, 1.0)
-    share = min(len(cloud) / lit, 1.0)
+    seeing = sample.pixels_seeing_fringes(cloud)
+    share = len(cloud) / seeing
     yield Criterion(
         "points", "the share of the pixels that see the fringes which became points", share, LEAST_POINTS,
         at_least=True,
     )  # fmt: skip
     lost = uncertain_orders(decoded, sample.recording.plan)
     if lost is not None:
-        share = min(sum(lost.values()) / lit, 1.0)
+        share = min(sum(lost.values()) / seeing, 1.0)
         yield Criterion(
             "wrong_order_risk", "the share of pixels left out for their uncertain fringe order", share,
             MOST_UNCERTAIN,

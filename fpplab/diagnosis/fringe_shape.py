@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, axis_length
 from fpplab.diagnosis.catalogue import FaultCause, Finding
@@ -21,17 +22,20 @@ MOST_STRAY_RAD = 0.045
 BLOCK = 8
 """Side in pixels of the sample of the blocks over which phase errors are averaged."""
 
-MOST_MOIRE_PX = 0.07
+MOST_MOIRE_PX = 0.055
 """Amplitude in projector px of an error of the coordinate that repeats with the projector's pixels."""
 
 SMOOTHED_PX = 24
 """Camera px over which a surface is taken as straight."""
 
-MOIRE_CYCLES = (0.06, 0.5)
+MOIRE_CYCLES = (0.06, 0.55)
 """Least and greatest frequency of a moiré in cycles per projector px."""
 
 OFF_CYCLES = 0.006
 """How far from those of the fringes and their harmonics frequencies of a moiré lie, in cycles per px."""
+
+FRINGE_ORDERS = 6
+"""Harmonics of the fringes that are taken out of the coordinate's roughness before a moiré is looked for."""
 
 EVEN_SHARE = 0.03
 """Greatest change of brightness from pixel to pixel, as a share, of an even scene."""
@@ -198,17 +202,35 @@ def moire_spectrum(sample: FrameSample, axis: Axis) -> tuple[Floats, Floats] | N
     span = float(np.ptp(np.percentile(position, (1, 99))))
     cycles = np.arange(MOIRE_CYCLES[0], MOIRE_CYCLES[1], 0.5 / max(span, 100.0))
     size = axis_length(sample.recording.projector_size, axis)
-    for fringe in sample.recording.plan.fringes:
-        own = fringe.stripes / size
-        if fringe.axis == axis and fringe.stripes >= 0.02 * size:
-            cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > OFF_CYCLES]
+    fine = [
+        fringe.stripes / size
+        for fringe in sample.recording.plan.fringes
+        if fringe.axis == axis and fringe.stripes >= 0.02 * size
+    ]
+    for own in fine:
+        cycles = cycles[np.abs(cycles / own - np.rint(cycles / own)) * own > OFF_CYCLES]
     if len(cycles) == 0:
         return None
     bins = np.rint(4.0 * (position - position.min())).astype(np.intp)
-    total, count = np.bincount(bins, rough), np.bincount(bins)
+    count = np.bincount(bins)
+    total = np.asarray(np.bincount(bins, rough), np.float64)
     places = np.arange(len(total)) / 4.0
+    total = total - count * _of_fringes(places, total, count, fine)
     sums = np.exp(-1j * TWO_PI * np.outer(cycles, places)) @ total
     return cycles, np.asarray(2.0 * np.abs(sums) / count.sum())
+
+
+def _of_fringes(places: Floats, total: Floats, count: NDArray[np.intp], fine: list[float]) -> Floats:
+    """What harmonics of the fringes explain: of a short span they leak into other frequencies."""
+    cycles = [m * own for own in fine for m in range(1, FRINGE_ORDERS + 1) if m * own < MOIRE_CYCLES[1]]
+    if not cycles:
+        return np.zeros(len(places))
+    angles = TWO_PI * np.outer(places, cycles)
+    waves = np.concatenate([np.cos(angles), np.sin(angles), np.ones((len(places), 1))], axis=1)
+    weights = np.sqrt(count)
+    means = total / np.maximum(count, 1)
+    best = np.linalg.lstsq(weights[:, None] * waves, weights * means, rcond=1e-6)[0]
+    return np.asarray(waves @ best)
 
 
 def _roughness(coordinate: Map, even: Mask, step: int) -> tuple[Floats, Floats]:

@@ -32,6 +32,9 @@ ASPECTS = {Lattice.SQUARE: 1.0, Lattice.DIAMOND: 2.0}
 MOST_STRETCHED = 0.05
 """Greatest share by which a projector's picture may be stretched."""
 
+STRETCHED_HARM = 1.5
+"""Excess at most of a stretched picture: points are right if the calibration was made with it."""
+
 POINTS, NEIGHBOURS = 4000, 64
 """How many points are evaluated, and over how many neighbours epipolar distances are averaged."""
 
@@ -126,7 +129,7 @@ def _aspect(calibration: Calibration) -> Finding | None:
         f"high, but {wanted:g} times with the lattice '{lattice.value}' (at most {100 * MOST_STRETCHED:g} % "
         "off)"
     )
-    return Finding(FaultCause.WRONG_RESOLUTION, words, off / MOST_STRETCHED)
+    return Finding(FaultCause.WRONG_RESOLUTION, words, min(off / MOST_STRETCHED, STRETCHED_HARM))
 
 
 def triangulation_angles_deg(points: Floats, calibration: Calibration) -> Floats:

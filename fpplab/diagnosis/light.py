@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fpplab.core.conventions import Axis, Floats, axis_length
-from fpplab.diagnosis.brightness import band_finding, harmonic_waves, missing_colour
+from fpplab.diagnosis.brightness import MANY_STRIPES, band_finding, harmonic_waves, missing_colour
 from fpplab.diagnosis.catalogue import FaultCause, Finding
 from fpplab.diagnosis.fringe_shape import LEAST_RIPPLED, MOST_UNEVEN, moire, ripples, stray_light
 from fpplab.diagnosis.sample import FrameSample
@@ -59,6 +59,9 @@ CAMERA_SHARE = 0.45
 EDGE_CONTRAST = 0.25
 """Least range of grey levels in a tile, of the brightest, that is an edge."""
 
+FULL_CONTRAST = 0.6
+"""Least range in a tile beside the greatest: blur takes contrast from fine detail, which then looks sharp."""
+
 LEAST_HARMONIC_RAD = 0.03
 """Phase error by the response that is worth telling, in rad RMS."""
 
@@ -76,6 +79,9 @@ LEAST_FREEDOM = 3
 
 LEAST_FLICKER_RAD = 0.02
 """Phase error by flicker that is worth telling, in rad RMS."""
+
+FAINT = 0.15
+"""Contrast of fringes below which the mean of a frame hardly depends on where they lie."""
 
 GAIN_PIXELS = 10_000
 """About so many pixels tell the brightness of a frame: their noise changes it by less than 0.1 %."""
@@ -234,7 +240,20 @@ def _scatter_of_gains(sample: FrameSample) -> float:
         return math.sqrt(total / freedom)
     # Gains ε_n of N frames that are independent: the mean of |Σ ε_n exp(iδ_n)|² is N times their variance.
     known = [one.gain_first**2 / one.images for one in sample.errors.sets if not math.isnan(one.gain_first)]
-    return math.sqrt(np.mean(known)) if known else 0.0
+    return math.sqrt(np.mean(known)) if known else _scatter_without_fringes(sample)
+
+
+def _scatter_without_fringes(sample: FrameSample) -> float:
+    """The same by the means of frames whose fringes are so weak that these hardly depend on them."""
+    plan, used = sample.recording.plan, sample.measured
+    finest = plan.finest_set()
+    fit = sample.fits[finest]
+    if plan.fringes[finest].stripes < MANY_STRIPES or not used.any():
+        return 0.0
+    if np.median(fit.modulation[used] / np.maximum(fit.offset[used], 1.0)) > FAINT:
+        return 0.0
+    levels = sample.spread[plan.set_starts[finest] : plan.set_starts[finest + 1], used].mean(axis=1)
+    return float(levels.std(ddof=1) / levels.mean())
 
 
 def _gains_left(sample: FrameSample, k: int) -> Floats | None:
@@ -374,14 +393,15 @@ def edge_blur_px(sample: FrameSample) -> float | None:
     """
     mean = sample.offsets_in_tiles.mean(axis=0)
     brightest = float(np.percentile(sample.widest.offset, 98))
-    widths = []
-    for tile in mean:
-        low, high = np.percentile(tile, (2, 98))
-        if high - low < EDGE_CONTRAST * brightest:
-            continue
-        steepest = float(np.percentile(np.hypot(*np.gradient(tile)), 99))
-        widths.append((high - low) / steepest / math.sqrt(2 * math.pi))
-    return float(np.percentile(widths, 20)) if len(widths) >= 2 else None
+    ranges = np.array([np.ptp(np.percentile(tile, (2, 98))) for tile in mean])
+    if len(ranges) < 2:
+        return None
+    least = max(EDGE_CONTRAST * brightest, FULL_CONTRAST * float(np.sort(ranges)[-2]))
+    used = ranges >= least
+    if used.sum() < 2:
+        return None
+    steepest = np.array([np.percentile(np.hypot(*np.gradient(tile)), 99) for tile in mean[used]])
+    return float(np.percentile(ranges[used] / steepest, 20)) / math.sqrt(2 * math.pi)
 
 
 def focus_finding(sample: FrameSample, projector_px_per_px: float | None) -> Finding | None:

@@ -99,7 +99,7 @@ def _moves_origins_alone(edit: Edit | None, plan: Plan) -> bool:
 
 
 def _is_suspicious(decoded: Decoded, sample: FrameSample, cloud: Cloud | None) -> bool:
-    if cloud is None or len(cloud) < SUSPICIOUS_SHARE * sample.lit_pixels:
+    if cloud is None or len(cloud) < SUSPICIOUS_SHARE * sample.pixels_seeing_fringes(cloud):
         return True
     return decoded.disagreement is not None and not decoded.typical_disagreement <= DISAGREEING
 

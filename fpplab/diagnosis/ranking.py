@@ -29,7 +29,7 @@ SIDE_EFFECTS: Mapping[FaultCause, frozenset[FaultCause]] = {
 """Causes, and what else the frames or points show because of each."""
 
 MUTUAL: Mapping[tuple[FaultCause, FaultCause], float] = {
-    (FaultCause.BANDS, FaultCause.FLICKER): 1.5,
+    (FaultCause.BANDS, FaultCause.FLICKER): 0.65,
     (FaultCause.INTERREFLECTION, FaultCause.HARMONICS): 1.0,
     (FaultCause.INTERREFLECTION, FaultCause.RESPONSE): 1.0,
 }

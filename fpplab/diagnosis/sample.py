@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from fpplab.clouds import Cloud
 from fpplab.core.conventions import Axis, Floats, Map, Mask
 from fpplab.core.robust import robust_spread
 from fpplab.patterns.recording import Recording
@@ -210,10 +211,24 @@ class FrameSample:
         least = np.maximum(LIT_SHARE * self.strongest, LIT_SIGMAS * self.noise(self.widest.offset))
         return np.asarray((self.widest.modulation >= least) | (self.saturated & (self.widest.offset > 128.0)))
 
-    @property
-    def lit_pixels(self) -> float:
-        """How many pixels of the whole image see the projector's fringes."""
-        return float(self.lit.mean()) * self.recording.frames[0].size
+    def pixels_seeing_fringes(self, cloud: Cloud) -> float:
+        """Count the pixels of the whole image that see the projector's fringes.
+
+        Parameters
+        ----------
+        cloud : Cloud
+            Points of the recording.
+
+        Returns
+        -------
+        float
+            All pixels that became points, and as many others as the sample's lit ones stand for.
+        """
+        others = self.lit.copy()
+        if cloud.pixels is not None:
+            u, v = cloud.pixels[(cloud.pixels % self.step == 0).all(axis=1)].T // self.step
+            others[v, u] = False
+        return len(cloud) + float(others.mean()) * self.recording.frames[0].size
 
     @cached_property
     def measured(self) -> Mask:

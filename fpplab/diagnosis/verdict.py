@@ -34,6 +34,9 @@ USELESS_EXCESS = {
 }
 """Excess of a finding from which on it makes a result useless however many points there are."""
 
+USELESS_IF_FIRST = {FaultCause.WRONG_RESOLUTION: 1.6}
+"""The same where no finding before it may have brought it about."""
+
 
 class Verdict(StrEnum):
     """Whether to believe a result."""
@@ -296,10 +299,11 @@ def _judged(
     sample: FrameSample, cloud: Cloud, findings: tuple[Finding, ...], unknown: tuple[str, ...]
 ) -> Diagnosis:
     pixels = sample.recording.frames[0].size
-    lit = sample.lit_pixels
-    share = len(cloud) / max(lit, 1.0)
-    counted = f"{len(cloud)} points of {lit:.0f} pixels that see the fringes"
+    seeing = sample.pixels_seeing_fringes(cloud)
+    share = len(cloud) / seeing
+    counted = f"{len(cloud)} points of {seeing:.0f} pixels that see the fringes"
     ruinous = [f for f in findings if f.excess >= USELESS_EXCESS.get(f.cause, float("inf"))]
+    ruinous += [f for f in findings[:1] if f.excess >= USELESS_IF_FIRST.get(f.cause, float("inf"))]
     if share < USELESS_SHARE or len(cloud) < USELESS_POINTS * pixels:
         return Diagnosis(Verdict.USELESS, counted, findings, unknown)
     if ruinous:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fpplab.core.conventions import TWO_PI, Axis, Floats, Image, Map, Mask, full_scale
 from fpplab.core.errors import DataError
+from fpplab.core.robust import error_limit
 from fpplab.report.drawing import (
     ACCENT,
     ALARM,
@@ -367,23 +368,6 @@ def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float, q
     axes.set(xlabel=f"{quantity} in µm", ylabel="share of the points in %", xlim=(-limit, limit))
     rms, median = np.sqrt(np.mean(errors**2, dtype=np.float64)), np.median(errors)
     axes.set_title(f"RMS {rms:.3g} µm, median {median:+.2g} µm\n{len(errors):,} points", fontsize=8.5)
-
-
-def error_limit(errors: NDArray[np.floating[Any]]) -> float:
-    """Compute the limit of the symmetric colour range of signed errors.
-
-    Parameters
-    ----------
-    errors : NDArray of float
-        NaN where not known.
-
-    Returns
-    -------
-    float
-        The 98th percentile of the absolute values that are finite; 1 where there are none.
-    """
-    known = np.abs(errors[np.isfinite(errors)])
-    return max(float(np.percentile(known, 98)), 1e-6) if len(known) else 1.0
 
 
 @as_png

@@ -47,6 +47,7 @@ def only_writer(path: Path) -> Iterator[None]:
     lock = place.with_name(f".{place.name}.lock")
     made = [folder for folder in place.parents if not folder.exists()]
     with ExitStack() as stack:
+        stack.callback(_remove_empty, made)  # last of all
         with writing(path):
             lock.parent.mkdir(parents=True, exist_ok=True)
             if not stack.enter_context(locked_file(lock)):
@@ -55,6 +56,9 @@ def only_writer(path: Path) -> Iterator[None]:
         _held[place] = 1
         stack.callback(_held.pop, place)
         yield
+
+
+def _remove_empty(folders: list[Path]) -> None:
     with suppress(OSError):  # the first that holds something
-        for folder in made:
+        for folder in folders:
             folder.rmdir()

@@ -8,8 +8,8 @@ import numpy as np
 
 from fpplab.acceptance import VERDICTS, Acceptance, MeasuredFeature
 from fpplab.clouds import Cloud
+from fpplab.core.robust import error_limit
 from fpplab.phase import Decoded
-from fpplab.report.figures import error_limit
 from fpplab.viewer import layouts
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.measurement import Colouring, MeasurementView

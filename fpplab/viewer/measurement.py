@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.acquisition.acquire import FrameObserver
 from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.core.conventions import TWO_PI, Axis, Lattice, Map, raw_per_grey
 from fpplab.core.errors import FppError
 from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import error_limit
 from fpplab.devices import Frame
 from fpplab.patterns.fringes import pattern_image
 from fpplab.patterns.plan import Plan
@@ -27,12 +27,14 @@ from fpplab.phase import Decoded, Wrapped, wrapped_phase
 from fpplab.phase.bounds import widest
 from fpplab.phase.order_risk import order_risk
 from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
-from fpplab.report.figures import error_limit
 from fpplab.viewer import layouts
 from fpplab.viewer.canvas import REACH, Canvas, eight_bits, subsampled
 from fpplab.viewer.colours import ColourScale
 from fpplab.viewer.view import CommandView
 from fpplab.viewer.viewer import Viewer
+
+if TYPE_CHECKING:
+    from fpplab.acquisition.acquire import FrameObserver
 
 MIN_MODULATION = 2.0
 """Modulation in the frames' grey levels below which a wrapped phase is noise, and drawn grey."""

@@ -24,8 +24,6 @@ from fpplab.viewer.measurement import MeasurementView, ShownFrame
 from fpplab.viewer.server import Shown, open_server
 from fpplab.viewer.viewer import Viewer
 
-RECORDING = "view.rrd"
-"""Name of the recording in a folder of results."""
 CloudErrors = Callable[[Cloud], NDArray[np.floating[Any]]]
 """Gives the signed distances (N,) of a cloud from the true shape in µm, NaN where not known."""
 

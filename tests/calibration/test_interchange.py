@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import Result
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -78,6 +78,7 @@ calibrations = st.builds(
 
 
 @FORMATS
+@settings(max_examples=15)  # each is read in a process of its own
 @given(calibration=calibrations)
 def test_there_and_back_is_identity(
     tmp_path_factory: pytest.TempPathFactory, kind: Format, calibration: Calibration

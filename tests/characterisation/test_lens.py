@@ -2,33 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from fpplab.characterisation import Characterisation, DistortionModel, Observation, characterise
-from fpplab.characterisation.lens import breathes, scales_of_poses
-from tests.characterisation.test_judging import seen
-from tests.support.rigs import BOARD, CAMERA, SQUARE
-
-
-def fitted(observations: list[Observation]) -> Characterisation:
-    return characterise(observations, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3)
-
-
-def scales(result: Characterisation) -> tuple[np.ndarray, np.ndarray]:
-    assert result.solution is not None
-    assert result.sizes is not None
-    return scales_of_poses(result.observations, result.solution, result.sizes)
-
-
-def breathing(amount: float, seed: int) -> list[Observation]:
-    centre, random = CAMERA.matrix[:2, 2], np.random.default_rng(seed)
-    grown = 1.0 + amount * random.standard_normal(9)
-    return [
-        replace(one, camera_px=centre + (one.camera_px - centre) * by)
-        for one, by in zip(seen(9, seed), grown, strict=True)
-    ]
+from fpplab.characterisation.lens import breathes
+from tests.support.breathing_lens import breathing, fitted, scales
 
 
 def test_a_lens_that_breathes_is_named_and_a_locked_one_is_not() -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import ready_program, run
+from tests.support.commands import ROOT, run
+from tests.support.ready_program import ReadyProgram
 
 
 @pytest.mark.parametrize("words", [["--version"], ["rubbish"], ["plan", "show", "none.yaml"], ["artefact"]])
@@ -28,6 +29,6 @@ def test_a_file_is_written_where_the_command_runs(tmp_path: Path) -> None:
 
 
 def test_an_environment_that_modules_may_have_read_needs_a_process_of_its_own() -> None:
-    given = dict(os.environ)
-    assert ready_program().fits({**given, "DISPLAY": ":7"}) == (sys.platform == "linux")
-    assert not ready_program().fits({**given, "NUMBA_NUM_THREADS": "7"})
+    ready, given = ReadyProgram(ROOT), dict(os.environ)
+    assert ready.fits({**given, "DISPLAY": ":7"}) == (sys.platform == "linux")
+    assert not ready.fits({**given, "NUMBA_NUM_THREADS": "7"})

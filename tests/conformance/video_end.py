@@ -17,6 +17,7 @@ import numpy as np
 
 from drivers.video_camera.controls import EXPOSURE_100_US, EXPOSURE_MODE, GAIN
 from drivers.video_camera.device import BUFFERS, Control, StampedFrame
+from fpplab.core.conventions import Image
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import CAMERA_SIZE, ReferenceBench, sensor_image
@@ -31,10 +32,12 @@ def control(name: str, least: int, most: int, default: int = 0, step: int = 1) -
 
 
 class ScriptedVideo:
-    """An open device, in place of `drivers.video_camera.device.VideoDevice`."""
+    """An open device, in place of `drivers.video_camera.device.VideoDevice`; a subclass has its frames."""
 
-    def __init__(self, bench: VideoBench) -> None:
-        self._bench = bench
+    frame_s = PERIOD_S
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
         self.controls = {
             EXPOSURE_MODE: control("Auto Exposure", 0, 3, 3),
             EXPOSURE_100_US: control("Exposure Time, Absolute", 1, 2000, 157),
@@ -45,9 +48,15 @@ class ScriptedVideo:
         self.values = {EXPOSURE_MODE: 3, EXPOSURE_100_US: 157, GAIN: 40, GAMMA: 220, FLIP: 1}
         self.stuck: set[int] = set()
         self.known = dict(FORMATS)
-        self.now: tuple[str, int, int, int] = ("YUYV", *CAMERA_SIZE, 2 * CAMERA_SIZE[0])
+        self.now: tuple[str, int, int, int] = ("YUYV", *size, 2 * size[0])
         self.margin, self.captures, self.stamps, self.damaged, self.gone = 0, True, True, False, False
-        self.running, self.latency_s, self.ahead_s = False, 0.0, 0.0
+        self.running = False
+
+    @property
+    def settings(self) -> CameraSettings:
+        return CameraSettings(
+            self.values[EXPOSURE_100_US] * 1e-4, 0.1 * self.values[GAIN], self.known[self.now[0]]
+        )
 
     def close(self) -> None:
         self.running = False
@@ -64,11 +73,11 @@ class ScriptedVideo:
     def set_format(self, letters: str, width: int, height: int) -> None:
         self._check()
         assert not self.running, "the kernel refuses this while frames come"
-        pitch = CAMERA_SIZE[0] * (1 if self.known[letters] == 8 else 2) + self.margin
-        self.now = (letters, *CAMERA_SIZE, pitch)
+        pitch = self._size[0] * (1 if self.known[letters] == 8 else 2) + self.margin
+        self.now = (letters, *self._size, pitch)
 
     def period_s(self) -> float:
-        return PERIOD_S
+        return self.frame_s
 
     def control(self, number: int) -> Control | None:
         found = self.controls.get(number)
@@ -90,7 +99,7 @@ class ScriptedVideo:
     def start(self) -> None:
         self._check()
         assert not self.running
-        self.running, self._waiting, self._end_s = True, deque[float](), time.monotonic()
+        self.running = True
 
     def stop(self) -> None:
         self.running = False
@@ -99,12 +108,26 @@ class ScriptedVideo:
         if self.gone:
             raise OSError(errno.ENODEV, "No such device")
 
-    @property
-    def _exposure_s(self) -> float:
-        return self.values[EXPOSURE_100_US] * 1e-4
+    def _stamped(self, image: Image, stamp_s: float) -> StampedFrame:
+        _, width, height, pitch = self.now
+        rows = np.full((height, pitch), 255, np.uint8)
+        rows[:, : width * image.itemsize] = image.view(np.uint8).reshape(height, -1)
+        return StampedFrame(rows.reshape(-1), stamp_s if self.stamps else None, self.damaged)
+
+
+class ReferenceVideo(ScriptedVideo):
+    """Sees the light of the reference bench."""
+
+    def __init__(self, bench: VideoBench) -> None:
+        super().__init__(CAMERA_SIZE)
+        self._bench, self.latency_s, self.ahead_s = bench, 0.0, 0.0
+
+    def start(self) -> None:
+        super().start()
+        self._waiting, self._end_s = deque[float](), time.monotonic()
 
     def _fill(self) -> None:
-        step, later_s = max(PERIOD_S, self._exposure_s), PERIOD_S + self.latency_s
+        step, later_s = max(PERIOD_S, self.settings.exposure_s), PERIOD_S + self.latency_s
         while self._end_s + step + later_s <= time.monotonic():
             self._end_s += step
             if len(self._waiting) < BUFFERS:
@@ -120,16 +143,10 @@ class ScriptedVideo:
                 return None
             time.sleep(5e-4)
             self._fill()
-        return self._frame(self._waiting.popleft())
-
-    def _frame(self, end_s: float) -> StampedFrame:
-        letters, width, height, pitch = self.now
-        settings = CameraSettings(self._exposure_s, 0.1 * self.values[GAIN], self.known[letters])
-        image = sensor_image(self._bench, self._bench.lit_at(end_s - self._exposure_s), settings)
-        rows = np.full((height, pitch), 255, np.uint8)
-        rows[:, : width * image.itemsize] = image.view(np.uint8).reshape(height, -1)
-        stamp_s = end_s + PERIOD_S + self.latency_s + self.ahead_s
-        return StampedFrame(rows.reshape(-1), stamp_s if self.stamps else None, self.damaged)
+        end_s = self._waiting.popleft()
+        lit = self._bench.lit_at(end_s - self.settings.exposure_s)
+        image = sensor_image(self._bench, lit, self.settings)
+        return self._stamped(image, end_s + PERIOD_S + self.latency_s + self.ahead_s)
 
 
 class VideoBench(ReferenceBench):
@@ -147,5 +164,5 @@ class VideoBench(ReferenceBench):
     def lit_at(self, time_s: float) -> Pattern | None:
         return next(pattern for since_s, pattern in reversed(self._lit) if since_s <= time_s)
 
-    def video(self, path: str) -> ScriptedVideo:
-        return ScriptedVideo(self)
+    def video(self, path: str) -> ReferenceVideo:
+        return ReferenceVideo(self)

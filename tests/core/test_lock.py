@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fpplab.core.lock import SHARES
+from fpplab.core.lock import SHARES, locked_file, open_lock
 
 WINDOWS = "from tests.core.windows import pretend; pretend()\n"
 SYSTEMS = {"flock": "", "bytes": WINDOWS}
@@ -98,6 +98,24 @@ def test_a_lock_names_its_owner_and_leaves_no_file(system: str, tmp_path: Path) 
             assert line(other) == first.replace("True", "False")
         holder.communicate()
     assert not file.exists()
+
+
+def test_a_file_that_is_deleted_before_it_is_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By who held it until then: a lock on a file without a name would keep nobody out."""
+    opened = []
+
+    def open_too_early(path: Path) -> int:
+        opened.append(open_lock(path))
+        if len(opened) == 1:
+            path.unlink()
+        return opened[-1]
+
+    monkeypatch.setattr("fpplab.core.lock.open_lock", open_too_early)
+    with locked_file(tmp_path / "lock") as is_mine:
+        assert is_mine
+        assert (tmp_path / "lock").exists()
 
 
 SESSION = """

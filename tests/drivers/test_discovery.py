@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import builtins
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import genicam
 import hid
 import pytest
 import usb.core
@@ -19,7 +21,9 @@ from drivers.discovery import BASLER_VENDOR, DLP4500_PRODUCT, DLP4500_VENDOR
 from drivers.display import DisplayProjector, window
 from drivers.display.screen import DisplayInfo
 from drivers.dlp4500 import Dlp4500
-from fpplab.core.errors import DeviceError
+from drivers.gentl import GentlCamera, listing
+from drivers.gentl.listing import ListedCamera
+from fpplab.core.errors import CapabilityError, DeviceError
 from fpplab.devices import DeviceInfo
 from fpplab.devices.discovery import FoundDevice
 from fpplab.devices.rig import Rig
@@ -330,14 +334,56 @@ def test_video_cameras_are_listed_by_their_first_node(
     assert only(found.missing).startswith(f"camera on {nodes / 'video10'}: this user may not open it")
 
 
-def test_producers_are_listed_and_empty_folders_said(
-    computer: Computer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def makers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for the producers of makers."""
+    folder = tmp_path / "maker"
+    folder.mkdir()
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", f"{folder}{os.pathsep}")
+    return folder
+
+
+def test_cameras_of_a_producer_are_listed_with_the_section_that_opens_them(
+    computer: Computer, makers: Path
 ) -> None:
-    (tmp_path / "maker").mkdir()
-    (tmp_path / "empty").mkdir()
-    producer = tmp_path / "maker" / "vendor.cti"
-    producer.touch()
-    monkeypatch.setenv("GENICAM_GENTL64_PATH", f"{tmp_path / 'maker'}:{tmp_path / 'empty'}:")
+    """A real producer, of the package `genicam`, that has three cameras without a sensor."""
+    producer = makers / "viky.cti"
+    producer.symlink_to(Path(genicam.__file__).with_name("viky.cti"))
     found = discovery.find_devices()
-    assert plain(found.devices) == [DeviceInfo("camera", "GenTL producer vendor", "", str(producer))]
-    assert "empty, which holds no producer" in only(found.missing)
+    assert found.missing == []
+    assert [(d.kind, d.serial, d.example) for d in found.devices] == [
+        ("camera", number, "rig_gentl.yaml") for number in "012"
+    ]
+    first = found.devices[0]
+    assert first.model.endswith("Viky")
+    assert first.link.endswith(", viky.cti")
+    assert first.section == {"backend": "drivers.gentl:GentlCamera", "producer": str(producer), "serial": "0"}
+    with pytest.raises(CapabilityError, match="its exposure cannot be set"):
+        GentlCamera("camera", {key: v for key, v in first.section.items() if key != "backend"}).open()
+
+
+def test_a_camera_that_has_a_driver_of_its_own_is_not_listed_again(
+    computer: Computer, makers: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (makers / "pylon.cti").touch()
+    computer.plug_camera("21734321")
+    both = [ListedCamera(serial, "Basler", "acA5472-17um", "U3V") for serial in ("21734321", "7")]
+    monkeypatch.setattr(listing, "listed_cameras", lambda path: both)
+    assert [(d.serial, d.section["backend"]) for d in discovery.find_devices().devices] == [
+        ("21734321", "drivers.basler:BaslerCamera"),
+        ("7", "drivers.gentl:GentlCamera"),
+    ]
+
+
+def test_a_file_that_is_no_producer_and_a_folder_without_one_are_said(
+    computer: Computer, makers: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (makers / "vendor.cti").touch()
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", f"{makers}{os.pathsep}{tmp_path / 'empty'}")
+    found = discovery.find_devices()
+    assert found.devices == []
+    wrong, empty = found.missing
+    assert wrong.startswith(f"cameras of the GenTL producer {makers / 'vendor.cti'} are not listed: ")
+    assert "cannot be loaded as a GenTL producer" in wrong
+    assert "empty, which holds no producer" in empty

@@ -24,10 +24,10 @@ from fpplab.core.errors import (
 from fpplab.devices import CameraSettings, State
 from fpplab.patterns.fringes import Pattern
 from tests.conformance.reference import PROJECTOR_SIZE
-from tests.conformance.video_end import FLIP, GAMMA, PERIOD_S, ScriptedVideo, VideoBench
+from tests.conformance.video_end import FLIP, GAMMA, PERIOD_S, ReferenceVideo, VideoBench
 
 SHORT = CameraSettings(0.002, bits=8)
-Open = Callable[..., tuple[VideoCamera, ScriptedVideo, VideoBench]]
+Open = Callable[..., tuple[VideoCamera, ReferenceVideo, VideoBench]]
 
 
 @pytest.fixture
@@ -35,11 +35,11 @@ def opened() -> Iterator[Open]:
     cameras: list[VideoCamera] = []
 
     def make(
-        prepare: Callable[[ScriptedVideo], None] = lambda end: None, **options: Any
-    ) -> tuple[VideoCamera, ScriptedVideo, VideoBench]:
+        prepare: Callable[[ReferenceVideo], None] = lambda end: None, **options: Any
+    ) -> tuple[VideoCamera, ReferenceVideo, VideoBench]:
         bench = VideoBench({})
         bench.open()
-        end = ScriptedVideo(bench)
+        end = ReferenceVideo(bench)
         prepare(end)
         shared = SimpleNamespace(video=lambda _: end)
         camera = VideoCamera("camera", {"device": "/dev/video9", **options}, shared)
@@ -63,7 +63,7 @@ def shown(camera: VideoCamera, bench: VideoBench, level: int) -> float:
 
 @pytest.mark.parametrize(("exposure_s", "latency_s"), [(0.002, 0.0), (0.02, 0.0), (0.002, 0.015)])
 def test_frames_began_after_they_were_asked_for(opened: Open, exposure_s: float, latency_s: float) -> None:
-    def late(end: ScriptedVideo) -> None:
+    def late(end: ReferenceVideo) -> None:
         end.latency_s = latency_s
 
     camera, _, bench = opened(late, latency_s=latency_s, raw_gain={"db_per_step": 0.1})
@@ -94,7 +94,7 @@ def test_what_stays_is_refused_by_name(opened: Open, number: int, complaint: str
     with pytest.raises(SettingError, match=complaint):
         opened(lambda end: end.stuck.add(number))
 
-    def fixed(end: ScriptedVideo) -> None:
+    def fixed(end: ReferenceVideo) -> None:
         end.controls[number] = replace(end.controls[number], is_settable=False)
 
     with pytest.raises(SettingError, match=complaint):
@@ -102,7 +102,7 @@ def test_what_stays_is_refused_by_name(opened: Open, number: int, complaint: str
 
 
 def test_a_camera_without_an_exposure_is_refused(opened: Open) -> None:
-    def without(end: ScriptedVideo) -> None:
+    def without(end: ReferenceVideo) -> None:
         del end.controls[EXPOSURE_100_US]
 
     with pytest.raises(CapabilityError, match="exposure of scripted cannot be set: it has no such control"):
@@ -110,7 +110,7 @@ def test_a_camera_without_an_exposure_is_refused(opened: Open) -> None:
 
 
 def test_an_exposure_that_stays_automatic_is_refused(opened: Open) -> None:
-    def automatic(end: ScriptedVideo) -> None:
+    def automatic(end: ReferenceVideo) -> None:
         end.controls[EXPOSURE_100_US] = replace(end.controls[EXPOSURE_100_US], is_settable=False)
 
     with pytest.raises(CapabilityError, match="cannot be set: its automatic exposure stays on"):
@@ -118,7 +118,7 @@ def test_an_exposure_that_stays_automatic_is_refused(opened: Open) -> None:
 
 
 def test_converted_frames_are_refused(opened: Open) -> None:
-    def colour(end: ScriptedVideo) -> None:
+    def colour(end: ReferenceVideo) -> None:
         end.known = {"YUYV": 16, "MJPG": 8}
 
     with pytest.raises(CapabilityError, match="has only YUYV, MJPG: its frames are converted or compressed"):

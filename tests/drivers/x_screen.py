@@ -18,10 +18,13 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.display.curve import srgb_light
+from drivers.emulators.bench import EmulatedFixture
 from drivers.emulators.optics import OpticsRig
+from drivers.video_camera.device import StampedFrame
 from fpplab.core.conventions import Floats
-from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Frame, Trigger
+from fpplab.devices import Camera, CameraCaps, CameraSettings, DeviceInfo, Fixture, Frame, Trigger
 from fpplab.devices.rig import Rig
+from tests.conformance.video_end import ScriptedVideo
 
 LOOK_S = 0.002
 """How often the camera looks at the screen while it is exposed."""
@@ -96,7 +99,8 @@ class XScreenBench:
             self.server = stack.enter_context(x_server(self._size))
             patch = stack.enter_context(pytest.MonkeyPatch.context())
             self.server.use(patch)
-            self.optics = OpticsRig(stack.enter_context(Rig.load(self._optics)))
+            self.optics_rig = stack.enter_context(Rig.load(self._optics))
+            self.optics = OpticsRig(self.optics_rig)
             self._stack = stack.pop_all()
 
     def close(self) -> None:
@@ -106,6 +110,24 @@ class XScreenBench:
         """Of the screen, 255 for white; (height, width)."""
         values = self.spoil(self.server.screen()).mean(axis=2)
         return 255.0 * srgb_light(values / 255.0) if self.curve == "srgb" else values
+
+    def collected(self, exposure_s: float) -> NDArray[np.uint8]:
+        """Mean light of the exposure: each look counts until the next."""
+        begin = last = time.perf_counter()
+        light, total = self.light(), 0.0
+        collected = np.zeros_like(light)
+        while last < begin + exposure_s:
+            time.sleep(min(LOOK_S, begin + exposure_s - last))
+            now = min(time.perf_counter(), begin + exposure_s)
+            collected, total, last = collected + light * (now - last), total + now - last, max(now, last)
+            if now >= begin + exposure_s:
+                break
+            light = self.light()
+        return np.rint(collected / total).astype(np.uint8)
+
+    def video(self, path: str) -> ScreenVideo:
+        """The device of a camera that the kernel offers."""
+        return ScreenVideo(self)
 
 
 class XScreenCamera(Camera):
@@ -135,23 +157,47 @@ class XScreenCamera(Camera):
 
     def _read(self, timeout_s: float) -> Frame:
         settings, bench = self._configured("read"), self._bench
-        image = bench.optics.capture(settings, self._collected(settings.exposure_s), lambda: ())
+        image = bench.optics.capture(settings, bench.collected(settings.exposure_s), lambda: ())
         index, self._index = self._index, self._index + 1
         return Frame(image, index, settings, time.time())
 
-    def _collected(self, exposure_s: float) -> NDArray[np.uint8]:
-        """Mean light of the exposure: each look counts until the next."""
-        begin = last = time.perf_counter()
-        light, total = self._bench.light(), 0.0
-        collected = np.zeros_like(light)
-        while last < begin + exposure_s:
-            time.sleep(min(LOOK_S, begin + exposure_s - last))
-            now = min(time.perf_counter(), begin + exposure_s)
-            collected, total, last = collected + light * (now - last), total + now - last, max(now, last)
-            if now >= begin + exposure_s:
-                break
-            light = self._bench.light()
-        return np.rint(collected / total).astype(np.uint8)
-
     def _stop(self) -> None:
         """Nothing is under way between calls."""
+
+
+class ScreenVideo(ScriptedVideo):
+    """A video camera that sees the screen, in place of the kernel: it exposes when it is asked for a frame.
+
+    The first frame after a start was exposed before, as of any camera that runs freely.
+    """
+
+    frame_s = 0.016
+
+    def __init__(self, bench: XScreenBench) -> None:
+        self._screen = bench
+        super().__init__(bench.optics.size)
+
+    def start(self) -> None:
+        super().start()
+        self._stale: tuple[NDArray[np.uint8], float] | None = (
+            np.rint(self._screen.light()).astype(np.uint8),
+            time.monotonic(),
+        )
+
+    def read(self, timeout_s: float) -> StampedFrame | None:
+        assert self.running
+        if self._stale is None:
+            light = self._screen.collected(self.settings.exposure_s)
+            time.sleep(self.frame_s)
+            stamp_s = time.monotonic()
+        else:
+            (light, stamp_s), self._stale = self._stale, None
+        return self._stamped(self._screen.optics.capture(self.settings, light, lambda: ()), stamp_s)
+
+
+class XScreenFixture(EmulatedFixture):
+    """The fixture of the optics."""
+
+    def _setup(self, options: dict[str, Any], shared: Any) -> None:
+        Fixture._setup(self, options, shared)
+        self._bench = shared

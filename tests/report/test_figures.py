@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pixels
 
 from fpplab.core.errors import DataError
+from fpplab.core.robust import error_limit
 from fpplab.report import figures, response_figures
 from fpplab.report.raster import block_mean, raster_of, rasterise
 
@@ -159,7 +160,7 @@ def test_residuals_without_points_are_refused() -> None:
 
 def test_the_colour_range_holds_98_per_cent() -> None:
     errors = np.append(np.random.default_rng(1).normal(0, 10, 10_000), [np.nan, 1e6])
-    limit = figures.error_limit(errors)
+    limit = error_limit(errors)
     assert np.mean(np.abs(errors[:-2]) <= limit) == pytest.approx(0.98, abs=2e-4)
 
 

@@ -5,6 +5,8 @@ end() { # QEMU ends with 2 n + 1
     printf "\\$(printf %o $((16 + $1)))" | $b dd of=/dev/port bs=1 seek=244 count=1 2>/dev/null
     $b poweroff -f
 }
+# The compiler of shaders that SDL would draw with crashes on the emulated processor.
+export SDL_RENDER_DRIVER=software SDL_FRAMEBUFFER_ACCELERATION=0
 export HOME=/run PATH=/usr/sbin:/usr/bin:/sbin:/bin FPPLAB_VM=1
 for library in "$UNPACKED"/usr/lib/x86_64-linux-gnu/libusb-1.0.so.0 "$UNPACKED"/lib/x86_64-linux-gnu/libkmod.so.2; do
     [ -e "/usr/lib/x86_64-linux-gnu/${library##*/}" ] || $b cp "$library" /usr/lib/x86_64-linux-gnu/

@@ -50,8 +50,8 @@ def dataset_command(
     with console.stopwatch() as seconds, devices as bench:
         from fpplab.dataset import Dataset
         from fpplab.dataset.making import DatasetMaker, DatasetRequest
-        from fpplab.viewer.recorded import RECORDING
         from fpplab.viewer.samples import SampleView, sample_observer
+        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, SampleView, view, keep_open, out / RECORDING)
 

@@ -97,7 +97,7 @@ def match_command(
         from fpplab.matching.record import MatchingEpoch
         from fpplab.report.matching import write_matching_report
         from fpplab.viewer.matching import MatchingView, show_twin
-        from fpplab.viewer.recorded import RECORDING
+        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
         references: list[Reference] = []

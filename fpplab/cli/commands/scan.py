@@ -63,7 +63,14 @@ def scan_command(
         if item:
             bench.need_fixture(f"--item {item}").check(item, pose)
 
-        # Only now the heavy modules: wrong input is told at once.
+        # Only now the heavy modules: wrong input is told at once. The viewer loads its own meanwhile.
+        from fpplab.viewer.measurement import MeasurementView, frame_observer
+        from fpplab.viewer.view import RECORDING
+
+        viewer = open_viewer(context, MeasurementView, view, keep_open, out / RECORDING)
+        viewer.show(MeasurementView.plan, wanted, caps.size, caps.lattice)
+        viewer.show(MeasurementView.calibration, known)
+
         from fpplab.diagnosis import UselessScanError
         from fpplab.phase.precision import uncertain_orders
         from fpplab.pipeline import CLOUD, REPORT, depth_range_of, finish_scan, take
@@ -71,14 +78,9 @@ def scan_command(
         from fpplab.report import write_scan_report
         from fpplab.report.provenance import session_provenance
         from fpplab.sessions.lock import only_writer
-        from fpplab.viewer.measurement import MeasurementView, frame_observer
-        from fpplab.viewer.recorded import RECORDING
 
         # The report is written last: without it, all that is left may be to finish.
         finished = (out / REPORT).is_file()
-        viewer = open_viewer(context, MeasurementView, view, keep_open, out / RECORDING)
-        viewer.show(MeasurementView.plan, wanted, caps.size, caps.lattice)
-        viewer.show(MeasurementView.calibration, known)
         mount = (item, pose) if item else None
         with only_writer(out):
             with console.progress("Scanning") as report:

@@ -1,0 +1,344 @@
+"""What is said of one bench with a fault, or without, and how far off its points are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
+
+import numpy as np
+
+from fpplab.acquisition.rig_check import check_rig
+from fpplab.calibration.model import Calibration
+from fpplab.characterisation.lens import breathes
+from fpplab.clouds import Cloud
+from fpplab.core import config
+from fpplab.core.errors import DataError
+from fpplab.core.files import write_text
+from fpplab.core.strict_yaml import load_yaml
+from fpplab.devices.rig import Rig, RigFile
+from fpplab.diagnosis import Diagnosis, Finding, diagnose_scan
+from fpplab.patterns.plan import Plan
+from fpplab.phase import decode
+from fpplab.pipeline import take
+from fpplab.reconstruction.points import points_of
+from sim.world import World
+from tests.diagnosis import scenes
+from tests.support.breathing_lens import breathing, fitted, scales
+from tests.support.faulty_bench import FAULTS, Bench, faulty, healthy
+from tests.support.faulty_devices import check_faulty_devices
+from tests.support.faulty_rig import formula_rig
+
+USELESS_ERROR, USELESS_SHARE = 20.0, 0.1
+"""Median error of the points beside that without the fault, from which on a cloud is of no use, and the share
+of its points beside those that both devices see."""
+
+ITEMS = ("pyramid", "steps")
+"""What the simulated rigs scan in turn."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What was said of one bench.
+
+    Attributes
+    ----------
+    cause : str
+        Its fault; empty where it has none.
+    seed : int
+        Of the bench.
+    named : tuple of str
+        Causes found, the worst first.
+    verdict : str
+        Of the scan; empty where there was none.
+    error : float
+        Median error of the points beside that of the same bench without fault; 1 where it was not measured.
+    share : float
+        Points beside those without fault.
+    """
+
+    cause: str
+    seed: int
+    named: tuple[str, ...]
+    verdict: str = ""
+    error: float = 1.0
+    share: float = 1.0
+
+    @property
+    def place(self) -> int:
+        """Where the cause is named, 0 first; far behind where it is not."""
+        return self.named.index(self.cause) if self.cause in self.named else 99
+
+    @property
+    def useless(self) -> bool:
+        """Whether the points are of no use, by the true shape."""
+        return self.error > USELESS_ERROR or self.share < USELESS_SHARE
+
+
+def of_scan(cause: str, seed: int) -> Judged:
+    """Scan a bench and judge it, and measure the points by the true shape.
+
+    Parameters
+    ----------
+    cause : str
+        Its fault; empty for none.
+    seed : int
+        Of the bench and the fault's strength.
+
+    Returns
+    -------
+    Judged
+        With errors beside those of the same bench without fault.
+    """
+    bench = faulty(cause, seed) if cause else healthy(seed)
+    diagnosis, cloud = scanned_points(bench)
+    named = _named(diagnosis.findings)
+    if not cause:
+        return Judged(cause, seed, named, diagnosis.verdict.value)
+    best_mm, most = _without_fault(seed, bench.plan, bench.window)
+    error, share = float("inf"), 0.0
+    if cloud is not None and len(cloud):
+        error, share = error_mm(bench, cloud) / best_mm, len(cloud) / most
+    return Judged(cause, seed, named, diagnosis.verdict.value, error, share)
+
+
+@lru_cache(maxsize=64)
+def _without_fault(seed: int, plan: Plan, window: float) -> tuple[float, int]:
+    """Median error in mm, and number, of the points of a bench without fault."""
+    bench = healthy(seed)
+    bright = replace(bench.parameters, paper=0.9)
+    right = replace(bench, plan=plan, window=window, parameters=bright)
+    _, cloud = scanned_points(right)
+    assert cloud is not None
+    return error_mm(right, cloud), len(cloud)
+
+
+def of_rig(name: str, seed: int) -> Judged:
+    """Scan a part on a simulated rig without fault, and judge it.
+
+    Parameters
+    ----------
+    name : str
+        Of a rig that comes with fpplab.
+    seed : int
+        Of its world.
+
+    Returns
+    -------
+    Judged
+        Without errors.
+    """
+    with TemporaryDirectory() as folder:
+        rig, known = seeded_rig(name, seed, Path(folder))
+        with rig:
+            session = take(rig, Plan.load("plan_paper"), Path(folder) / "scan", (ITEMS[seed % len(ITEMS)], 0))
+        recording = session.recording()
+        decoded, cloud = points_of(decode(recording), known, recording.plan, recording.mean_image())
+        diagnosis = diagnose_scan(recording, decoded, cloud, known)
+    return Judged("", seed, _named(diagnosis.findings), diagnosis.verdict.value)
+
+
+def seeded_rig(name: str, seed: int, folder: Path) -> tuple[Rig, Calibration]:
+    """Load a simulated rig whose noise is another.
+
+    Parameters
+    ----------
+    name : str
+        Of a rig that comes with fpplab.
+    seed : int
+        Of its world.
+    folder : Path
+        For the world's file.
+
+    Returns
+    -------
+    rig : Rig
+        Not open yet.
+    known : Calibration
+        The true one.
+    """
+    rig = load_yaml(config.find_config(name, "rig").read_text())
+    world = load_yaml(config.find_config(rig["bench"]["world"], "world").read_text())
+    path = folder / "world.yaml"
+    write_text(path, config.to_yaml(world | {"seed": seed}))
+    rig["bench"] |= {"world": str(path)}
+    there = World.load(path)
+    known = Calibration(there.camera_model(), there.projector_model(), there.T_projector_camera(), {})
+    return Rig(config.validate(rig, RigFile, name), folder, name), known
+
+
+def of_pair(causes: str, seed: int) -> Judged:
+    """Put two faults into one bench: the second draws on what the first has done.
+
+    Parameters
+    ----------
+    causes : str
+        Both, with a plus sign between them.
+    seed : int
+        Of the bench and the faults' strengths.
+
+    Returns
+    -------
+    Judged
+        Without errors.
+    """
+    first, second = causes.split("+")
+    bench = FAULTS[second](faulty(first, seed), np.random.default_rng([seed, 9]))
+    diagnosis = scanned(bench)
+    return Judged(causes, seed, _named(diagnosis.findings), diagnosis.verdict.value)
+
+
+def of_scene(cause: str, seed: int) -> Judged:
+    """Scan a part with fringes that are too fine for the camera.
+
+    Parameters
+    ----------
+    cause : str
+        The fault.
+    seed : int
+        Of the number of stripes and of the noise.
+
+    Returns
+    -------
+    Judged
+        Without errors.
+    """
+    stripes = int(np.random.default_rng([seed, 4]).integers(165, 200))
+    scene = scenes.Bench(scenes.plan_of("x", (6, 6, 12), (1, 12, stripes)), seed=seed)
+    recording = scene.recording()
+    decoded, cloud = points_of(decode(recording), scene.rig(), recording.plan, recording.mean_image())
+    diagnosis = diagnose_scan(recording, decoded, cloud, scene.rig())
+    return Judged(cause, seed, _named(diagnosis.findings), diagnosis.verdict.value)
+
+
+def of_check(cause: str, seed: int) -> Judged:
+    """Check a rig with a fault that only further frames show.
+
+    Parameters
+    ----------
+    cause : str
+        The fault.
+    seed : int
+        Of the bench and the fault's strength.
+
+    Returns
+    -------
+    Judged
+        Without verdict.
+    """
+    bench = faulty(cause, seed)
+    found = check_rig(formula_rig(cause, seed), bench.plan, "card", lambda _: None, bench.calibration)
+    return Judged(cause, seed, _named(found.findings))
+
+
+def of_devices(cause: str, seed: int) -> Judged:
+    """Check a rig whose devices have a fault.
+
+    Parameters
+    ----------
+    cause : str
+        The fault.
+    seed : int
+        Of its strength.
+
+    Returns
+    -------
+    Judged
+        Without verdict.
+    """
+    return Judged(cause, seed, _named(check_faulty_devices(cause, seed, _flash()).findings))
+
+
+def of_lens(cause: str, seed: int) -> Judged:
+    """Characterise a rig whose camera's lens was turned between poses.
+
+    Parameters
+    ----------
+    cause : str
+        The fault.
+    seed : int
+        Of the poses and of the scale's scatter, 0.03 to 0.1 %.
+
+    Returns
+    -------
+    Judged
+        Without verdict.
+    """
+    scatter = float(np.random.default_rng([seed, 6]).uniform(3e-4, 1e-3))
+    return Judged(cause, seed, (cause,) if breathes(*scales(fitted(breathing(scatter, seed)))) else ())
+
+
+@cache
+def _flash() -> Path:
+    """Folder of a process for the flash of the emulated projector."""
+    return Path(mkdtemp(prefix="fpplab-diagnosis-"))
+
+
+def _named(findings: Sequence[Finding]) -> tuple[str, ...]:
+    return tuple(finding.cause.value for finding in findings)
+
+
+def scanned(bench: Bench) -> Diagnosis:
+    """Take a scan of a bench and judge it.
+
+    Parameters
+    ----------
+    bench : Bench
+        With or without faults.
+
+    Returns
+    -------
+    Diagnosis
+        What `fpplab scan` would say.
+    """
+    return scanned_points(bench)[0]
+
+
+def scanned_points(bench: Bench) -> tuple[Diagnosis, Cloud | None]:
+    """Take a scan of a bench and judge it.
+
+    Parameters
+    ----------
+    bench : Bench
+        With or without faults.
+
+    Returns
+    -------
+    diagnosis : Diagnosis
+        What `fpplab scan` would say.
+    cloud : Cloud or None
+        Its points; None where there are none.
+    """
+    recording = bench.recording()
+    decoded, cloud = decode(recording), None
+    if decoded.valid.any():
+        with suppress(DataError):  # no point is left: the frames say why
+            decoded, cloud = points_of(decoded, bench.calibration, recording.plan, recording.mean_image())
+    return diagnose_scan(recording, decoded, cloud, bench.calibration), cloud
+
+
+def error_mm(bench: Bench, cloud: Cloud) -> float:
+    """Compute how far points are off the board, where the true rays of their pixels meet it.
+
+    Parameters
+    ----------
+    bench : Bench
+        Whose board it is.
+    cloud : Cloud
+        Its points, at least one, with their pixels.
+
+    Returns
+    -------
+    float
+        Median distance in mm.
+    """
+    camera, board = bench.parameters.calibration.camera, bench.parameters.poses[0]
+    assert cloud.pixels is not None
+    slopes = camera.normalise(cloud.pixels.astype(np.float64))
+    rays = np.concatenate([slopes, np.ones((len(slopes), 1))], axis=1)
+    normal = board.rotation[:, 2]
+    true = rays * ((normal @ board.translation) / (rays @ normal))[:, None]
+    return float(np.median(np.linalg.norm(cloud.points - true, axis=1)))

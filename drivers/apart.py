@@ -1,0 +1,69 @@
+"""Questions to a library in a process of its own, where it can neither crash nor block this one."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+END_S = 5.0
+"""Time in s for such a process to end."""
+
+
+def ask_apart(answer: Callable[..., None], *words: Any, patience_s: float) -> Any:
+    """Have a function answer in a process of its own.
+
+    Parameters
+    ----------
+    answer : callable
+        Of a module, so that the process finds it; takes a connection to send its answer to, and `words`.
+    *words : Any
+        Further arguments.
+    patience_s : float
+        Time in s for the answer.
+
+    Returns
+    -------
+    Any
+        What was sent; None where nothing was, in time or before the process ended.
+    """
+    context = multiprocessing.get_context("spawn")  # libraries and threads do not survive a fork
+    mine, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=answer, args=(theirs, *words), name=answer.__name__, daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        return mine.recv() if mine.poll(patience_s) else None
+    except EOFError:
+        return None
+    finally:
+        mine.close()
+        process.join(END_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        process.close()
+
+
+@contextmanager
+def libraries_silent() -> Iterator[None]:
+    """Keep what libraries print off the terminal; what Python writes to `sys.stderr` still appears.
+
+    Yields
+    ------
+    None
+        While the descriptor of stderr leads nowhere: for processes of their own.
+    """
+    sys.stderr.flush()
+    own, python = os.dup(2), sys.stderr
+    with os.fdopen(own, "w", buffering=1) as kept, open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+        sys.stderr = kept
+        try:
+            yield
+        finally:
+            sys.stderr = python
+            os.dup2(own, 2)

@@ -1,0 +1,75 @@
+"""The cameras of a GenTL producer, for the list of connected devices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from drivers.apart import ask_apart
+
+PATIENCE_S = 20.0
+"""Time in s for a producer to look for its cameras."""
+
+
+@dataclass(frozen=True)
+class ListedCamera:
+    """A camera, as its producer tells it.
+
+    Attributes
+    ----------
+    serial, vendor, model, layer : str
+        Serial number, or the producer's own name for it; maker, model and transport layer; empty if not told.
+    """
+
+    serial: str
+    vendor: str
+    model: str
+    layer: str
+
+
+def listed_cameras(path: Path) -> list[ListedCamera] | str:
+    """Ask a producer for its cameras, in a process of its own: it is a library of somebody else.
+
+    Parameters
+    ----------
+    path : Path
+        The .cti file.
+
+    Returns
+    -------
+    list of ListedCamera or str
+        The cameras, or why they cannot be told.
+    """
+    answer: list[ListedCamera] | str | None = ask_apart(send_cameras, path, patience_s=PATIENCE_S)
+    return "it crashes, or does not answer" if answer is None else answer
+
+
+def send_cameras(connection: Connection, path: Path) -> None:
+    """Send the list of cameras, or why it cannot be told.
+
+    Parameters
+    ----------
+    connection : Connection
+        Takes the answer.
+    path : Path
+        The .cti file.
+    """
+    try:
+        from drivers.gentl.producer import GentlProducer, told_of
+    except ImportError as error:
+        connection.send(f"{error.name or error} is not installed; install it with: pip install harvesters")
+        return
+    try:
+        producer = GentlProducer(path)
+        cameras = producer.cameras()
+    except Exception as error:  # noqa: BLE001 - whatever a producer does, the others are listed
+        connection.send(str(error))
+        return
+    connection.send(
+        [
+            ListedCamera(serial, *(told_of(info, key) for key in ("vendor", "model", "tl_type")))
+            for serial, info in cameras.items()
+        ]
+    )
+    producer.close()

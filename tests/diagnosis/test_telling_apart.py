@@ -1,0 +1,67 @@
+"""Causes that look alike, or hide each other, on benches where they were once mistaken."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpplab.diagnosis import FaultCause, Verdict, diagnose_frames
+from fpplab.diagnosis.fringe_shape import MOST_MOIRE_PX, moire_spectrum
+from fpplab.diagnosis.sample import FrameSample
+from fpplab.phase import decode
+from tests.diagnosis.scenes import Bench as Scene
+from tests.diagnosis.test_diagnosis import measured, of_other
+from tests.support.faulty_bench import FAULTS, faulty, healthy
+
+
+@pytest.mark.parametrize(
+    ("cause", "seed"),
+    [("camera_focus", 711), ("missing_colour", 718), ("bands", 701), ("wrong_resolution", 720)],
+)
+def test_it_is_named_first(cause: str, seed: int) -> None:
+    """Fine detail that blur has taken away, few stripes in view, few gains, pixels doubled exactly."""
+    assert of_other(faulty(cause, seed)).findings[0].cause == cause
+
+
+def test_flicker_leaves_no_trace_of_a_scaled_picture() -> None:
+    recording = faulty("flicker", 714).recording()
+    spectrum = moire_spectrum(FrameSample.of(recording, decode(recording)), "x")
+    assert spectrum is not None
+    assert spectrum[1].max() < 0.1 * MOST_MOIRE_PX
+
+
+def test_flicker_is_seen_where_the_finest_fringes_are_next_to_lost() -> None:
+    blurred = faulty("projector_focus", 731)
+    both = FAULTS["flicker"](blurred, np.random.default_rng([731, 9]))
+    causes = {one.cause for one in diagnose_frames(both.recording())}
+    assert causes >= {FaultCause.PROJECTOR_FOCUS, FaultCause.FLICKER}
+    assert FaultCause.FLICKER not in {one.cause for one in diagnose_frames(blurred.recording())}
+
+
+def test_a_scan_with_a_scaled_picture_is_refused() -> None:
+    assert of_other(faulty("wrong_resolution", 702)).verdict is Verdict.USELESS
+    still = replace(faulty("wrong_resolution", 702), scale=1.0)
+    assert of_other(still).verdict is Verdict.GOOD
+
+
+@pytest.mark.parametrize("lit_share", [0.15, 0.6])
+def test_no_more_points_are_counted_than_pixels_that_see_the_fringes(
+    lit_share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dark pixels that became points see the fringes as well, whatever counts as lit."""
+    monkeypatch.setattr("fpplab.diagnosis.sample.LIT_SHARE", lit_share)
+    _, cloud, diagnosis = measured(Scene(seed=14))
+    assert cloud is not None
+    points, pixels = (int(word) for word in re.findall(r"\d+", diagnosis.reason))
+    assert points == len(cloud)
+    assert points <= pixels
+    assert diagnosis.criteria[0].name == "points"
+    assert diagnosis.criteria[0].value == pytest.approx(points / pixels, rel=1e-3)
+
+
+def test_a_bench_without_fault_shows_neither_bands_nor_a_scaled_picture() -> None:
+    recording = healthy(712).recording()
+    assert diagnose_frames(recording, decode(recording)) == ()

@@ -1,0 +1,31 @@
+"""Poses of a board seen with a lens whose scale differs from pose to pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fpplab.characterisation import Characterisation, DistortionModel, Observation, characterise
+from fpplab.characterisation.lens import scales_of_poses
+from tests.characterisation.test_judging import seen
+from tests.support.rigs import BOARD, CAMERA, SQUARE
+
+
+def fitted(observations: list[Observation]) -> Characterisation:
+    return characterise(observations, BOARD, CAMERA.size, SQUARE.size, level=DistortionModel.K3)
+
+
+def scales(result: Characterisation) -> tuple[np.ndarray, np.ndarray]:
+    assert result.solution is not None
+    assert result.sizes is not None
+    return scales_of_poses(result.observations, result.solution, result.sizes)
+
+
+def breathing(amount: float, seed: int) -> list[Observation]:
+    centre, random = CAMERA.matrix[:2, 2], np.random.default_rng(seed)
+    grown = 1.0 + amount * random.standard_normal(9)
+    return [
+        replace(one, camera_px=centre + (one.camera_px - centre) * by)
+        for one, by in zip(seen(9, seed), grown, strict=True)
+    ]
