@@ -210,8 +210,7 @@ def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
     along = float(at_zero @ world.stage.offset(1.0))
     beside = float(at_zero @ at_zero) - along**2
     root = math.sqrt(max(baseline_mm**2 - beside, 0.0))
-    positions: list[float] = [root - along, -root - along]
-    position = round(min(positions, key=lambda mm: abs(mm)), 6)
+    position = round(math.copysign(root, along) - along, 6)
     low, high = world.stage.travel_mm
     if baseline_mm**2 < beside or not low <= position <= high:
         ends = baseline_range_mm(world)
