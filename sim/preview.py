@@ -105,7 +105,7 @@ def require_simulated(rig: Rig) -> None:
         )
 
 
-def virtual_bench(rig: Rig) -> VirtualBench:
+def bench_of_rig(rig: Rig) -> VirtualBench:
     """Give the simulation of an open rig.
 
     Parameters
@@ -144,7 +144,7 @@ def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
     ConfigError
         The rig cannot be arranged like this; the message names what is wrong.
     """
-    bench, plan = virtual_bench(rig), wanted.fringes()
+    bench, plan = bench_of_rig(rig), wanted.fringes()
     world, setup = bench.world, arranged_setup(bench.world, wanted)
     if not 0 <= step < wanted.steps:
         raise ConfigError(f"step {step}: must be 0 to {wanted.steps - 1}, for there are {wanted.steps} steps")
@@ -210,7 +210,7 @@ def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
     along = float(at_zero @ world.stage.offset(1.0))
     beside = float(at_zero @ at_zero) - along**2
     root = math.sqrt(max(baseline_mm**2 - beside, 0.0))
-    position = round(min(root - along, -root - along, key=abs), 6)
+    position = round(math.copysign(root, along) - along, 6)
     low, high = world.stage.travel_mm
     if baseline_mm**2 < beside or not low <= position <= high:
         ends = baseline_range_mm(world)
@@ -256,7 +256,7 @@ def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
     dict
         By the keys of the command's JSON.
     """
-    world = virtual_bench(rig).world
+    world = bench_of_rig(rig).world
     setup = arranged_setup(world, wanted)
     return {
         "rig": rig.file.name,

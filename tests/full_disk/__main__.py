@@ -1,4 +1,4 @@
-"""Every writing command of `commands.py` on disks that are full at every page: `python -m tests.full_disk [NAME …]`."""
+"""`python -m tests.full_disk [NAME …]`: each writing command of `commands.py` on disks full at every page."""
 
 from __future__ import annotations
 

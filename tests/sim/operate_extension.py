@@ -1,6 +1,6 @@
-"""Install the extension in Blender, operate it as an operator does, and disable it; see test_extension.py.
+"""Install the extension in Blender, operate it as an operator would, and disable it; see test_extension.py.
 
-Arguments: the archive, the Python that has fpplab, the folder for results, a rig file, and which of `PARTS`
+Arguments: the archive, the Python that has fpplab, the folder for results, a rig file, and names of `PARTS`
 to do. Writes `told.json` with what was seen, and what differs from before once the extension is disabled.
 """
 
@@ -19,14 +19,13 @@ ADDON = "bl_ext.user_default.fpplab"
 
 
 def left() -> dict[str, list[str]]:
-    """Everything that an extension could leave behind."""
+    """Everything that an extension could leave behind; its modules stay loaded, as those of any."""
     kinds = [p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION"]
     found = {kind: sorted(one.name for one in getattr(bpy.data, kind)) for kind in kinds}
     found["types"] = sorted(name for name in dir(bpy.types) if "fpplab" in name.lower())
     found["window manager"] = [key for key in bpy.context.window_manager.keys() if "fpplab" in key]  # noqa: SIM118
     found["operators"] = dir(bpy.ops.fpplab)
     found["handlers"] = [name for name in dir(bpy.app.handlers) if getattr(bpy.app.handlers, name)]
-    found["modules"] = sorted(name for name in sys.modules if name.startswith(ADDON))
     found["temporary files"] = sorted(p.name for p in Path(tempfile.gettempdir()).rglob("*"))
     found["scene"] = [bpy.context.window.scene.name]
     return found
@@ -39,6 +38,10 @@ def refused(operator: Any) -> str:
     except RuntimeError as error:
         return str(error).strip()
     raise AssertionError("not refused")
+
+
+def name_interpreter(path: str) -> None:
+    bpy.context.preferences.addons[ADDON].preferences.interpreter = path
 
 
 def choose(**values: Any) -> None:
@@ -56,9 +59,9 @@ def pixels_of(image: Any) -> np.ndarray[Any, Any]:
 def demonstration(out: Path) -> dict[str, Any]:
     """Show the demonstration, and take its picture twice, at another baseline and step the second time."""
     told: dict[str, Any] = {"without interpreter": refused(bpy.ops.fpplab.show_rig)}
-    bpy.context.preferences.addons[ADDON].preferences.interpreter = "/no/such/python"
+    name_interpreter("/no/such/python")
     told["wrong interpreter"] = refused(bpy.ops.fpplab.show_rig)
-    bpy.context.preferences.addons[ADDON].preferences.interpreter = sys.argv[2]
+    name_interpreter(sys.argv[2])
     choose(rig="rig_demo_quick", item="cube")
     told["wrong item"] = refused(bpy.ops.fpplab.show_rig)
     told["picture before"] = bpy.ops.fpplab.take_picture.poll()
@@ -84,6 +87,7 @@ def viewed(path: Path) -> dict[str, Any]:
 def measurement(out: Path) -> dict[str, Any]:
     """Record a scan on the small rig and import its cloud with errors."""
     choose(rig=sys.argv[4], item="pillars", stripes=32.0, steps=4, step=0, baseline=0.0, picture="")
+    name_interpreter(sys.argv[2])
     told: dict[str, Any] = {"no session": refused(bpy.ops.fpplab.record_scan)}
     choose(session=str(out / "session"))
     bpy.ops.fpplab.show_rig()

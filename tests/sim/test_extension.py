@@ -34,7 +34,7 @@ from sim.build import Setup
 from sim.extension import MANIFEST, write_extension
 from sim.items import item_poses
 from sim.light import Show
-from sim.preview import Arrangement, baseline_range_mm, make_preview, stage_for_baseline, virtual_bench
+from sim.preview import Arrangement, baseline_range_mm, bench_of_rig, make_preview, stage_for_baseline
 from sim.preview_file import read_preview, write_preview
 from sim.sensor import SensorModel
 from tests.sim.conftest import RIG, plain, world, write_world
@@ -88,7 +88,7 @@ def twin_command(python_path: str, *words: object) -> subprocess.CompletedProces
 
 def seen_by_twin(rig: Rig, wanted: Arrangement, step: int) -> Picture:
     """Mean grey levels by the twin's own light path, from its tables of direct light."""
-    bench, plan, caps = virtual_bench(rig), wanted.fringes(), rig.projector.caps
+    bench, plan, caps = bench_of_rig(rig), wanted.fringes(), rig.projector.caps
     patterns = tuple(rig.projector.load(make_patterns(plan, caps.size, caps.lattice)))
     stage_mm = stage_for_baseline(bench.world, wanted.baseline_mm)
     setup = Setup(wanted.item or bench.world.mounted, wanted.pose, stage_mm)
@@ -182,8 +182,8 @@ def test_preview_is_read_as_it_was_written(small_rig: Path, tmp_path: Path) -> N
 
 
 def same(one: Any, other: Any) -> None:
-    assert type(one) is type(other)
     if is_dataclass(one):
+        assert type(one) is type(other)
         for field in fields(one):
             same(getattr(one, field.name), getattr(other, field.name))
     elif isinstance(one, tuple):
@@ -340,7 +340,7 @@ def test_scan_and_its_errors_come_back_into_the_scene(
     np.testing.assert_allclose(found["matrix"], np.eye(4), atol=1e-6)
     assert len(found["points"]) > 1000
     with Rig.load(small_rig) as rig:
-        of = virtual_bench(rig).world
+        of = bench_of_rig(rig).world
         shape = make("pillars", {})
         moved = trimesh.Trimesh(item_poses(of, "pillars")[0].apply(shape.vertices), shape.faces)
         distance = np.abs(trimesh.proximity.signed_distance(moved, found["points"][::20]))
@@ -368,7 +368,7 @@ def test_twin_is_fitted_and_shown(tmp_path: Path, archive: Path, small_rig: Path
 
 @pytest.mark.slow
 def test_exported_scene_stands_alone(tmp_path: Path, small_rig: Path, python_path: str) -> None:
-    """Opened without the extension it renders the twin's picture; its fringes are at half precision."""
+    """Opened without the extension it renders the twin's picture."""
     chosen = ("--rig", small_rig, "--item", "board", "--stripes", 20, "--steps", 4, "--step", 1)
     for command, name in (("export", "rig.blend"), ("describe", "rig.npz")):
         done = twin_command(python_path, command, *chosen, "--out", tmp_path / name)
