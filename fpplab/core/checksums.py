@@ -15,6 +15,7 @@ from pathlib import Path
 from fpplab.core.errors import DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines, write_text, writing
 from fpplab.core.session_names import CHECKSUMS
+from fpplab.core.strict_json import parse_object
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,9 @@ def recorded_files(folder: Path) -> list[RecordedFile]:
     found = []
     for number, line in enumerate(whole_lines(record), 1):
         try:
-            entry = json.loads(line)
+            entry = parse_object(line)
             found.append(RecordedFile(entry["file"], entry["sha256"], entry.get("text")))
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError) as error:
             raise DataError(f"{record} line {number}: is not the checksum of a file") from error
     return found
 

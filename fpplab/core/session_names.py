@@ -16,8 +16,10 @@ DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "verdict.yaml",
 )
 """The results."""
+RECORDING = "view.rrd"
+"""What the viewer showed, in any folder of results."""
 SESSION_FILES = frozenset(
     (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
-    + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, "view.rrd")
+    + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)
 )
 """Every file that fpplab writes into a session, beside the folder of its frames."""

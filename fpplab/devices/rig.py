@@ -31,7 +31,8 @@ from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, S
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig_lock import using_rig
 from fpplab.devices.shared import SharedBackend
-from fpplab.patterns.response import Curve, with_named_response
+from fpplab.patterns.curve import Curve
+from fpplab.patterns.response import with_named_response
 
 Dev = TypeVar("Dev", bound=Device)
 
@@ -97,6 +98,11 @@ class RigFile(DepthSection):
 
     name: str
     """What the rig is called in reports and messages."""
+
+    notes: tuple[str, ...] = ()
+    """What whoever uses the rig should know, told each time it is opened: reasons for which a matched twin
+    would have been refused, had they not been accepted.
+    """
 
     camera: CameraSection
     """The camera."""
@@ -164,6 +170,8 @@ class Rig:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(using_rig(self._source))
+            for note in self.file.notes:
+                _log.warning("%s: %s", self._source, note)
             shared = self.simulation = self._open_simulation(stack)
             self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]
             self.projector = self._device(stack, "projector", Projector, self.file.projector, shared)  # type: ignore[type-abstract]

@@ -80,5 +80,8 @@ class _WatchedTwin:
     def mesh(self, item: str) -> trimesh.Trimesh:
         return self._twin.mesh(item)
 
-    def save(self, folder: Path) -> Path:
-        return self._twin.save(folder)
+    def pose_of(self, item: str) -> RigidTransform:
+        return self._twin.pose_of(item)
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
+        return self._twin.save(folder, notes)

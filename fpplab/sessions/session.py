@@ -31,9 +31,9 @@ from fpplab.core.files import append_line, make_directory, refuse_existing
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
 from fpplab.devices import Frame
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.patterns.response import Curve
 from fpplab.sessions.folder import (
     furnish,
     need_space_for_frames,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.diagnosis import Verdict
+from fpplab.diagnosis import FaultCause, Finding, Verdict
 from fpplab.matching import match
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
@@ -177,6 +177,13 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     worse = replace(whole, matched=replace(whole.matched, final=found.before), before=found.matched.final)
     assert diagnose_matching(worse).verdict is Verdict.USELESS
     assert diagnose_matching(worse).findings[0].cause == "no_gain"
+    focus = Finding(FaultCause.LENS_NOT_LOCKED, "pose_02: its edges are softer", 1.5)
+    moved_focus = replace(whole, late=(focus,))
+    assert diagnose_matching(moved_focus).verdict is Verdict.USELESS
+    accepted = replace(moved_focus, accepted=frozenset({FaultCause.LENS_NOT_LOCKED}))
+    assert diagnose_matching(accepted).verdict is Verdict.DOUBTFUL
+    assert accepted.notes == ("lens_not_locked accepted: pose_02: its edges are softer",)
+    assert whole.notes == ()
     at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
     assert [one.cause for one in diagnose_matching(at_border).findings] == ["at_border"]
     final = whole.matched.final

@@ -20,9 +20,10 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats, Image, Lattice, PixelIndices, full_scale
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
+from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
@@ -114,7 +115,7 @@ class PlaneTwin:
         return self.expected(pose, patterns, settings)[:, *pixels]
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        return self._seen(CARD, patterns, settings, board=False)
+        return self._seen(self.pose_of(item), patterns, settings, board=False)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
         expected, random = self.expected(pose, patterns, settings), self._draws(len(patterns))
@@ -136,7 +137,10 @@ class PlaneTwin:
     def mesh(self, item: str) -> trimesh.Trimesh:
         return artefacts.make(item)
 
-    def save(self, folder: Path) -> Path:
+    def pose_of(self, item: str) -> RigidTransform:
+        return self._now.placed.get(item, CARD)
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         self._now.calibration.save(folder / "calibration.yaml")
         return folder / "rig.yaml"
@@ -302,6 +306,9 @@ class Remembered:
 
     def read(self, index: int, verify: bool = True) -> Image:
         return self.images[index]
+
+    def recording(self, verify: bool = True) -> Recording:
+        return Recording(self.images, self.plan, PROJECTOR.size, SETTINGS.bits, str(self.path))
 
     def projector(self) -> tuple[tuple[int, int], Lattice]:
         return PROJECTOR.size, Lattice.SQUARE

@@ -99,6 +99,11 @@ def gamma_command(
 def _show_response(result: dict[str, Any]) -> None:
     for name, sigma in zip("abg", result["sigma"], strict=True):
         console.stdout.print(f"{name} = {result[name]:.5f} ± {sigma:.2g}", markup=False)
+    if result["spline"]:
+        console.stdout.print(
+            f"no power law predicts the levels: a spline of {len(result['spline'])} coefficients is used, g "
+            "is for information"
+        )
     fitted, regions, spread = len(result["levels"]), len(result["regions"]), result["region_spread"]
     agree = f"; {regions} regions agree on g to {spread:.2g}" if spread is not None else ""
     console.stdout.print(f"RMS misfit {result['residual']:.2g} of full scale, {fitted} levels{agree}")
