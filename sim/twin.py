@@ -63,12 +63,27 @@ class SimTwin:
         self._parameters = _parameters_of(nominal, board, self.target)
         self._world = _world_of(nominal, board, self._parameters)
         self._light = Light(self._world, blender, analytic=True)
-        self._frames_taken, self._settings = 0, CameraSettings(1.0)
+        self._next_frame, self._settings = 0, CameraSettings(1.0)
 
     @property
     def parameters(self) -> TwinParameters:
         """As it stands; at first what its own file says."""
         return self._parameters
+
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since the twin was made; noise and vibration follow from it."""
+        return self._next_frame
+
+    def count_frames_from(self, number: int) -> None:
+        """Give the next frame this number.
+
+        Parameters
+        ----------
+        number : int
+            Not negative.
+        """
+        self._next_frame = number
 
     def become(self, parameters: TwinParameters) -> None:
         """Go on with these. Tables of light are kept for all geometry that comes again.
@@ -213,13 +228,13 @@ class SimTwin:
         pictures = []
         for n in range(len(shown)):
             if step:
-                random = np.random.default_rng([self._world.seed, self._frames_taken + n])
+                random = np.random.default_rng([self._world.seed, self._next_frame + n])
                 steps = random.standard_normal(3)
                 pictures.append(with_vibration(self._light, still, moved, steps, Show(shown, n)))
             else:
                 pictures.append(self._irradiance(still, shown, n))
-        counters = range(self._frames_taken, self._frames_taken + len(shown))
-        self._frames_taken = counters.stop
+        counters = range(self._next_frame, self._next_frame + len(shown))
+        self._next_frame = counters.stop
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 

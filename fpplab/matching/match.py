@@ -209,10 +209,13 @@ def match_twin(
         The record is damaged.
     """
     epochs = record.read()
-    begin = _best(epochs).parameters.parameters() if epochs else start
-    twin.become(begin)
+    if not epochs:
+        start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
+    elif epochs[-1].next_frame is not None:
+        twin.count_frames_from(epochs[-1].next_frame)
+    twin.become(_best(epochs).parameters.parameters() if epochs else start)
     white = "paper" if reference.response is not None else "white"
-    samples = _samples_of_poses(reference, begin)
+    samples = _samples_of_poses(reference, epochs[-1].parameters.parameters() if epochs else start)
     before = epochs[-1].seconds if epochs else 0.0
     started = time.monotonic() - before
     watch = _StepWatch(started, limits, progress, tell)
@@ -222,7 +225,7 @@ def match_twin(
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
         first = evaluate(reference, twin, weights)
-        _record_epoch(state, "start", first, _difference(state), True, observe)
+        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
@@ -338,7 +341,8 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
     before = step.misfit(state.at) if step.misfit else None
-    tried = step.propose(state.at)
+    written = ParametersFile.of(step.propose(state.at))
+    tried = written.parameters()
     twin.become(tried)
     after = step.misfit(state.at) if step.misfit else None
     known = None if step.characterises else best.loss["epsilon_v_px"]
@@ -347,7 +351,7 @@ def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> Non
     difference = _difference(state)
     better = after <= before if before is not None and after is not None else None
     accepted = _accepted(best, found, difference) if better is None else better
-    _record_epoch(state, step.name, found, difference, accepted, observe)
+    _record_epoch(state, step.name, written, found, difference, accepted, observe)
 
 
 def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
@@ -378,13 +382,18 @@ def _noise(state: _State) -> float:
 
 
 def _record_epoch(
-    state: _State, name: str, found: TwinEvaluation, difference: float, accepted: bool, observe: EpochObserver
+    state: _State,
+    name: str,
+    tried: ParametersFile,
+    found: TwinEvaluation,
+    difference: float,
+    accepted: bool,
+    observe: EpochObserver,
 ) -> None:
     if not np.isfinite(found.loss.board):
         raise CalibrationError(
             f"the step '{name}' led to images that cannot be compared: their SSIM is not finite"
         )
-    now = state.at.twin.parameters
     epoch = MatchingEpoch(
         epoch=len(state.epochs),
         step=name,
@@ -392,8 +401,11 @@ def _record_epoch(
         loss=found.loss.summary(),
         difference=difference,
         seconds=state.seconds,
-        parameters=ParametersFile.of(now),
-        poses_um=moved_um(state.best.parameters.parameters(), now) if state.epochs else None,
+        parameters=tried,
+        next_frame=state.at.twin.next_frame,
+        poses_um=moved_um(state.best.parameters.parameters(), state.at.twin.parameters)
+        if state.epochs
+        else None,
     )
     state.record.add(epoch)
     state.epochs.append(epoch)

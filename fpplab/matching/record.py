@@ -131,6 +131,8 @@ class MatchingEpoch(Document):
     """Duration of the matching so far in s, all runs together."""
     parameters: ParametersFile
     """That were tried."""
+    next_frame: int | None = None
+    """Number of the twin's frame that follows; None in records of version 0.1.0."""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,13 @@ class _WatchedTwin:
     def target(self) -> Target:
         return self._twin.target
 
+    @property
+    def next_frame(self) -> int:
+        return self._twin.next_frame
+
+    def count_frames_from(self, number: int) -> None:
+        self._twin.count_frames_from(number)
+
     def become(self, parameters: TwinParameters) -> None:
         self._twin.become(parameters)
 

@@ -129,6 +129,19 @@ class Twin(Protocol):
     def target(self) -> Target:
         """The board, as it is printed."""
 
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since the twin was made; noise and vibration follow from it."""
+
+    def count_frames_from(self, number: int) -> None:
+        """Give the next frame this number: a matching that goes on has the noise that it would have had.
+
+        Parameters
+        ----------
+        number : int
+            Not negative.
+        """
+
     def become(self, parameters: TwinParameters) -> None:
         """Set the parameters; what does not depend on the change is kept.
 

@@ -105,6 +105,26 @@ def test_a_matching_continues_from_its_record(matching: Matching) -> None:
     assert again.matched.ended == f"after {EPOCHS + 1} epochs"
 
 
+def test_a_matching_that_goes_on_is_the_undisturbed_one(matching: Matching, tmp_path: Path) -> None:
+    """Wherever it was interrupted: noise, samples and parameters are the same."""
+
+    def matched(folder: Path) -> MatchingResult:
+        wanted = MatchingRequest(limits=MatchingLimits(epochs=4))
+        return match_sessions(PlaneTwin(nominal(()), 7), matching.sessions[:3], TARGET, folder, wanted)
+
+    whole = matched(tmp_path / "whole")
+    lines = (tmp_path / "whole" / "match.jsonl").read_bytes().splitlines(keepends=True)
+    assert len(lines) == 5
+    for kept in (1, 3, 5):
+        folder = tmp_path / f"stopped_{kept}"
+        folder.mkdir()
+        (folder / "match.jsonl").write_bytes(b"".join(lines[:kept]))
+        again = matched(folder)
+        assert again.summary() == whole.summary()
+        for one, other in zip(again.matched.epochs, whole.matched.epochs, strict=True):
+            assert one.model_dump(exclude={"seconds"}) == other.model_dump(exclude={"seconds"})
+
+
 def test_a_step_is_ended_when_the_time_is_over(
     matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

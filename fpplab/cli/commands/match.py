@@ -112,10 +112,10 @@ def match_command(
         known = twin_of(rig, item)
         board = Target.load(target) if target else known.target
 
+        from fpplab.core.session_names import RECORDING
         from fpplab.matching.record import MatchingEpoch
         from fpplab.report.matching import write_matching_report
         from fpplab.viewer.matching import MatchingView, show_twin
-        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
         references: list[Reference] = []
