@@ -7,11 +7,13 @@ projector's texture and the rendering effort, so the process keeps no other stat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats
+if TYPE_CHECKING:  # Blender's own Python, in which the extension has this file, lacks fpplab
+    from fpplab.core.conventions import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,6 +320,75 @@ class SubpixelView:
 
     shift: tuple[float, float]
     lens: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PatternRender:
+    """All that it takes to render what the camera sees of a scene under one pattern.
+
+    The irradiance is `falloff * (mean of the views + ambient * reflectance)`.
+
+    Attributes
+    ----------
+    scene : RenderScene
+        Camera, lamp and surfaces.
+    textures : ndarray of float32
+        Of the lamp, (circles, rows, columns), see `sim.texture.MirrorTexture.fine`.
+    views : tuple of SubpixelView
+        Points of the pixels and of the lens to look through.
+    effort : Effort
+        How thoroughly to render.
+    ambient : float
+        Uniform ambient light, relative to the projector's white.
+    falloff : ndarray of float32 or None
+        The lens's transmission to each pixel, (height, width); None where it is 1.
+    """
+
+    scene: RenderScene
+    textures: NDArray[np.float32]
+    views: tuple[SubpixelView, ...]
+    effort: Effort
+    ambient: float
+    falloff: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True)
+class GreyScale:
+    """Mean grey level by irradiance: a straight line that ends where the sensor saturates.
+
+    Attributes
+    ----------
+    black : float
+        Grey level without light.
+    slope : float
+        Grey levels for irradiance 1.
+    saturated : float
+        The greatest mean grey level.
+    full_scale : int
+        The greatest grey level that a frame can hold.
+    """
+
+    black: float
+    slope: float
+    saturated: float
+    full_scale: int
+
+    def levels(self, irradiance: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Compute the mean of many frames: without noise, and without rounding.
+
+        Parameters
+        ----------
+        irradiance : ndarray of float32
+            Of any shape, 1 for white.
+
+        Returns
+        -------
+        ndarray of float32
+            Grey levels of the same shape, 0 to full scale.
+        """
+        levels = irradiance * np.float32(self.slope)
+        levels += np.float32(self.black)
+        return np.minimum(levels, np.float32(self.saturated), out=levels)
 
 
 class RenderRefused(Exception):  # noqa: N818 - the world asks for what cannot be rendered

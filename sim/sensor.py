@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fpplab.core.conventions import Image, full_scale, raw_dtype
 from fpplab.devices import CameraSettings
 from sim.radiometry import Led, gain_factor, lit_area_m2, photons_per_s
+from sim.scene import GreyScale
 from sim.world import Sensor, World
 
 MANY_ELECTRONS = 1000.0
@@ -108,13 +109,25 @@ class SensorModel:
         ndarray of float32
             Grey levels of the same shape, 0 to full scale.
         """
-        full = full_scale(settings.bits)
-        most = np.float32(self.sensor.full_well_e * self.binning**2)
-        levels = irradiance * np.float32(self.electrons(1.0, settings.exposure_s))
-        np.minimum(levels, most, out=levels)
-        levels *= np.float32(self.gain(settings))
-        levels += np.float32(self.sensor.black_level * full)
-        return np.minimum(levels, np.float32(full), out=levels)
+        return self.grey_scale(settings).levels(irradiance)
+
+    def grey_scale(self, settings: CameraSettings) -> GreyScale:
+        """Compute how mean grey levels follow from irradiance.
+
+        Parameters
+        ----------
+        settings : CameraSettings
+            Exposure, gain and bit depth.
+
+        Returns
+        -------
+        GreyScale
+            Of frames with these settings.
+        """
+        full, gain = full_scale(settings.bits), self.gain(settings)
+        black = self.sensor.black_level * full
+        most = black + gain * self.sensor.full_well_e * self.binning**2
+        return GreyScale(black, gain * self.electrons(1.0, settings.exposure_s), min(most, float(full)), full)
 
     def expose(self, irradiance: NDArray[np.float32], settings: CameraSettings, counter: int) -> Image:
         """Expose one frame.

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at any moment: the work stops by one `KeyboardInterrupt`, and the bench is left safe.
+"""Ctrl-C, SIGTERM or a closed terminal at any moment: one `KeyboardInterrupt`, and the bench is left safe.
 
 Python raises it wherever the program is, and three of these places lose it. An import leaves half a module,
 and libraries make another error of it: there it waits until the import is over. In a callback that Python
@@ -17,7 +17,8 @@ import time
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""SIGHUP comes where the terminal, or the connection to it, is gone; Windows has none."""
 AGAIN_S = 0.02
 """After which time an interruption that came at a bad moment is tried again."""
 CLOSING_S = 3.0
@@ -33,7 +34,7 @@ _sending = threading.Lock()
 
 
 def watch_signals() -> None:
-    """Have both signals raise `KeyboardInterrupt`, once and where it is not lost."""
+    """Have these signals raise `KeyboardInterrupt`, once and where it is not lost."""
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # a background job does not hear Ctrl-C
             signal.signal(number, _interrupt)
@@ -41,7 +42,7 @@ def watch_signals() -> None:
 
 
 def leave_at_once() -> None:
-    """Have both signals end the process at once: everything is closed, and its answer given."""
+    """Have these signals end the process at once: everything is closed, and its answer given."""
     with _sending:
         _again.clear()
     for number in SIGNALS:

@@ -27,6 +27,8 @@ MAX_COLUMNS = 1200
 """Columns beyond which a map is subsampled before it is drawn."""
 UNMEASURED = "#b9bcc0"
 """Colour of what was not measured."""
+ERROR_COLOURS = "RdBu_r"
+"""Colour map of signed errors: negative is blue, positive red."""
 INK, ACCENT, SECOND, ALARM = "#22262b", "#1f6f9f", "#c0662b", "#ff3b1f"
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",

@@ -24,6 +24,7 @@ from fpplab.core.robust import error_limit
 from fpplab.report.drawing import (
     ACCENT,
     ALARM,
+    ERROR_COLOURS,
     FULL,
     INK,
     SECOND,
@@ -350,7 +351,7 @@ def error_map(
     grid, limit = raster_of(cloud), error_limit(errors)
     mapped, extent = rasterise(grid, errors[:, None])
     figure, (left, right) = side_by_side(map_height(mapped.shape, 0.64 * FULL), (2.15, 1.0))
-    mappable = draw_map(left, mapped[..., 0], "RdBu_r", (-limit, limit), extent)
+    mappable = draw_map(left, mapped[..., 0], ERROR_COLOURS, (-limit, limit), extent)
     left.set(xlabel=grid.names[0], ylabel=grid.names[1])
     colour_bar(figure, left, mappable, f"{quantity} in µm (range ±{limit:.3g}, 98 % of points)")
     _distribution(right, known, limit, quantity)
@@ -360,7 +361,7 @@ def error_map(
 def _distribution(axes: Axes, errors: NDArray[np.floating[Any]], limit: float, quantity: str) -> None:
     edges = np.linspace(-limit, limit, 61)
     share = 100 * np.histogram(errors, edges)[0] / len(errors)
-    colours = mpl.colormaps["RdBu_r"](np.linspace(0, 1, 60))
+    colours = mpl.colormaps[ERROR_COLOURS](np.linspace(0, 1, 60))
     width = np.diff(edges)
     axes.bar(edges[:-1], share, width, align="edge", color=colours, edgecolor="#5a6068", linewidth=0.25)
     axes.axvline(0, color=INK, linewidth=0.8)

@@ -11,7 +11,7 @@ import _cycles
 import bpy
 from mathutils import Matrix
 
-from sim.scene import Aperture, PinholeOptics, RenderRefused, SubpixelView
+from ..scene import Aperture, PinholeOptics, RenderRefused, SubpixelView
 
 SOURCE = Path(__file__).with_name("camera.osl")
 """The camera shader."""

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats
-from sim.blender.images import float_image
-from sim.blender.nodes import Nodes
-from sim.scene import POSITION, REFLECTANCE, Grain, Paint, Relief
+from ..scene import POSITION, REFLECTANCE, Grain, Paint, Relief
+from .images import float_image
+from .nodes import Nodes
+
+if TYPE_CHECKING:
+    from fpplab.core.conventions import Floats
 
 EDGE = 1.2
 """Edge of a cell of Blender's Voronoi texture for facets of edge 1: a plane through unit cells cuts them into
@@ -100,7 +102,9 @@ BASE_SHADERS = {
 """The shaders of base layers, by the name that `sim.scene.BaseLayer` has for them."""
 
 
-def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None) -> None:
+def add_paint(
+    mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Floats | None, ambient: float = 0.0
+) -> None:
     """Give a mesh its material.
 
     Parameters
@@ -113,6 +117,8 @@ def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Fl
         Print [v, u], from the paint's ink at 0 to its reflectance at 255; None for none.
     uv : Floats or None
         Places (V, 2) of the vertices in the picture, 0 to 1, v downwards; without them there is no print.
+    ambient : float
+        Irradiance by uniform ambient light, which the camera alone sees.
     """
     material = bpy.data.materials.new("paint")
     material.use_nodes = True
@@ -127,9 +133,13 @@ def add_paint(mesh: Any, paint: Paint, picture: NDArray[np.uint8] | None, uv: Fl
     shader = _base(nodes, paint, colour, normal)
     if paint.gloss > 0:
         shader = _under_gloss(nodes, paint, shader, normal)
+    reflectance = _reflectance(nodes, paint, colour)
+    if ambient > 0:
+        material.cycles.emission_sampling = "NONE"  # otherwise light paths are wasted on it as a lamp
+        shader = _under_ambient(nodes, shader, reflectance, ambient)
     nodes.join(shader, nodes.add("ShaderNodeOutputMaterial").inputs["Surface"])
     _output_pass(nodes, POSITION, nodes.add("ShaderNodeNewGeometry").outputs["Position"])
-    _output_pass(nodes, REFLECTANCE, _reflectance(nodes, paint, colour))
+    _output_pass(nodes, REFLECTANCE, reflectance)
     mesh.materials.append(material)
 
 
@@ -182,6 +192,17 @@ def _under_gloss(nodes: Nodes, paint: Paint, base: Any, normal: Any) -> Any:
     for value, socket in zip((paint.gloss, base, gloss.outputs[0]), mixed.inputs, strict=True):
         nodes.join(value, socket)
     return mixed.outputs[0]
+
+
+def _under_ambient(nodes: Nodes, shader: Any, reflectance: Any, ambient: float) -> Any:
+    """Add what the surface reflects of ambient light, to rays from the camera alone."""
+    glow, total = nodes.add("ShaderNodeEmission"), nodes.add("ShaderNodeAddShader")
+    nodes.join(reflectance, glow.inputs["Color"])
+    seen = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    nodes.join(nodes.times(seen, ambient), glow.inputs["Strength"])
+    nodes.join(shader, total.inputs[0])
+    nodes.join(glow.outputs[0], total.inputs[1])
+    return total.outputs[0]
 
 
 def _tilt(nodes: Nodes, normal: Any, shader: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from sim.scene import RenderRefused
+from ..scene import RenderRefused
 
 CPU, OPTIX = "CPU", "OPTIX"
 """The kinds of device that run Open Shading Language."""

@@ -14,9 +14,9 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from sim.blender.images import float_image
-from sim.blender.nodes import Nodes
-from sim.scene import Lamp
+from ..scene import Lamp
+from .images import float_image
+from .nodes import Nodes
 
 
 def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) -> None:
@@ -29,7 +29,7 @@ def add_projector(scene: Any, lamp: Lamp, textures: NDArray[np.float32] | None) 
     lamp : Lamp
         Pose, optics and brightness.
     textures : ndarray of float32 or None
-        (circles, rows, columns, 3); None for uniform white.
+        (circles, rows, columns) or (circles, rows, columns, 3); None for uniform white.
     """
     light = bpy.data.lights.new("projector", "SPOT")
     light.shadow_soft_size, light.spot_blend, light.spot_size = 0.0, 0.0, 2 * lamp.half_angle

@@ -7,13 +7,11 @@ from typing import Any
 import bpy
 import cycles
 import numpy as np
-from mathutils import Matrix
 from numpy.typing import NDArray
 
-from sim.blender.camera import add_camera, aim, compile_shader
-from sim.blender.materials import add_paint
+from sim.blender.building import add_scene, make_linear
+from sim.blender.camera import aim, compile_shader
 from sim.blender.processors import choose_device, runs_osl
-from sim.blender.projector import add_projector
 from sim.scene import (
     ALBEDO,
     COLOURS,
@@ -23,7 +21,6 @@ from sim.scene import (
     Effort,
     RenderScene,
     SubpixelView,
-    Surface,
     X,
     Z,
 )
@@ -69,14 +66,10 @@ class BlenderScene:
             return
         bpy.ops.wm.read_factory_settings(use_empty=True)
         stage = bpy.context.scene
-        _linear_and_exact(stage, effort)
+        make_linear(stage, effort)
         choose_device(stage, effort.device)
         shaders = self._bytecode if runs_osl(effort.device) else None
-        camera = add_camera(stage, scene.camera, scene.aperture, shaders)
-        add_projector(stage, scene.lamp, textures)
-        for surface in scene.surfaces:
-            _add_surface(stage, surface)
-        _restrict(stage, scene)
+        camera = add_scene(stage, scene, textures, shaders)
         self._passes.clear()
         for view, picture in zip(views, out, strict=True):
             aim(camera, scene.camera, view)
@@ -111,49 +104,3 @@ def _keep_passes(passes: dict[str, PixelBuffer]) -> None:
             passes[layer_pass.name] = pixels[::-1]  # Blender's bottom row is first
 
     cycles.CyclesRender.render = render_and_keep
-
-
-def _linear_and_exact(stage: Any, effort: Effort) -> None:
-    """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel."""
-    stage.render.engine = "CYCLES"
-    stage.render.resolution_percentage = 100
-    stage.render.dither_intensity = 0.0
-    stage.render.use_persistent_data = False  # otherwise the first texture is rendered again
-    stage.view_settings.view_transform = "Raw"
-    if effort.survey:
-        layer = stage.view_layers[0]
-        layer.aovs.add().name = POSITION
-        layer.aovs.add().name = REFLECTANCE
-        if effort.bounces:  # otherwise all light is direct
-            layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
-            layer.use_pass_diffuse_direct = layer.use_pass_glossy_direct = True
-    settings = stage.cycles
-    settings.use_adaptive_sampling = settings.use_denoising = False
-    settings.samples, settings.seed = effort.samples, effort.seed
-    settings.pixel_filter_type, settings.filter_width = "BOX", 0.01
-    settings.max_bounces = settings.diffuse_bounces = effort.bounces
-    settings.light_sampling_threshold = 0.0  # otherwise dim light is dropped at random
-    settings.sample_clamp_direct = settings.sample_clamp_indirect = 0.0
-    settings.use_light_tree = False
-
-
-def _restrict(stage: Any, scene: RenderScene) -> None:
-    """Limit the render to the window."""
-    (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
-    render = stage.render
-    render.use_border = render.use_crop_to_border = True
-    # Blender cuts the border to whole pixels in single precision: aim at the inside of a pixel.
-    render.border_min_x, render.border_max_x = (left + 0.25) / width, (right + 0.25) / width
-    render.border_min_y, render.border_max_y = (
-        (height - bottom + 0.25) / height,
-        (height - top + 0.25) / height,
-    )
-
-
-def _add_surface(stage: Any, surface: Surface) -> None:
-    mesh = bpy.data.meshes.new("item")
-    mesh.from_pydata(surface.vertices.tolist(), [], surface.faces.tolist())
-    add_paint(mesh, surface.paint, surface.picture, surface.uv)
-    item = bpy.data.objects.new("item", mesh)
-    item.matrix_world = Matrix(surface.T_camera_item.tolist())
-    stage.collection.objects.link(item)

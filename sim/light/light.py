@@ -18,12 +18,10 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from fpplab.core.conventions import Floats, PixelIndices, full_scale
-from fpplab.core.geometry import Pinhole
 from fpplab.patterns.fringes import Pattern
 from sim.build import Setup, build_scene
 from sim.light.basis import Basis, PatternLevels, smallest_basis
@@ -32,7 +30,8 @@ from sim.light.cache import TableCache, digest
 from sim.light.lens import lens_points
 from sim.light.plane import can_compute, computed
 from sim.light.table import LightTable
-from sim.scene import COLOURS, Effort, RenderScene, SubpixelView
+from sim.light.vignetting import vignetting
+from sim.scene import COLOURS, Effort, PatternRender, RenderScene, SubpixelView
 from sim.texture import MirrorTexture
 from sim.worker import Blender
 from sim.world import World
@@ -138,7 +137,7 @@ class Light:
         self._planes: tuple[Pattern, MirrorStates] | None = None
         self._basis: tuple[MirrorStates, Basis] | None = None
         self._scene: tuple[Setup, RenderScene, MirrorTexture] | None = None
-        self._falloff = _vignette(world)
+        self._falloff = vignetting(world)
         if world.render.path == "auto" and world.indirect:
             _log.warning(
                 "the twin takes the light path '%s', because there is %s", world.path, world.indirect
@@ -186,7 +185,7 @@ class Light:
     ) -> PatternLevels:
         """Compute what `irradiance` gives at some pixels only, under several patterns.
 
-        Where light is computed it is traced for these pixels alone.
+        Where light is computed it is traced for these pixels alone; a rendered table is looked up at them.
 
         Parameters
         ----------
@@ -202,16 +201,24 @@ class Light:
         PatternLevels
             (n, P), 1 for white.
         """
-        if self._world.path != "transport" or not self.computes(setup):
+        if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
-        _, scene, _ = self._built(setup)
-        views = self._views(setup)
-        table = self._tables.get(
-            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
+        table = self._table_at(setup, pixels)
+        parts = (patterns[n : n + BATCH_PATTERNS] for n in range(0, len(patterns), BATCH_PATTERNS))
+        seen: PatternLevels = np.concatenate(
+            [self._seen(setup, table, [self._level(one) for one in part])[:, 0] for part in parts]
         )
-        seen = self._seen(setup, table, [self._level(pattern) for pattern in patterns])[:, 0]
         seen += np.float32(self._world.ambient) * table.albedo[0]
         return seen if self._falloff is None else seen * self._falloff[pixels]
+
+    def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
+        if not self.computes(setup):
+            return self.table(setup).at(pixels)
+        _, scene, _ = self._built(setup)
+        views = self._views(setup)
+        return self._tables.get(
+            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
+        )
 
     def computes(self, setup: Setup) -> bool:
         """Tell whether the item's light is computed, without a render.
@@ -354,7 +361,8 @@ class Light:
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._world.projector.response
             depth = min(p.bit_depth for p in patterns)
-            rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * full_scale(depth))
+            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
+            rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
             self._loaded = (
                 patterns,
                 MirrorStates(len(patterns), lambda n: self._level(patterns[n]), rounding),
@@ -362,8 +370,7 @@ class Light:
         return self._loaded[1]
 
     def _level(self, pattern: Pattern) -> PatternLevels:
-        response = self._world.projector.response
-        table = response.a * np.linspace(0, 1, 256) ** response.g + response.b
+        table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
         return table.astype(np.float32)[pattern.image]
 
     def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:
@@ -402,15 +409,50 @@ class Light:
                 keep.store(key, table)
         return table
 
+    def pattern_render(self, setup: Setup, pattern: Pattern) -> PatternRender:
+        """Put together what a renderer needs for the picture under one pattern: the path `reference`.
+
+        Parameters
+        ----------
+        setup : Setup
+            State of the moving parts.
+        pattern : Pattern
+            As the projector shows it.
+
+        Returns
+        -------
+        PatternRender
+            What `irradiance` is the result of.
+
+        Raises
+        ------
+        ConfigError
+            The item cannot be made.
+        """
+        render, world = self._world.render, self._world
+        return PatternRender(
+            self._built(setup)[1],
+            self._fine(setup, self._level(pattern)[None])[..., 0],
+            tuple(self._views(setup)),
+            self._effort(render.bounces, render.samples, survey=False),
+            world.ambient,
+            self._falloff,
+        )
+
     def _rendered(self, setup: Setup, channels: PatternLevels, survey: bool = False) -> PatternLevels:
         """Render (views, height, width, …) under mirrors (up to three channels, rows, columns)."""
+        render = self._world.render
+        fine = self._fine(setup, channels)
+        return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
+
+    def _fine(self, setup: Setup, channels: PatternLevels) -> PatternLevels:
+        """Make the lamp's textures (circles, rows, columns, 3) of mirrors (up to three, rows, columns)."""
         _, scene, texture = self._built(setup)
         fine = np.zeros((len(scene.lamp.circles), *scene.lamp.texture_shape, COLOURS), np.float32)
         for of_circle, circle in zip(fine, scene.lamp.circles, strict=True):
             for colour, light in enumerate(channels):
                 of_circle[..., colour] = texture.fine(light, circle)
-        render = self._world.render
-        return self._render(setup, fine, self._effort(render.bounces, render.samples, survey))
+        return fine
 
     def _effort(self, bounces: int, samples: int, survey: bool) -> Effort:
         return Effort(samples, bounces, self._world.seed, self._world.render.device, survey)
@@ -444,25 +486,3 @@ def _colours(rendered: PatternLevels) -> list[PatternLevels]:
     for view in rendered:  # in memory order, which is faster than a mean over the first axis
         total += view[..., :COLOURS]
     return list(np.moveaxis(total / np.float32(len(rendered)), -1, 0))
-
-
-def _vignette(world: World) -> PatternLevels | None:
-    """Vignetting: the lens's transmission to each pixel, (height, width); None where it is 1."""
-    exponent = world.camera.vignetting
-    if exponent == 0:
-        return None
-    camera = world.camera_model()
-    return _falloff(camera.size, tuple(camera.matrix.ravel()), tuple(camera.distortion)) ** np.float32(
-        exponent
-    )
-
-
-@lru_cache(maxsize=2)
-def _falloff(
-    size: tuple[int, int], matrix: tuple[float, ...], distortion: tuple[float, ...]
-) -> PatternLevels:
-    """Cosine of the angle between each pixel's ray and the optical axis, (height, width)."""
-    camera = Pinhole(size, np.reshape(matrix, (3, 3)), np.array(distortion))
-    v, u = np.mgrid[0 : size[1], 0 : size[0]].astype(np.float64)
-    slopes = camera.normalise(np.stack([u, v], axis=-1))
-    return np.asarray((1 + (slopes**2).sum(axis=-1)) ** -0.5, np.float32)

@@ -91,7 +91,7 @@ def test_an_interruption_stops_the_work_once(moment: str, tmp_path: Path) -> Non
     assert (done.stdout, done.stderr) == ("stopped\n", "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_at_the_end_of_the_process(number: signal.Signals) -> None:
     code = f"{BEGIN}\nimport atexit\natexit.register(lambda: (print('end', flush=True), time.sleep(20)))\n"
     with subprocess.Popen(

@@ -34,7 +34,12 @@ def compare_command(
             "--calibration", help="Count only what both devices see. Default: the one beside the cloud."
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Write a picture of the errors, as PNG.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Write a picture of the errors (.png), or the points coloured by them (.ply)."
+        ),
+    ] = None,
     page: ReportOption = None,
     view: ViewOption = False,
     keep_open: KeepOpen = False,
@@ -59,18 +64,17 @@ def compare_command(
     from fpplab.calibration.model import Calibration
     from fpplab.clouds import load_cloud, load_mesh
     from fpplab.comparison import find_misplacement
-    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from fpplab.core.files import need_suffix, refuse_existing
     from fpplab.diagnosis.record import load_diagnosis
     from fpplab.pipeline import CALIBRATION
-    from fpplab.report import figures
     from fpplab.report.comparison_page import write_comparison_report
     from fpplab.report.provenance import cloud_provenance
     from fpplab.sessions.session import JOURNAL
     from fpplab.viewer.measurement import MeasurementView
 
-    for path, suffix in ((out, ".png"), (page, ".html")):
+    for path, suffixes in ((out, (".png", ".ply")), (page, (".html",))):
         if path:
-            need_suffix(path, suffix)
+            need_suffix(path, *suffixes)
             refuse_existing(path, force)
     beside = cloud.parent / CALIBRATION
     source = calibration or (beside if beside.is_file() else None)
@@ -87,8 +91,7 @@ def compare_command(
         misplaced = None if align else find_misplacement(measured, truth)
     viewer.show(MeasurementView.results, None, measured, None, 1e3 * result.distances_mm)
     if out:
-        picture = figures.error_map(measured, result.distances_mm, result.counted)
-        write_atomic(out, lambda stream: stream.write(picture))
+        _write_errors(out, measured, result)
     for warning in result.warnings():
         console.say(warning)
     summary = result.summary()
@@ -107,6 +110,18 @@ def compare_command(
         )
     files = {"provenance": whence.summary(), "report": str(page) if page else None}
     console.answer({**summary, **files}, json, lambda: _show(result, said))
+
+
+def _write_errors(out: Path, cloud: Cloud, result: Comparison) -> None:
+    from fpplab.core.files import write_atomic
+    from fpplab.report.error_cloud import write_error_cloud
+    from fpplab.report.figures import error_map
+
+    if out.suffix.lower() == ".ply":
+        write_error_cloud(out, cloud, result.distances_mm, result.counted)
+        return
+    picture = error_map(cloud, result.distances_mm, result.counted)
+    write_atomic(out, lambda stream: stream.write(picture))
 
 
 def _name(cloud: Path) -> str:

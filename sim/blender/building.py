@@ -1,0 +1,109 @@
+"""The scene of `sim.scene` as objects in Blender, and how Cycles renders it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from numpy.typing import NDArray
+
+from ..scene import POSITION, REFLECTANCE, Effort, RenderScene, Surface
+from .camera import add_camera
+from .materials import add_paint
+from .projector import add_projector
+
+
+def add_scene(
+    stage: Any,
+    scene: RenderScene,
+    textures: NDArray[np.float32] | None,
+    bytecode: str | None,
+    ambient: float = 0.0,
+) -> Any:
+    """Add camera, projector and surfaces to a scene in Blender that holds none.
+
+    Parameters
+    ----------
+    stage : bpy.types.Scene
+        Where to add them.
+    scene : RenderScene
+        Camera, lamp and surfaces.
+    textures : ndarray of float32 or None
+        Of the lamp, (circles, rows, columns) or (circles, rows, columns, 3); None for uniform white light.
+    bytecode : str or None
+        The camera shader, see `add_camera`.
+    ambient : float
+        Irradiance by uniform ambient light.
+
+    Returns
+    -------
+    bpy.types.Camera
+        The camera, for `aim`.
+
+    Raises
+    ------
+    RenderRefused
+        Blender's own camera would have to distort or blur.
+    """
+    camera = add_camera(stage, scene.camera, scene.aperture, bytecode)
+    add_projector(stage, scene.lamp, textures)
+    for surface in scene.surfaces:
+        _add_surface(stage, surface, ambient)
+    _restrict(stage, scene)
+    return camera
+
+
+def make_linear(stage: Any, effort: Effort) -> None:
+    """Switch off tone curve, dither, denoising, clamping and heuristics; sample one point of every pixel.
+
+    Parameters
+    ----------
+    stage : bpy.types.Scene
+        Whose settings are changed.
+    effort : Effort
+        Samples, bounces and channels.
+    """
+    stage.render.engine = "CYCLES"
+    stage.render.resolution_percentage = 100
+    stage.render.dither_intensity = 0.0
+    stage.render.use_persistent_data = False  # otherwise the first texture is rendered again
+    stage.view_settings.view_transform = "Raw"
+    if effort.survey:
+        layer = stage.view_layers[0]
+        layer.aovs.add().name = POSITION
+        layer.aovs.add().name = REFLECTANCE
+        if effort.bounces:  # otherwise all light is direct
+            layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
+            layer.use_pass_diffuse_direct = layer.use_pass_glossy_direct = True
+    settings = stage.cycles
+    settings.use_adaptive_sampling = settings.use_denoising = False
+    settings.samples, settings.seed = effort.samples, effort.seed
+    settings.pixel_filter_type, settings.filter_width = "BOX", 0.01
+    settings.max_bounces = settings.diffuse_bounces = effort.bounces
+    settings.light_sampling_threshold = 0.0  # otherwise dim light is dropped at random
+    settings.sample_clamp_direct = settings.sample_clamp_indirect = 0.0
+    settings.use_light_tree = False
+
+
+def _restrict(stage: Any, scene: RenderScene) -> None:
+    """Limit the render to the window."""
+    (width, height), (left, top, right, bottom) = scene.camera.size, scene.window
+    render = stage.render
+    render.use_border = render.use_crop_to_border = True
+    # Blender cuts the border to whole pixels in single precision: aim at the inside of a pixel.
+    render.border_min_x, render.border_max_x = (left + 0.25) / width, (right + 0.25) / width
+    render.border_min_y, render.border_max_y = (
+        (height - bottom + 0.25) / height,
+        (height - top + 0.25) / height,
+    )
+
+
+def _add_surface(stage: Any, surface: Surface, ambient: float) -> None:
+    mesh = bpy.data.meshes.new("item")
+    mesh.from_pydata(surface.vertices.tolist(), [], surface.faces.tolist())
+    add_paint(mesh, surface.paint, surface.picture, surface.uv, ambient)
+    item = bpy.data.objects.new("item", mesh)
+    item.matrix_world = Matrix(surface.T_camera_item.tolist())
+    stage.collection.objects.link(item)

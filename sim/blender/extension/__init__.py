@@ -1,0 +1,33 @@
+"""The Blender extension: a simulated rig in the scene, its scans, its clouds, and twins of real benches.
+
+Blender's own Python lacks fpplab, which is started in a process of its own, by the interpreter that the
+preferences name. `sim.extension` makes the archive that Blender installs.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import data, jobs
+from .operators import OPERATORS
+from .panel import RigPanel
+from .preferences import ExtensionPreferences
+from .settings import RigSettings, attach_settings, detach_settings
+
+CLASSES = (ExtensionPreferences, RigSettings, *OPERATORS, RigPanel)
+
+
+def register() -> None:
+    """Add operators, panel and preferences to Blender."""
+    for one in CLASSES:
+        bpy.utils.register_class(one)
+    attach_settings()
+
+
+def unregister() -> None:
+    """Take everything out again: running commands, what was added to the file, and the classes."""
+    jobs.end_all()
+    data.remove_all()
+    detach_settings()
+    for one in reversed(CLASSES):
+        bpy.utils.unregister_class(one)

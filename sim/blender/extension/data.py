@@ -1,0 +1,109 @@
+"""What the extension adds to the open file: tagged, in a scene of its own, and removed as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import bpy
+
+TAG = "fpplab"
+"""Custom property of all data that the extension has made; its value says what it belongs to."""
+
+SCENE, RIG, CLOUD, PICTURE = "scene", "rig", "cloud", "picture"
+"""What tagged data belongs to."""
+
+NAME = "fpplab"
+"""Name of the extension's scene."""
+
+_PREVIOUS = "fpplab_previous"
+
+
+def all_data() -> dict[int, Any]:
+    """List every data-block of the open file.
+
+    Returns
+    -------
+    dict of int to bpy.types.ID
+        By the number that Blender gives each for the session.
+    """
+    kinds = (p.identifier for p in bpy.data.bl_rna.properties if p.type == "COLLECTION")
+    return {one.session_uid: one for kind in kinds for one in getattr(bpy.data, kind)}
+
+
+@contextmanager
+def tagged(owner: str) -> Iterator[None]:
+    """Tag all data that is made within.
+
+    Parameters
+    ----------
+    owner : str
+        What it belongs to.
+
+    Yields
+    ------
+    None
+        While it is made.
+    """
+    before = set(all_data())
+    try:
+        yield
+    finally:
+        for number, one in all_data().items():
+            if number not in before:
+                one[TAG] = owner
+
+
+def rig_scene() -> Any:
+    """Give the extension's scene.
+
+    Returns
+    -------
+    bpy.types.Scene or None
+        None where no rig is shown.
+    """
+    return next((scene for scene in bpy.data.scenes if scene.get(TAG) == SCENE), None)
+
+
+def enter_rig_scene() -> Any:
+    """Make the extension's scene unless it is there, and switch the window to it.
+
+    The scenes of the file keep their settings like that.
+
+    Returns
+    -------
+    bpy.types.Scene
+        The extension's scene.
+    """
+    scene, window = rig_scene(), bpy.context.window
+    if scene is None:
+        with tagged(SCENE):
+            scene = bpy.data.scenes.new(NAME)
+        scene[_PREVIOUS] = window.scene.name if window else ""
+    if window and window.scene != scene:
+        window.scene = scene
+    return scene
+
+
+def remove(*owners: str) -> None:
+    """Remove tagged data, but not the scene.
+
+    Parameters
+    ----------
+    *owners : str
+        What it belongs to.
+    """
+    bpy.data.batch_remove([one for one in all_data().values() if one.get(TAG) in owners])
+
+
+def remove_all() -> None:
+    """Remove all that the extension has added to the file, and return to the scene before."""
+    remove(RIG, CLOUD, PICTURE)
+    scene, window = rig_scene(), bpy.context.window
+    if scene is None:
+        return
+    others = [one for one in bpy.data.scenes if one != scene] or [bpy.data.scenes.new("Scene")]
+    if window and window.scene == scene:
+        window.scene = bpy.data.scenes.get(scene[_PREVIOUS]) or others[0]
+    bpy.data.scenes.remove(scene)

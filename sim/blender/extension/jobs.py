@@ -1,0 +1,134 @@
+"""fpplab in a process of its own, started and watched from Blender."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+STOP_S = 10.0
+"""Time that a cancelled command has to end by itself, in s."""
+
+_running: set[Job] = set()
+
+
+class JobFailedError(Exception):
+    """A command failed or could not be started; one sentence says why."""
+
+
+class Job:
+    """One command of fpplab, running.
+
+    Its temporary files, and those of the processes that it starts, are in a folder of its own, which `close`
+    removes.
+
+    Parameters
+    ----------
+    interpreter : str
+        Python that has fpplab.
+    arguments : list of str
+        The command and its options; `{folder}` stands for the job's folder.
+
+    Raises
+    ------
+    JobFailedError
+        The interpreter cannot be started.
+    """
+
+    def __init__(self, interpreter: str, arguments: list[str]) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="fpplab-"))
+        words = [word.replace("{folder}", str(self.folder)) for word in arguments]
+        environment = {**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.folder))}
+        try:
+            with self._out.open("wb") as out, self._err.open("wb") as err:
+                self._process = subprocess.Popen(
+                    [interpreter, "-P", "-m", "fpplab", *words, "--json"],
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=err,
+                    env=environment,
+                )
+        except OSError as error:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            raise JobFailedError(f"{interpreter} cannot be started: {error.strerror}") from error
+        _running.add(self)
+
+    @property
+    def _out(self) -> Path:
+        return self.folder / "stdout"
+
+    @property
+    def _err(self) -> Path:
+        return self.folder / "stderr"
+
+    def is_done(self) -> bool:
+        """Tell whether the command has ended.
+
+        Returns
+        -------
+        bool
+            Whether `answer` can be asked for.
+        """
+        return self._process.poll() is not None
+
+    def wait(self) -> None:
+        """Wait until the command has ended."""
+        self._process.wait()
+
+    def last_words(self) -> str:
+        """Give the last line that the command said about its progress.
+
+        Returns
+        -------
+        str
+            Empty where it has said nothing.
+        """
+        lines = self._err.read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def answer(self) -> dict[str, Any]:
+        """Give the result of the command, which has ended.
+
+        Returns
+        -------
+        dict
+            By the keys of its JSON.
+
+        Raises
+        ------
+        JobFailedError
+            The command failed; says why in its own words.
+        """
+        try:
+            found = json.loads(self._out.read_text(encoding="utf-8"))
+        except ValueError:
+            found = {}
+        if self._process.returncode == 0 and isinstance(found, dict) and found:
+            return found
+        said = found.get("error") if isinstance(found, dict) else None
+        raise JobFailedError(
+            str(said or self.last_words() or f"fpplab ended with exit code {self._process.returncode}")
+        )
+
+    def close(self) -> None:
+        """End the command if it still runs, and remove its folder; allowed any number of times."""
+        if not self.is_done():
+            self._process.send_signal(signal.SIGTERM if os.name == "nt" else signal.SIGINT)
+            try:
+                self._process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        _running.discard(self)
+
+
+def end_all() -> None:
+    """End every command that runs."""
+    for job in list(_running):
+        job.close()

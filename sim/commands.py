@@ -1,0 +1,200 @@
+"""`fpplab twin extension|describe|record|export`: simulated rigs in Blender.
+
+Modules that load slowly are imported where they are used, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import INSTRUMENTS, Commands, Force, Json, Out, RigName
+
+if TYPE_CHECKING:
+    from fpplab.devices.rig import Rig
+    from sim.preview import Arrangement
+
+twin = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    rich_help_panel=INSTRUMENTS,
+    help="Show simulated rigs in Blender, and record scans from there.",
+)
+"""`fpplab twin …`."""
+
+ItemOption = Annotated[
+    str | None, typer.Option("--item", help="Item of the world; by default the one that is mounted.")
+]
+PoseOption = Annotated[int, typer.Option("--pose", min=0, help="In which of its poses.")]
+BaselineOption = Annotated[
+    float | None,
+    typer.Option(
+        "--baseline",
+        min=0,
+        help="Distance of the projector from the camera in mm, which the stage sets; by default that with "
+        "the stage at 0.",
+    ),
+]
+AxisOption = Annotated[
+    Literal["x", "y"], typer.Option("--axis", help="Axis of the projector along which the phase rises.")
+]
+StripesOption = Annotated[
+    float, typer.Option("--stripes", min=0.01, help="Periods across the projector's image.")
+]
+StepsOption = Annotated[int, typer.Option("--steps", min=3, max=1000, help="Images of the phase shift.")]
+StepOption = Annotated[int, typer.Option("--step", min=0, help="Which of these images is on show.")]
+ExposureOption = Annotated[
+    float, typer.Option("--exposure", min=1e-6, max=60, help="Exposure of every frame in s.")
+]
+
+
+@twin.command("extension")
+def write_archive(out: Out, force: Force = False, json: Json = False) -> None:
+    """Write the Blender extension as an archive that Blender 4.5 and 5 install from disk.
+
+    Example: `fpplab twin extension --out fpplab-blender.zip`
+    """
+    from fpplab.core.files import need_suffix, refuse_existing, write_atomic
+    from sim.extension import archive_files, write_extension
+
+    need_suffix(out, ".zip")
+    refuse_existing(out, force)
+    write_atomic(out, write_extension)
+    console.answer({"extension": str(out), "files": len(archive_files())}, json)
+
+
+@twin.command("describe")
+def describe_rig(
+    rig: RigName,
+    out: Out,
+    item: ItemOption = None,
+    pose: PoseOption = 0,
+    baseline: BaselineOption = None,
+    axis: AxisOption = "x",
+    stripes: StripesOption = 64.0,
+    steps: StepsOption = 12,
+    step: StepOption = 0,
+    exposure: ExposureOption = 0.02,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Describe a simulated rig, an item and the fringes on it, for the Blender extension.
+
+    Example: `fpplab twin describe --rig rig_demo --stripes 20 --out preview.npz`
+    """
+    from fpplab.core.files import need_suffix, refuse_existing
+
+    need_suffix(out, ".npz")
+    refuse_existing(out, force)
+    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    with _simulated(rig) as bench:
+        from sim.preview import arrangement_summary, save_preview
+
+        save_preview(bench, wanted, step, out)
+        told = arrangement_summary(bench, wanted)
+    console.answer({"preview": str(out), **told}, json)
+
+
+@twin.command("export")
+def export_rig(
+    rig: RigName,
+    out: Out,
+    item: ItemOption = None,
+    pose: PoseOption = 0,
+    baseline: BaselineOption = None,
+    axis: AxisOption = "x",
+    stripes: StripesOption = 64.0,
+    steps: StepsOption = 12,
+    step: StepOption = 0,
+    exposure: ExposureOption = 0.02,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a simulated rig as a .blend file: camera, projector with its fringes, and the item.
+
+    Blender opens it without fpplab and without the extension.
+
+    Example: `fpplab twin export --rig matched/rig.yaml --item pyramid --out matched.blend`
+    """
+    from fpplab.core.files import need_suffix, refuse_existing
+
+    need_suffix(out, ".blend")
+    refuse_existing(out, force)
+    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    with _simulated(rig) as bench:
+        from sim.export import export_preview
+        from sim.preview import arrangement_summary, make_preview
+
+        with console.progress("Exporting"):
+            export_preview(make_preview(bench, wanted, step), out)
+        told = arrangement_summary(bench, wanted)
+    console.answer({"blend": str(out), **told}, json)
+
+
+@twin.command("record")
+def record_on_twin(
+    rig: RigName,
+    out: Out,
+    item: ItemOption = None,
+    pose: PoseOption = 0,
+    baseline: BaselineOption = None,
+    axis: AxisOption = "x",
+    stripes: StripesOption = 64.0,
+    steps: StepsOption = 12,
+    exposure: ExposureOption = 0.02,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="Of the rig at that baseline; by default the simulation's own."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Scan an item of a simulated rig with these fringes, and coarser ones to find their orders.
+
+    OUT gets the session, as `fpplab scan` leaves it, but for the report.
+
+    Example: `fpplab twin record --rig rig_demo --item pyramid --baseline 165 --stripes 48 --out pyramid`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.sessions.session import refuse_foreign
+
+    known = Calibration.load(calibration) if calibration else None
+    refuse_foreign(out)
+    wanted = _arrangement(item, pose, baseline, axis, stripes, steps, exposure)
+    with _simulated(rig) as bench, console.stopwatch() as seconds:
+        from fpplab.pipeline import CLOUD
+        from sim.preview import arrangement_summary
+        from sim.preview_scan import record_scan
+
+        told = arrangement_summary(bench, wanted)
+        with console.progress("Scanning") as report:
+            cloud = record_scan(bench, wanted, out, calibration=known, force=force, progress=report)
+    results = {"points": len(cloud), "images": wanted.plan().images, "seconds": seconds()}
+    console.answer({"session": str(out), "cloud": str(out / CLOUD), **results, **told}, json)
+
+
+def _simulated(path: str) -> Rig:
+    """Load a rig, or refuse one that is not simulated: `ConfigError`."""
+    from fpplab.devices.rig import Rig
+    from sim.preview import require_simulated
+
+    rig = Rig.load(path)
+    require_simulated(rig)
+    return rig
+
+
+def _arrangement(
+    item: str | None,
+    pose: int,
+    baseline: float | None,
+    axis: Literal["x", "y"],
+    stripes: float,
+    steps: int,
+    exposure: float,
+) -> Arrangement:
+    from sim.preview import Arrangement
+
+    return Arrangement(item, pose, baseline, axis, stripes, steps, exposure)

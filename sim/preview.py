@@ -1,0 +1,298 @@
+"""A simulated rig as the Blender extension shows it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fpplab.core.conventions import Axis
+from fpplab.core.errors import ConfigError
+from fpplab.core.files import write_atomic
+from fpplab.devices.backends import load_backend
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringe_sets import Sinusoid
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from sim.build import Setup
+from sim.devices import VirtualBench
+from sim.items import item_poses
+from sim.preview_file import Preview, write_preview
+from sim.sensor import SensorModel
+from sim.world import World
+
+UNWRAPPING_RATIO = 8.0
+"""Greatest ratio of the stripes of two successive fringe sets of a scan."""
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """What is placed before the devices, where the projector is, and what it shows.
+
+    Attributes
+    ----------
+    item : str or None
+        Name of the item; None for the one that the world has mounted.
+    pose : int
+        Index of its pose.
+    baseline_mm : float or None
+        Distance of the projector from the camera in mm; None for that with the stage at 0.
+    axis : Axis
+        Along which the fringes' phase rises.
+    stripes : float
+        Periods across the projector's image.
+    steps : int
+        Images of the phase shift.
+    exposure_s : float
+        Of every frame, in s.
+    """
+
+    item: str | None = None
+    pose: int = 0
+    baseline_mm: float | None = None
+    axis: Axis = "x"
+    stripes: float = 64.0
+    steps: int = 12
+    exposure_s: float = 0.02
+
+    def fringes(self) -> Plan:
+        """Make the plan of the fringes on show alone.
+
+        Returns
+        -------
+        Plan
+            One fringe set.
+        """
+        return self._plan([self.stripes])
+
+    def plan(self) -> Plan:
+        """Make the plan of a scan: the fringes on show, and coarser ones to find their orders.
+
+        Returns
+        -------
+        Plan
+            Fringe sets from one stripe on, in equal ratios of at most `UNWRAPPING_RATIO`.
+        """
+        ratios = max(1, math.ceil(math.log(max(self.stripes, 1.0), UNWRAPPING_RATIO) - 1e-9))
+        counts = [self.stripes ** (n / ratios) for n in range(ratios + 1)]
+        return self._plan(counts if self.stripes > 1 else [self.stripes])
+
+    def _plan(self, counts: list[float]) -> Plan:
+        sets = tuple(Sinusoid(axis=self.axis, stripes=count, steps=self.steps) for count in counts)
+        return Plan(fringes=sets, exposure_s=self.exposure_s)
+
+
+def require_simulated(rig: Rig) -> None:
+    """Refuse a rig of real or emulated devices, before any of them is opened.
+
+    Parameters
+    ----------
+    rig : Rig
+        Loaded.
+
+    Raises
+    ------
+    ConfigError
+        The rig is not simulated.
+    """
+    bench = rig.file.bench
+    if bench is None or not issubclass(load_backend(bench.backend, rig.source, "bench"), VirtualBench):
+        raise ConfigError(
+            f"{rig.source}: is not simulated, so there is no scene to show; match a twin to it "
+            "(`fpplab match`) and name the twin's rig.yaml"
+        )
+
+
+def bench_of_rig(rig: Rig) -> VirtualBench:
+    """Give the simulation of an open rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, and simulated.
+
+    Returns
+    -------
+    VirtualBench
+        Its simulated world.
+    """
+    assert isinstance(rig.simulation, VirtualBench), "see require_simulated"
+    return rig.simulation
+
+
+def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
+    """Describe what the camera of a simulated rig sees.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, and simulated.
+    wanted : Arrangement
+        Item, baseline and fringes.
+    step : int
+        Which image of the phase shift, from 0.
+
+    Returns
+    -------
+    Preview
+        For the Blender extension.
+
+    Raises
+    ------
+    ConfigError
+        The rig cannot be arranged like this; the message names what is wrong.
+    """
+    bench, plan = bench_of_rig(rig), wanted.fringes()
+    world, setup = bench.world, arranged_setup(bench.world, wanted)
+    if not 0 <= step < wanted.steps:
+        raise ConfigError(f"step {step}: must be 0 to {wanted.steps - 1}, for there are {wanted.steps} steps")
+    caps = rig.projector.caps
+    patterns = rig.projector.load(make_patterns(plan, caps.size, caps.lattice))
+    settings = rig.camera_settings(plan.exposure_s)
+    return Preview(
+        rig=rig.file.name,
+        shown=f"{setup.item}, {wanted.stripes:g} stripes along {wanted.axis}, step {step} of {wanted.steps}",
+        render=bench.light.pattern_render(setup, patterns[step]),
+        grey_scale=SensorModel.of(world).grey_scale(settings),
+    )
+
+
+def save_preview(rig: Rig, wanted: Arrangement, step: int, path: Path) -> None:
+    """Write what `make_preview` describes.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open, and simulated.
+    wanted : Arrangement
+        Item, baseline and fringes.
+    step : int
+        Which image of the phase shift, from 0.
+    path : Path
+        Where to write.
+
+    Raises
+    ------
+    ConfigError
+        As `make_preview`.
+    DataError
+        The file cannot be written.
+    """
+    preview = make_preview(rig, wanted, step)
+    write_atomic(path, lambda stream: write_preview(preview, stream))
+
+
+def stage_for_baseline(world: World, baseline_mm: float | None) -> float:
+    """Compute where the stage has the projector at a distance from the camera.
+
+    Parameters
+    ----------
+    world : World
+        Devices and stage.
+    baseline_mm : float or None
+        Distance in mm; None for the stage at 0.
+
+    Returns
+    -------
+    float
+        Position of the stage in mm, rounded to 1 nm; the nearer to 0 of two.
+
+    Raises
+    ------
+    ConfigError
+        The stage cannot reach it; the message states the range.
+    """
+    if baseline_mm is None:
+        return 0.0
+    at_zero = world.T_projector_camera().inverse().translation
+    along = float(at_zero @ world.stage.offset(1.0))
+    beside = float(at_zero @ at_zero) - along**2
+    root = math.sqrt(max(baseline_mm**2 - beside, 0.0))
+    position = round(math.copysign(root, along) - along, 6)
+    low, high = world.stage.travel_mm
+    if baseline_mm**2 < beside or not low <= position <= high:
+        ends = baseline_range_mm(world)
+        raise ConfigError(
+            f"baseline {baseline_mm:g} mm: the stage reaches {ends[0]:.1f} to {ends[1]:.1f} mm "
+            f"('stage.travel_mm' is {low:g} to {high:g})"
+        )
+    return position
+
+
+def baseline_range_mm(world: World) -> tuple[float, float]:
+    """Compute which baselines the stage reaches.
+
+    Parameters
+    ----------
+    world : World
+        Devices and stage.
+
+    Returns
+    -------
+    tuple of float
+        Least and greatest distance of the projector from the camera, in mm.
+    """
+    at_zero = world.T_projector_camera().inverse().translation
+    low, high = world.stage.travel_mm
+    nearest = float(np.clip(-float(at_zero @ world.stage.offset(1.0)), low, high))
+    least, *ends = (float(np.linalg.norm(at_zero + world.stage.offset(mm))) for mm in (nearest, low, high))
+    return least, max(ends)
+
+
+def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
+    """Tell what was arranged, and between what an operator can choose.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open and simulated.
+    wanted : Arrangement
+        What was asked for.
+
+    Returns
+    -------
+    dict
+        By the keys of the command's JSON.
+    """
+    world = bench_of_rig(rig).world
+    setup = arranged_setup(world, wanted)
+    return {
+        "rig": rig.file.name,
+        "item": setup.item,
+        "items": list(world.items),
+        "poses": len(item_poses(world, setup.item)),
+        "baseline_mm": float(np.linalg.norm(setup.T_projector_camera(world).inverse().translation)),
+        "baseline_range_mm": list(baseline_range_mm(world)),
+        "size": list(world.camera.size),
+    }
+
+
+def arranged_setup(world: World, wanted: Arrangement) -> Setup:
+    """Find the state of the moving parts.
+
+    Parameters
+    ----------
+    world : World
+        Devices and items.
+    wanted : Arrangement
+        Item, pose and baseline.
+
+    Returns
+    -------
+    Setup
+        With an item.
+
+    Raises
+    ------
+    ConfigError
+        There is no such item, pose or baseline.
+    """
+    item = world.mounted if wanted.item is None else wanted.item
+    if item == "nothing":
+        raise ConfigError(f"world: nothing is mounted; name an item of {', '.join(world.items)}")
+    poses = len(item_poses(world, item))
+    if not 0 <= wanted.pose < poses:
+        raise ConfigError(f"pose {wanted.pose}: '{item}' has the poses 0 to {poses - 1}")
+    return replace(Setup(item, wanted.pose), stage_mm=stage_for_baseline(world, wanted.baseline_mm))

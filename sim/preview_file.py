@@ -1,0 +1,132 @@
+"""What the Blender extension is told of a rig, and its file: an NPZ archive without pickled objects.
+
+The extension has this file too, so it needs nothing but NumPy.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, is_dataclass
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .scene import (
+    Aperture,
+    BaseLayer,
+    Effort,
+    Grain,
+    GreyScale,
+    Lamp,
+    Paint,
+    PatternRender,
+    PinholeOptics,
+    Relief,
+    RenderScene,
+    SubpixelView,
+    Surface,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """A rig with one item before it and one pattern on show.
+
+    Attributes
+    ----------
+    rig : str
+        The rig's name.
+    shown : str
+        Item and pattern, in words.
+    render : PatternRender
+        What the camera sees.
+    grey_scale : GreyScale
+        Of the camera's frames at the exposure asked for.
+    """
+
+    rig: str
+    shown: str
+    render: PatternRender
+    grey_scale: GreyScale
+
+
+_TREE = "tree"
+_CLASSES = {
+    kind.__name__: kind
+    for kind in (
+        *(Preview, PatternRender, GreyScale, RenderScene, PinholeOptics, Aperture, Lamp, Surface, Paint),
+        *(BaseLayer, Relief, Grain, SubpixelView, Effort),
+    )
+}
+
+
+def write_preview(preview: Preview, stream: IO[bytes]) -> None:
+    """Write a preview.
+
+    Parameters
+    ----------
+    preview : Preview
+        What to write.
+    stream : binary file
+        Where to write.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    tree = json.dumps(_plain(preview, arrays))
+    np.savez(stream, **{_TREE: np.array(tree)}, **arrays)
+
+
+def read_preview(path: Path | str) -> Preview:
+    """Read a preview.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file of `write_preview`.
+
+    Returns
+    -------
+    Preview
+        As it was written.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It holds something else.
+    """
+    with np.load(path, allow_pickle=False) as archive:
+        if _TREE not in archive:
+            raise ValueError(f"{path} describes no rig")
+        found = _restored(json.loads(str(archive[_TREE])), archive)
+    if not isinstance(found, Preview):
+        raise ValueError(f"{path} describes no rig")
+    return found
+
+
+def _plain(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(value, np.ndarray):
+        name = f"array_{len(arrays)}"
+        arrays[name] = value
+        return {"array": name}
+    if is_dataclass(value):
+        parts = {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
+        return {"class": type(value).__name__, "parts": parts}
+    if isinstance(value, tuple):
+        return [_plain(part, arrays) for part in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _restored(value: Any, arrays: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_restored(part, arrays) for part in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        return arrays[value["array"]]
+    parts = {name: _restored(part, arrays) for name, part in value["parts"].items()}
+    return _CLASSES[value["class"]](**parts)
