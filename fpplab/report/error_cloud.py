@@ -11,8 +11,8 @@ from fpplab.clouds import Cloud, ply
 from fpplab.core.conventions import Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_large
+from fpplab.core.robust import error_limit
 from fpplab.report.drawing import ERROR_COLOURS
-from fpplab.report.figures import error_limit
 
 
 def write_error_cloud(path: Path, cloud: Cloud, distances_mm: Map, counted: Mask) -> None:

@@ -15,7 +15,7 @@ from .materials import add_paint
 from .projector import add_projector
 
 
-def build(
+def add_scene(
     stage: Any,
     scene: RenderScene,
     textures: NDArray[np.float32] | None,

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from ..preview_file import Preview
 from ..scene import GreyScale, PatternRender, SubpixelView
-from .building import build, make_linear
+from .building import add_scene, make_linear
 from .camera import aim, compile_shader
 
 VIEWING_SAMPLES = 16
 """Light paths for each pixel of the rendered view."""
 
-GreyLevels = NDArray[np.float32]
+CameraPicture = NDArray[np.float32]
 """Pictures (height, width)."""
 
 
@@ -38,7 +38,7 @@ def show_preview(stage: Any, preview: Preview) -> None:
         What to show.
     """
     wanted = preview.render
-    camera = build(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
+    camera = add_scene(stage, wanted.scene, wanted.textures, compile_shader(), wanted.ambient)
     aim(camera, wanted.scene.camera, _middle(wanted))
     make_linear(stage, wanted.effort)
     stage.cycles.device = "CPU" if wanted.effort.device == "CPU" else "GPU"
@@ -50,7 +50,7 @@ def show_preview(stage: Any, preview: Preview) -> None:
     stage.unit_settings.length_unit = "MILLIMETERS"
 
 
-def take_picture(stage: Any, preview: Preview) -> GreyLevels:
+def take_picture(stage: Any, preview: Preview) -> CameraPicture:
     """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels.
 
     Parameters
@@ -62,7 +62,7 @@ def take_picture(stage: Any, preview: Preview) -> GreyLevels:
 
     Returns
     -------
-    GreyLevels
+    CameraPicture
         Mean grey levels (height, width), 0 to full scale.
     """
     wanted = preview.render
@@ -120,7 +120,7 @@ def _changed(stage: Any) -> list[tuple[Any, str]]:
     ]
 
 
-def _red(path: str) -> GreyLevels:
+def _red(path: str) -> CameraPicture:
     """The first channel of a picture, row 0 on top."""
     image = bpy.data.images.load(path)
     try:

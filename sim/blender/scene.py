@@ -9,7 +9,7 @@ import cycles
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blender.building import build, make_linear
+from sim.blender.building import add_scene, make_linear
 from sim.blender.camera import aim, compile_shader
 from sim.blender.processors import choose_device, runs_osl
 from sim.scene import (
@@ -69,7 +69,7 @@ class BlenderScene:
         make_linear(stage, effort)
         choose_device(stage, effort.device)
         shaders = self._bytecode if runs_osl(effort.device) else None
-        camera = build(stage, scene, textures, shaders)
+        camera = add_scene(stage, scene, textures, shaders)
         self._passes.clear()
         for view, picture in zip(views, out, strict=True):
             aim(camera, scene.camera, view)

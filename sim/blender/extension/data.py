@@ -40,6 +40,11 @@ def tagged(owner: str) -> Iterator[None]:
     ----------
     owner : str
         What it belongs to.
+
+    Yields
+    ------
+    None
+        While data is made.
     """
     before = set(all_data())
     try:

@@ -17,7 +17,7 @@ from .pictures import show_picture
 from .preferences import interpreter_of
 from .settings import forget_shown, remember, settings_of, shown_preview
 
-Result = set[str]
+OperatorResult = set[str]
 """What Blender expects of an operator."""
 
 LOOK_S = 0.2
@@ -32,10 +32,10 @@ class _CommandOperator:
     Called from a script, or where Blender has no window, it waits for the result.
     """
 
-    bl_options: ClassVar[Result] = {"REGISTER"}
+    bl_options: ClassVar[OperatorResult] = {"REGISTER"}
     report: Any
 
-    def execute(self, context: Any) -> Result:
+    def execute(self, context: Any) -> OperatorResult:
         try:
             self._job = self._start(context)
         except JobFailedError as failed:
@@ -43,7 +43,7 @@ class _CommandOperator:
         self._job.wait()
         return self._finish(context)
 
-    def invoke(self, context: Any, event: Any) -> Result:
+    def invoke(self, context: Any, event: Any) -> OperatorResult:
         if bpy.app.background:
             return self.execute(context)
         try:
@@ -55,7 +55,7 @@ class _CommandOperator:
         manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def modal(self, context: Any, event: Any) -> Result:
+    def modal(self, context: Any, event: Any) -> OperatorResult:
         if event.type == "ESC":
             self._leave(context)
             self._job.close()
@@ -76,7 +76,7 @@ class _CommandOperator:
     def _start(self, context: Any) -> Job:
         return Job(interpreter_of(context), self._arguments(settings_of(context)))
 
-    def _finish(self, context: Any) -> Result:
+    def _finish(self, context: Any) -> OperatorResult:
         try:
             self._use(context, self._job.answer())
         except (JobFailedError, RenderRefused, OSError, ValueError) as failed:
@@ -85,7 +85,7 @@ class _CommandOperator:
             self._job.close()
         return _FINISHED
 
-    def _refuse(self, failed: Exception) -> Result:
+    def _refuse(self, failed: Exception) -> OperatorResult:
         self.report({"ERROR"}, str(failed))
         return _CANCELLED
 
@@ -132,7 +132,7 @@ class TakePicture(bpy.types.Operator):  # type: ignore[misc]
         """
         return shown_preview() is not None and data.rig_scene() is not None
 
-    def execute(self, context: Any) -> Result:
+    def execute(self, context: Any) -> OperatorResult:
         """Render, and show the picture as an image; save it where the panel names a file.
 
         Parameters
@@ -224,7 +224,7 @@ class RemoveRig(bpy.types.Operator):  # type: ignore[misc]
     bl_idname = "fpplab.remove_rig"
     bl_label = "Remove Rig"
 
-    def execute(self, context: Any) -> Result:
+    def execute(self, context: Any) -> OperatorResult:
         """Remove it.
 
         Parameters
