@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test test-slow test-usb lint bench clean
+.PHONY: setup demo test test-slow test-usb lint bench crash clean
 
 setup: $(READY)
 
@@ -38,6 +38,10 @@ lint: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# Commands killed, interrupted and started twice, hundreds of times; hours.
+crash: setup
+	$(BIN)/python -m benchmarks crash
 
 clean:
 	rm -rf $(VENV) out build dist

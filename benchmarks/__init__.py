@@ -89,6 +89,10 @@ SHARED = ("limit_decoding", "limit_lattice", "limit_noise", "peak", "virtual")
 """Modules of this package that are no benchmarks of their own."""
 
 
+LONG = ("crash",)
+"""Benchmarks that take hours: they are run only if they are named."""
+
+
 def benchmark_names() -> list[str]:
     """List the benchmarks: every other module of this package.
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import benchmark, benchmark_names
+from benchmarks import LONG, benchmark, benchmark_names
 from fpplab.cli import console
 from fpplab.cli.app import Json
 
@@ -24,7 +24,7 @@ def benchmarks_command(
 ) -> None:
     """Run benchmarks, each figure beside its baseline in the same run; the ratio is what counts."""
     results = []
-    for one in [name] if name else benchmark_names():
+    for one in [name] if name else [one for one in benchmark_names() if one not in LONG]:
         console.say(f"Running {one} …")
         results += [asdict(result) for result in benchmark(one)()]
     rows = [list(result.values()) for result in results]

@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks import Result, below
 from fpplab.core.conventions import Floats, Image, full_scale, phase_of_coordinate, raw_dtype
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.patterns.response import Curve
 from fpplab.phase import decode
 
 PROJECTOR = (912, 1140)

@@ -320,8 +320,9 @@ def _refusal(
     """1 if it was refused."""
     refused = 0.0
     try:
-        _matched(twin, sessions, out, wanted)
-        console.say(f"{name}: was matched")
+        found = _matched(twin, sessions, out, wanted)
+        refused = float(found.diagnosis.is_useless)
+        console.say(f"{name}: {found.diagnosis.sentence}")
     except (CalibrationError, ConfigError) as error:
         refused = 1.0
         console.say(f"{name}: {error}")

@@ -7,7 +7,7 @@ import sys
 
 def main() -> None:
     """Run the command that `sys.argv` names; an interruption while the program is loaded ends it too."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(130))  # nothing has begun
     from fpplab.core import interrupts

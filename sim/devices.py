@@ -43,9 +43,11 @@ from fpplab.devices import (
 from fpplab.patterns.fringes import Pattern, quantise
 from fpplab.simulation.arrangeable import SceneStudio
 from fpplab.simulation.matchable import Twin
+from fpplab.simulation.predictable import FrameSampler
 from sim.build import Setup, build_scene, is_lit_in_view
 from sim.items import item_poses
 from sim.light import Light, PatternLevels, Show
+from sim.sampling import SimSampler
 from sim.scene import Effort, SubpixelView
 from sim.sensor import SensorModel
 from sim.studio import SimStudio
@@ -256,6 +258,16 @@ class VirtualBench:
             In degrees from its orientation in the world file.
         """
         self.setup = replace(self.setup, convergence_deg=float(convergence_deg))
+
+    def sampler(self) -> FrameSampler:
+        """Make a sampler of some rows of the image, for predictions; see `fpplab.simulation.predictable`.
+
+        Returns
+        -------
+        FrameSampler
+            Of the world as it stands.
+        """
+        return SimSampler(self.world, self.light)
 
     def studio(self) -> SceneStudio:
         """Make a studio that arranges scenes for data sets, see `fpplab.simulation.arrangeable`.

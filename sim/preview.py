@@ -105,7 +105,7 @@ def require_simulated(rig: Rig) -> None:
         )
 
 
-def simulation_of(rig: Rig) -> VirtualBench:
+def bench_of_rig(rig: Rig) -> VirtualBench:
     """Give the simulation of an open rig.
 
     Parameters
@@ -144,7 +144,7 @@ def make_preview(rig: Rig, wanted: Arrangement, step: int = 0) -> Preview:
     ConfigError
         The rig cannot be arranged like this; the message names what is wrong.
     """
-    bench, plan = simulation_of(rig), wanted.fringes()
+    bench, plan = bench_of_rig(rig), wanted.fringes()
     world, setup = bench.world, arranged_setup(bench.world, wanted)
     if not 0 <= step < wanted.steps:
         raise ConfigError(f"step {step}: must be 0 to {wanted.steps - 1}, for there are {wanted.steps} steps")
@@ -256,7 +256,7 @@ def arrangement_summary(rig: Rig, wanted: Arrangement) -> dict[str, object]:
     dict
         By the keys of the command's JSON.
     """
-    world = simulation_of(rig).world
+    world = bench_of_rig(rig).world
     setup = arranged_setup(world, wanted)
     return {
         "rig": rig.file.name,

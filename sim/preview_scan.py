@@ -9,7 +9,7 @@ from fpplab.clouds import Cloud
 from fpplab.core.progress import Progress, no_progress
 from fpplab.devices.rig import Rig
 from fpplab.pipeline import scan
-from sim.preview import Arrangement, arranged_setup, simulation_of
+from sim.preview import Arrangement, arranged_setup, bench_of_rig
 
 
 def record_scan(
@@ -50,7 +50,7 @@ def record_scan(
     DeviceError, DataError, CalibrationError
         As `fpplab.pipeline.scan`.
     """
-    bench = simulation_of(rig)
+    bench = bench_of_rig(rig)
     setup = arranged_setup(bench.world, wanted)
     plan = wanted.plan()
     if wanted.baseline_mm is not None:

@@ -24,7 +24,6 @@ from fpplab.core.files import write_text
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern
-from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
 from sim.build import Setup
@@ -64,12 +63,27 @@ class SimTwin:
         self._parameters = _parameters_of(nominal, board, self.target)
         self._world = _world_of(nominal, board, self._parameters)
         self._light = Light(self._world, blender, analytic=True)
-        self._frames_taken, self._settings = 0, CameraSettings(1.0)
+        self._next_frame, self._settings = 0, CameraSettings(1.0)
 
     @property
     def parameters(self) -> TwinParameters:
         """As it stands; at first what its own file says."""
         return self._parameters
+
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since the twin was made; noise and vibration follow from it."""
+        return self._next_frame
+
+    def count_frames_from(self, number: int) -> None:
+        """Give the next frame this number.
+
+        Parameters
+        ----------
+        number : int
+            Not negative.
+        """
+        self._next_frame = number
 
     def become(self, parameters: TwinParameters) -> None:
         """Go on with these. Tables of light are kept for all geometry that comes again.
@@ -214,13 +228,13 @@ class SimTwin:
         pictures = []
         for n in range(len(shown)):
             if step:
-                random = np.random.default_rng([self._world.seed, self._frames_taken + n])
+                random = np.random.default_rng([self._world.seed, self._next_frame + n])
                 steps = random.standard_normal(3)
                 pictures.append(with_vibration(self._light, still, moved, steps, Show(shown, n)))
             else:
                 pictures.append(self._irradiance(still, shown, n))
-        counters = range(self._frames_taken, self._frames_taken + len(shown))
-        self._frames_taken = counters.stop
+        counters = range(self._next_frame, self._next_frame + len(shown))
+        self._next_frame = counters.stop
         with ThreadPoolExecutor() as pool:
             return list(pool.map(lambda of, n: sensor.expose(of, settings, n), pictures, counters))
 
@@ -247,7 +261,27 @@ class SimTwin:
             raise ConfigError(f"world: 'items.{item}' is flat: only artefacts and parts have a mesh")
         return item_mesh(found)
 
-    def save(self, folder: Path) -> Path:
+    def pose_of(self, item: str) -> RigidTransform:
+        """Tell where an item of the world stands.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+
+        Returns
+        -------
+        RigidTransform
+            T_camera_item in mm; the first pose of a board.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
+        return item_poses(self._world, item)[0]
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml`.
 
         The camera's bit depth and gain in the rig file are those last used.
@@ -256,6 +290,8 @@ class SimTwin:
         ----------
         folder : Path
             Where to write.
+        notes : sequence of str
+            What every command that opens the rig file tells.
 
         Returns
         -------
@@ -267,14 +303,16 @@ class SimTwin:
         DataError
             The folder cannot be written to.
         """
-        world = self._world.save(folder)
+        calibration = CalibrationFile.of(self._parameters.calibration)
+        world = self._world.model_copy(update={"calibration": calibration}).save(folder)
         devices: dict[str, dict[str, Any]] = {
             name: {"backend": f"sim.devices:Sim{name.capitalize()}"} for name in _DEVICES
         }
         devices["camera"] |= {"bits": self._settings.bits, "gain_db": self._settings.gain_db}
         bench = {"backend": "sim.devices:VirtualBench", "world": world.name}
         path = folder / "rig.yaml"
-        write_text(path, config.to_yaml({"name": "Matched twin", "bench": bench, **devices}))
+        noted = {"notes": list(notes)} if notes else {}
+        write_text(path, config.to_yaml({"name": "Matched twin", **noted, "bench": bench, **devices}))
         return path
 
     def _expected(
@@ -303,7 +341,9 @@ def _parameters_of(world: World, board: str, target: Target) -> TwinParameters:
         ),
         poses=item_poses(world, board),
         white=1.0,
-        response=Curve(a=response.a / brightest, b=response.b / brightest, g=response.g),
+        response=response.curve().model_copy(
+            update={"a": response.a / brightest, "b": response.b / brightest}
+        ),
         ambient=world.ambient / brightest,
         paper=target.background,
         ink=target.foreground,
@@ -329,8 +369,10 @@ def _world_of(nominal: World, board: str, parameters: TwinParameters) -> World:
         "reflectance": p.paper,
         "ink": p.ink,
     }
+    for name, pose in p.placed.items():
+        data["items"][name]["pose"] = config.plain(PoseFile.of(pose))
     data["projector"] |= {
-        "response": {"a": p.response.a, "b": p.response.b, "g": p.response.g},
+        "response": config.plain(p.response),
         "blur": p.projector_blur,
         "focus_mm": p.projector_focus_mm,
         "aperture_mm": p.projector_aperture_mm,

@@ -188,11 +188,15 @@ def _each(pool: ProcessPoolExecutor, work: Sequence[Work[T]], what: str) -> list
     """Do work in processes of one thread each."""
     found = []
     waiting = [pool.submit(judge, cause, seed) for judge, cause, seed in work]
-    with console.progress(what) as progress:
-        for k, one in enumerate(waiting):
-            found.append(one.result())
-            log.info("%s", found[-1])
-            progress((k + 1) / len(waiting))
+    try:
+        with console.progress(what) as progress:
+            for k, one in enumerate(waiting):
+                found.append(one.result())
+                log.info("%s", found[-1])
+                progress((k + 1) / len(waiting))
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
     return found
 
 

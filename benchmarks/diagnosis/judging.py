@@ -16,7 +16,7 @@ from fpplab.calibration.model import Calibration
 from fpplab.characterisation.lens import breathes
 from fpplab.clouds import Cloud
 from fpplab.core import config
-from fpplab.core.errors import DataError
+from fpplab.core.errors import CalibrationError, DataError
 from fpplab.core.files import write_text
 from fpplab.core.strict_yaml import load_yaml
 from fpplab.devices.rig import Rig, RigFile
@@ -268,7 +268,11 @@ def of_lens(cause: str, seed: int) -> Judged:
         Without verdict.
     """
     scatter = float(np.random.default_rng([seed, 6]).uniform(3e-4, 1e-3))
-    return Judged(cause, seed, (cause,) if breathes(*scales(fitted(breathing(scatter, seed)))) else ())
+    try:
+        named = breathes(*scales(fitted(breathing(scatter, seed))))
+    except CalibrationError:  # its message names no lens
+        named = False
+    return Judged(cause, seed, (cause,) if named else ())
 
 
 @cache

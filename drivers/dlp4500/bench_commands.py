@@ -15,6 +15,8 @@ import typer
 from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, connect_projector, dlp4500
 from fpplab.cli import console
 from fpplab.cli.app import Json
+from fpplab.core.acts import DangerousAct, agreed, consent_words
+from fpplab.core.errors import LimitError
 
 if TYPE_CHECKING:
     from drivers.dlp4500.controller import Controller
@@ -95,18 +97,52 @@ def led(
         bool,
         typer.Option("--inverted/--not-inverted", help="Whether the board takes 255 for off."),
     ] = True,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig", help="Rig file whose projector states `led_limits`, in place of the usual ones."
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say whether a limit is exceeded, and switch nothing on.")
+    ] = False,
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
     json: Json = False,
 ) -> None:
     """Switch the LEDs on by hand; LEDs that are not given are switched off.
 
+    Levels above the limits, those of the rig file or else the evaluation module's own (red 104, green 135,
+    blue 130), need consent: at the terminal, or by `--allow led-current`.
+
     Example: `fpplab dlp4500 led --green 100`
     """
     levels = {"red": red, "green": green, "blue": blue}
+    limits = _led_limits(rig)
+    above = [
+        f"{name} {level} (limit {limits[name]})" for name, level in levels.items() if level > limits[name]
+    ]
+    if dry_run:
+        console.answer({**levels, "above_limits": above, "dry_run": True}, json)
+        return
+    if above and not agreed(DangerousAct.LED_CURRENT, f"LEDs above their limits: {', '.join(above)}."):
+        act = consent_words(DangerousAct.LED_CURRENT)
+        raise LimitError(NAME, "led", f"levels above the limits: {', '.join(above)}", act)
     with _board(serial, echo) as board:
         board.switch_on_leds(levels, inverted)
     console.answer(levels, json)
+
+
+def _led_limits(rig: str | None) -> dict[str, int]:
+    """The greatest levels by colour: of a rig file, or those that the evaluation module begins with."""
+    from drivers.dlp4500.device import LedLevels
+    from fpplab.core import config
+    from fpplab.devices.rig import Rig
+
+    if rig is None:
+        return LedLevels().model_dump()
+    stated = Rig.load(rig).file.projector.options.get("led_limits")
+    return config.validate(stated or {}, LedLevels, f"{rig}: projector.led_limits").model_dump()
 
 
 @dlp4500.command("test-pattern")

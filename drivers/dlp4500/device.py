@@ -89,6 +89,8 @@ class Options(Document):
     """Colours of the LEDs that light the patterns."""
     led_levels: LedLevels = LedLevels()
     """Brightness of each LED."""
+    led_limits: LedLevels = LedLevels(red=255, green=255, blue=255)
+    """Greatest level of each LED that its cooling stands; greater `led_levels` are refused."""
     led_inverted: bool = True
     """Whether the board takes 255 for off and 0 for full, as the evaluation module does."""
     trigger_out_1: PatternTriggerOut = PatternTriggerOut()
@@ -104,6 +106,13 @@ class Options(Document):
             raise ValueError("'flash' or 'video' is missing: the source of the patterns")
         if self.flash is not None and self.video is not None:
             raise ValueError("'flash' and 'video' are both given: name one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        for colour, most in self.led_limits.model_dump().items():
+            if (level := getattr(self.led_levels, colour)) > most:
+                raise ValueError(f"'led_levels.{colour}' is {level}, but 'led_limits.{colour}' is {most}")
         return self
 
 

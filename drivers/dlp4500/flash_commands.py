@@ -5,10 +5,9 @@ Modules that load slowly are imported where they are used, so that `--help` answ
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,10 +15,8 @@ from drivers.dlp4500.program import NAME, EchoOption, ProjectorSerialOption, con
 from fpplab.cli import console
 from fpplab.cli.app import Force, Json, Out
 from fpplab.cli.completion import names_of
-from fpplab.core.errors import Cancelled
-
-if TYPE_CHECKING:
-    pass
+from fpplab.core.acts import DangerousAct, agreed, consent_words, somebody_can_agree
+from fpplab.core.errors import Cancelled, ConfigError
 
 
 @dlp4500.command()
@@ -84,12 +81,18 @@ def upload(
     firmware: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Written by `fpplab dlp4500 build`.")],
     serial: ProjectorSerialOption = None,
     echo: EchoOption = True,
-    yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Erase without asking, as with `--allow erase-flash`.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List what would be erased and written, and change nothing.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Write the patterns of a built firmware file into the projector's flash.
 
-    Lists what will be erased and asks. Only the sectors of the images are written and, when these move, the
+    Lists what will be erased and asks; without a terminal it is refused unless `--allow erase-flash` or --yes
+    says so. Only the sectors of the images are written and, when these move, the
     one of the flash table, never the boot loader; each is compared by checksum. After an interruption, give
     the same command again: it continues.
 
@@ -104,21 +107,20 @@ def upload(
 
     built = Firmware.load(firmware)
     check_firmware(built)
+    if not (yes or dry_run or somebody_can_agree(DangerousAct.ERASE_FLASH)):
+        raise ConfigError(f"upload erases flash memory; {consent_words(DangerousAct.ERASE_FLASH)}")
     with console.stopwatch() as seconds:
         with boot_loader_session(lambda: connect_projector(serial, echo), RealClock(), NAME) as loader:
             work = plan_upload(built, loader)
             for sentence in work.summary:
                 console.say(sentence)
-            if not (yes or _agreed()):
+            if dry_run:
+                console.answer({"sectors": work.sectors, "images": built.images, "dry_run": True}, json)
+                return
+            if not (yes or agreed(DangerousAct.ERASE_FLASH, "Flash memory will be erased.")):
                 raise Cancelled("cancelled: nothing was erased; --yes does not ask")
             with console.progress("Writing") as report:
                 perform_upload(built, loader, work, report)
         with closing(connect_projector(serial, echo)) as link:
             verify_image_count(built, link)
     console.answer({"sectors": work.sectors, "images": built.images, "seconds": seconds()}, json)
-
-
-def _agreed() -> bool:
-    sys.stderr.write("Go on? [y/N] ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -13,8 +13,9 @@ from typing import Any, Protocol
 from drivers.clock import Clock
 from drivers.dlp4500 import framing
 from drivers.dlp4500.framing import READ, REPLY_WANTED, Header, UsbMessage
-from drivers.dlp4500.protocol import Command, RawBytes, RegisterLayout, Values
+from drivers.dlp4500.layout import Command, RawBytes, RegisterLayout, Values
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError, SettingError
+from fpplab.core.logs import log_traffic
 
 VENDOR, PRODUCT = 0x0451, 0x6401
 """USB identity of the DLPC350."""
@@ -353,6 +354,7 @@ class Link:
         return reply
 
     def _send(self, operation: str, report: bytes) -> None:
+        log_traffic(self.name, "to", report)
         try:
             sent = self._wire.write(b"\0" + report)
         except OSError as error:
@@ -424,9 +426,12 @@ class Link:
 
     def _report(self, operation: str, timeout_ms: int) -> bytes:
         try:
-            return bytes(self._wire.read(framing.REPORT_BYTES, timeout_ms))
+            report = bytes(self._wire.read(framing.REPORT_BYTES, timeout_ms))
         except OSError as error:
             raise self._disconnected(operation) from error
+        if report:
+            log_traffic(self.name, "from", report)
+        return report
 
     def _disconnected(self, operation: str) -> DisconnectedError:
         return DisconnectedError(

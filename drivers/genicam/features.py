@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from fpplab.core.errors import CapabilityError, SettingError
+from fpplab.core.logs import log_traffic
 
 FeatureNames = tuple[str, ...]
 """Names of one feature, in order of preference."""
@@ -145,6 +146,8 @@ class Features:
             )
         node.SetValue(int(value) if _is_integer(node) else value)
         back = node.GetValue()
+        log_traffic(self._device, "to", f"{name} = {value}")
+        log_traffic(self._device, "from", f"{name} = {back}")
         if back != value and not (tolerance and abs(back - value) <= tolerance):
             raise SettingError(
                 self._device,
@@ -229,6 +232,7 @@ class Features:
         name, node = self._found(feature)
         if not node.IsWritable():
             raise CapabilityError(self._device, operation, f"the camera does not take {name} at present")
+        log_traffic(self._device, "to", name)
         node.Execute()
 
     def _node(self, feature: FeatureNames) -> Any:

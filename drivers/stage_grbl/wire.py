@@ -28,6 +28,7 @@ from drivers.stage_grbl.lines import (
     parse_line,
 )
 from fpplab.core.errors import DeviceError, DeviceTimeoutError, DisconnectedError, ProtocolError
+from fpplab.core.logs import log_traffic
 
 BAUD = 115200
 START_S = 5.0
@@ -331,6 +332,7 @@ class GrblWire:
                 line = self._received[:end].decode("ascii", "backslashreplace").strip("\r")
                 del self._received[: end + 1]
                 if line:
+                    log_traffic(self._name, "from", line)
                     return line
             if len(self._received) > LONGEST_LINE:
                 beginning = bytes(self._received[:20])
@@ -356,6 +358,7 @@ class GrblWire:
         return bool(data)
 
     def _write(self, operation: str, data: bytes) -> None:
+        log_traffic(self._name, "to", data.decode("ascii", "backslashreplace").strip())
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:

@@ -17,8 +17,6 @@ of a column matters.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +30,7 @@ from fpplab.calibration.model import Calibration, CalibrationFile
 from fpplab.core import config
 from fpplab.core.conventions import Floats, Lattice
 from fpplab.core.errors import ConfigError
+from fpplab.core.foreign import read_apart
 from fpplab.core.geometry import DISTORTION, Pinhole, RigidTransform
 
 Format = Literal["yaml", "xml"]
@@ -218,61 +217,12 @@ def _read(path: Path) -> dict[str, Any]:
     text = config.read_text(path)
     if not _begins_as_opencv(text):
         raise ConfigError(f"{path}: is not a file of OpenCV; those begin with %YAML:1.0 or <?xml")
-    _try_apart(text, path)
-    level = cv2.setLogLevel(0)  # or OpenCV would print what the error below says
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()  # valid only as long as `storage` exists
-        return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError) as error:
-        raise ConfigError(f"{path}: is not readable as a file of OpenCV; write it again") from error
-    finally:
-        cv2.setLogLevel(level)
-
-
-_TRIAL = """
-import sys, threading, cv2
-cv2.setLogLevel(0)
-text = sys.stdin.buffer.read().decode("utf-8")
-def trial():
-    try:
-        cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError):
-        pass
-threading.stack_size(1 << 20)
-thread = threading.Thread(target=trial)
-thread.start()
-thread.join()
-"""
-"""Reads a text with less stack than this process has; what OpenCV refuses in words is refused here again."""
-TRIAL_S = 60.0
-"""Longest time that it may take."""
-
-
-def _try_apart(text: str, path: Path) -> None:
-    """Refuse what ends OpenCV's parser, which ends its process too: it is tried in one of its own."""
-    try:
-        command = [sys.executable, "-P", "-c", _TRIAL]
-        tried = subprocess.run(
-            command, input=text.encode(), capture_output=True, timeout=TRIAL_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        tried = None
-    if tried is None or tried.returncode:
-        raise ConfigError(
-            f"{path}: is not readable as a file of OpenCV, whose parser fails on it: is it nested without "
-            "end? Write it again"
-        )
-
-
-def _value(node: Any) -> Any:
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isString():
-        return node.string()
-    if node.isSeq():
-        return np.array([node.at(i).real() for i in range(node.size())])
-    return node.mat() if node.isMap() else None
+        return {
+            name: value if value.ndim else value.item() for name, value in read_apart("opencv", path).items()
+        }
+    except ValueError as error:
+        raise ConfigError(f"{path}: is not readable as a file of OpenCV ({error}); write it again") from error
 
 
 def _needed(entries: _Entries, what: str, source: str) -> _Entry:

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 
 PURPOSES = {
     "artefact": "writes the true shape of an artefact",
+    "bug-report": "collects what somebody else needs to see what went wrong",
     "cache": "shows and clears what is kept to save time",
     "characterise": "finds camera and projector",
     "check": "finds out what is wrong with a rig",
@@ -27,6 +28,7 @@ PURPOSES = {
     "report": "puts several scans side by side on one page",
     "rig": "writes a rig file from what is connected",
     "scan": "measures, on a real or a simulated rig",
+    "session": "tells what a session is, verifies it, or repairs it",
     "target": "draws a board for printing",
     "verify": "is the acceptance test",
     "view": "shows a recorded session",
@@ -35,6 +37,8 @@ PURPOSES = {
 
 _MEANT = {
     ("artefact",): "artifact shape stl mesh truth",
+    ("bug-report",): "bug bugreport bug_report support issue problem crash",
+    ("session",): "sessions info repair fsck recover rescue damaged",
     ("cache",): "clear clean purge",
     ("characterise",): "calibrate calibration calib characterize characterization characterisation poses",
     ("check",): "sync synchronise synchronize synchronisation synchronization diagnose doctor test",

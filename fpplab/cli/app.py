@@ -13,7 +13,9 @@ from fpplab.cli import logs
 from fpplab.cli.advice import unknown_command, unknown_option
 from fpplab.cli.completion import names_of
 from fpplab.cli.lists import global_first
+from fpplab.core.acts import DangerousAct, allow_acts
 from fpplab.core.errors import Cancelled, ConfigError
+from fpplab.core.logs import trace_devices
 from fpplab.core.version import __version__
 
 
@@ -141,6 +143,23 @@ def _fpplab(
     log: Annotated[
         Path | None, typer.Option("--log", help="Append the same, with all details, to this file.")
     ] = None,
+    trace: Annotated[
+        bool,
+        typer.Option(
+            "--trace",
+            help="Log what is sent to devices and what they answer, too: in the session's log, with --log in "
+            "that file, with --verbose on stderr.",
+        ),
+    ] = False,
+    allow: Annotated[
+        list[DangerousAct] | None,
+        typer.Option(
+            "--allow",
+            metavar="ACT",
+            help="Agree in advance to what cannot be undone or may harm a device: "
+            f"{', '.join(act.value for act in DangerousAct)}. Without a terminal it is refused otherwise.",
+        ),
+    ] = None,
     allow_backend: Annotated[
         list[str] | None,
         typer.Option(
@@ -155,6 +174,8 @@ def _fpplab(
         from fpplab.devices.backends import allow_backends
 
         allow_backends(allow_backend)
+    allow_acts(allow or ())
+    trace_devices(trace)
     logs.start_logging(verbose, log, sys.argv[1:])
 
 

@@ -60,7 +60,8 @@ def progress(what: str) -> Iterator[Progress]:
         with _bar(what) as report:
             yield report
     finally:
-        _log.info("%s: %.3f s", what, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        _log.info("%s: %.3f s", what, seconds, extra={"phase": what, "seconds": seconds})
 
 
 @contextmanager

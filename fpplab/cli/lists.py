@@ -71,7 +71,7 @@ def spread(words: Sequence[str]) -> list[str]:
     return plain[:-1]
 
 
-GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v"), ("--log", "--allow-backend")
+GLOBAL, GLOBAL_WITH_VALUE = ("--verbose", "-v", "--trace"), ("--log", "--allow", "--allow-backend")
 """Options of the program itself, and those of them that are followed by a value."""
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import logging
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 
 from fpplab.cli import console
 from fpplab.core.files import writing
+from fpplab.core.host import host_facts
+from fpplab.core.logs import LOGGERS
 from fpplab.core.version import __version__
-
-LOGGERS = ("fpplab", "drivers", "sim")
-"""Packages whose loggers are listened to; libraries keep what they say to themselves."""
 
 _log = logging.getLogger(__name__)
 _installed: list[logging.Handler] = []
@@ -69,7 +67,7 @@ def start_logging(verbose: bool, file: Path | None, words: Sequence[str]) -> Non
         for handler in _installed:
             logging.getLogger(name).addHandler(handler)
     _log.info("fpplab %s: %s", __version__, " ".join(words))
-    _log.debug("Python %s on %s", platform.python_version(), platform.platform())
+    _log.debug("%s", host_facts())
 
 
 def stop_logging() -> None:

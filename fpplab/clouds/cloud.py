@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,10 +16,11 @@ from fpplab.clouds import ply
 from fpplab.clouds.pixelgrid import PixelGrid, are_within
 from fpplab.clouds.selection import are_finite, select
 from fpplab.core import buffers
-from fpplab.core.archives import check_npz
+from fpplab.core.archives import load_arrays
 from fpplab.core.conventions import Mask
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import open_regular, write_large
+from fpplab.core.foreign import read_apart
 
 if TYPE_CHECKING:
     import trimesh
@@ -293,7 +293,7 @@ def load_cloud(path: Path | str) -> Cloud:
         raise DataError(f"{path}: {error}") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, IndexError, zipfile.BadZipFile, EOFError) as error:
+    except (ValueError, KeyError, IndexError, TypeError) as error:
         raise DataError(f"{path}: is no readable {suffix[1:].upper()} cloud ({error})") from error
 
 
@@ -320,29 +320,26 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         The file is missing, damaged, no mesh, or has corners that are not finite.
     """
     path = Path(path)
-    import trimesh  # half a second that measuring does not need
-
-    suffix = _known_suffix(path, MESH_SUFFIXES)
+    kind = _known_suffix(path, MESH_SUFFIXES)[1:]
     try:
-        # Unprocessed, since processing would silently drop corners that are not finite.
-        with open_regular(path) as stream, np.errstate(invalid="ignore"):
-            mesh = trimesh.load_mesh(stream, file_type=suffix[1:], process=False)
+        parts = read_apart(kind, path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except Exception as error:  # the readers of the three formats raise exceptions of any kind
-        raise DataError(
-            f"{path}: is no readable {suffix[1:].upper()} mesh ({error}); export it again"
-        ) from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    except ValueError as error:
+        raise DataError(f"{path}: is no readable {kind.upper()} mesh ({error}); export it again") from error
+    if not parts or not len(parts["faces"]):
         raise DataError(f"{path}: holds no faces; give a mesh of the true shape, not a cloud")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+    vertices, faces = parts["vertices"], parts["faces"]
+    if faces.min() < 0 or faces.max() >= len(vertices):
         raise DataError(
-            f"{path}: a face names corner {mesh.faces.max() if mesh.faces.min() >= 0 else mesh.faces.min()}, "
-            f"but there are corners 0 to {len(mesh.vertices) - 1}; export it again"
+            f"{path}: a face names corner {faces.max() if faces.min() >= 0 else faces.min()}, but there are "
+            f"corners 0 to {len(vertices) - 1}; export it again"
         )
-    if not np.isfinite(mesh.vertices).all():
+    if not np.isfinite(vertices).all():
         raise DataError(f"{path}: has corners that are not finite; export it again")
-    return trimesh.Trimesh(mesh.vertices, mesh.faces)
+    import trimesh  # half a second that measuring does not need
+
+    return trimesh.Trimesh(vertices, faces)
 
 
 def _known_suffix(path: Path, known: tuple[str, ...]) -> str:
@@ -358,11 +355,13 @@ def _write_npz(cloud: Cloud, stream: BinaryIO) -> None:
 
 
 def _read_npz(path: Path) -> Cloud:
-    check_npz(path)
-    with np.load(path, allow_pickle=False) as parts:
-        known = {f.name: parts[f.name] for f in fields(Cloud) if f.name in parts and f.name != "size"}
-        size = tuple(int(n) for n in parts["size"]) if "size" in parts else None
-    return Cloud(**known, size=size)  # type: ignore[arg-type]
+    known = load_arrays(path, [f.name for f in fields(Cloud)])
+    if "points" not in known:
+        raise ValueError("it has no 'points'")
+    if "size" not in known:
+        return Cloud(**known)  # type: ignore[arg-type]
+    width, height = known.pop("size").tolist()
+    return Cloud(**known, size=(int(width), int(height)))
 
 
 def _write_xyz(cloud: Cloud, stream: BinaryIO) -> None:

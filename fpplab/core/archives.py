@@ -1,9 +1,19 @@
-"""NPZ files of strangers: what they declare to unpack to is believed only in proportion to their size."""
+"""NPZ files of strangers: what they declare is believed only where they have room for it.
+
+An archive may not unpack to far more than recorded data would, and an array may not claim more values than
+its part of the archive holds; both are known before any memory is asked for.
+"""
 
 from __future__ import annotations
 
+import math
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.files import open_regular, readable_bytes
 
@@ -11,6 +21,8 @@ ALWAYS_ALLOWED = 256_000_000
 """Bytes that any archive may unpack to."""
 GREATEST_RATIO = 100
 """By how many times a greater one may grow; recorded images and maps grow by less than ten."""
+NUMBERS = "biuf"
+"""Kinds of arrays that are read: truth values and numbers."""
 
 
 def check_archive(archive: zipfile.ZipFile, size: int) -> None:
@@ -36,20 +48,85 @@ def check_archive(archive: zipfile.ZipFile, size: int) -> None:
         )
 
 
-def check_npz(path: Path) -> None:
-    """Refuse an NPZ file as `check_archive` does.
+def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read what stands before the values of an NPY file.
+
+    Parameters
+    ----------
+    stream : binary file
+        At its beginning; afterwards where the values begin.
+
+    Returns
+    -------
+    shape : tuple of int
+        Of the array.
+    columns_first : bool
+        Whether its values are stored in column-major order.
+    dtype : dtype
+        Of its values.
+
+    Raises
+    ------
+    ValueError
+        It is no NPY file, or one of another version.
+    """
+    readers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    version: tuple[int, int] = np.lib.format.read_magic(stream)  # type: ignore[no-untyped-call]
+    if version not in readers:
+        raise ValueError(f"an array in NumPy's format {version}; save it anew")
+    shape, columns_first, dtype = readers[version](stream)  # type: ignore[no-untyped-call]
+    if any(length < 0 for length in shape):
+        raise ValueError(f"an array of the shape {shape}")
+    return shape, columns_first, dtype
+
+
+def load_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Read arrays of numbers from an NPZ file.
 
     Parameters
     ----------
     path : Path
         The file.
+    names : iterable of str
+        Those wanted.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Those that it has.
 
     Raises
     ------
+    OSError
+        The file cannot be opened.
     ValueError
-        It is too large for its size.
-    OSError, zipfile.BadZipFile
-        It cannot be read.
+        It is damaged, too large for its size, or one of the arrays is none of numbers.
     """
-    with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
-        check_archive(archive, path.stat().st_size)
+    with open_regular(path) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                check_archive(archive, path.stat().st_size)
+                there = {member.filename: member for member in archive.infolist()}
+                found = {name: there[f"{name}.npy"] for name in names if f"{name}.npy" in there}
+                return {name: _array(archive, member) for name, member in found.items()}
+        except ValueError:
+            raise
+        except Exception as error:  # the unpackers raise exceptions of any kind
+            raise ValueError(str(error) or type(error).__name__) from error
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    with archive.open(member) as inside:
+        shape, columns_first, dtype = array_head(inside)
+        if dtype.kind not in NUMBERS:
+            raise ValueError(f"{member.filename} is an array of {dtype}, not of numbers")
+        there, expected = member.file_size - inside.tell(), math.prod(shape) * dtype.itemsize
+        if there != expected:
+            raise ValueError(f"{member.filename} takes {expected} bytes, and {there} are there")
+        values: NDArray[Any] = np.empty(math.prod(shape), dtype)
+        if inside.readinto(values.view(np.uint8).data) != expected:  # type: ignore[attr-defined]
+            raise ValueError(f"{member.filename} is truncated")
+    return values.reshape(shape, order="F" if columns_first else "C")

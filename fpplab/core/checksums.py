@@ -9,14 +9,40 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from fpplab.core.errors import DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines, write_text, writing
 from fpplab.core.session_names import CHECKSUMS
+from fpplab.core.strict_json import parse_object
 
 
-def write_recorded(path: Path, text: str) -> None:
+@dataclass(frozen=True)
+class RecordedFile:
+    """One line of the record: a content that was written.
+
+    Attributes
+    ----------
+    file : str
+        Name of the file in the session's folder.
+    sha256 : str
+        Checksum of the content.
+    text : str or None
+        The content, where it is kept here too.
+    """
+
+    file: str
+    sha256: str
+    text: str | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the text that is kept has the checksum."""
+        return self.text is not None and _sha256(self.text.encode("utf-8")) == self.sha256
+
+
+def write_recorded(path: Path, text: str, keep: bool = False) -> None:
     """Write a text file of a session, and its checksum before it.
 
     Parameters
@@ -25,6 +51,8 @@ def write_recorded(path: Path, text: str) -> None:
         Of the file, whose folder exists.
     text : str
         The content.
+    keep : bool
+        Whether the record holds the text too, so that a damaged file can be restored.
 
     Raises
     ------
@@ -32,11 +60,13 @@ def write_recorded(path: Path, text: str) -> None:
         There is no space left or the place cannot be written.
     """
     record = path.parent / CHECKSUMS
-    line = {"file": path.name, "sha256": hashlib.sha256(text.encode("utf-8")).hexdigest()}
+    sha256 = _sha256(text.encode("utf-8"))
     with writing(record):
         record.touch()
     cut_torn_line(record)
-    append_line(record, json.dumps(line))
+    if sha256 not in _recorded(record, path.name):  # what goes on after a crash writes the same again
+        line = {"file": path.name, "sha256": sha256, **({"text": text} if keep else {})}
+        append_line(record, json.dumps(line))
     write_text(path, text)
 
 
@@ -56,23 +86,48 @@ def check_recorded(path: Path, content: bytes) -> None:
         Its folder records checksums of it, and none is its own; or the record is damaged.
     """
     known = _recorded(path.parent / CHECKSUMS, path.name)
-    if known and hashlib.sha256(content).hexdigest() not in known:
+    if known and _sha256(content) not in known:
         raise DataError(
             f"{path}: was changed since the session wrote it: its checksum is not in {CHECKSUMS}; put back "
             "the file as it was"
         )
 
 
-def _recorded(record: Path, name: str) -> list[str]:
-    """Checksums of everything that was written under a name."""
+def recorded_files(folder: Path) -> list[RecordedFile]:
+    """Read what a session records of its small files.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the session.
+
+    Returns
+    -------
+    list of RecordedFile
+        In the order in which they were written; empty for a session of an earlier version.
+
+    Raises
+    ------
+    DataError
+        The record is damaged.
+    """
+    record = folder / CHECKSUMS
     if not record.is_file():
         return []
-    known = []
+    found = []
     for number, line in enumerate(whole_lines(record), 1):
         try:
-            entry = json.loads(line)
-            file, sha256 = entry["file"], entry["sha256"]
+            entry = parse_object(line)
+            found.append(RecordedFile(entry["file"], entry["sha256"], entry.get("text")))
         except (ValueError, TypeError, KeyError) as error:
             raise DataError(f"{record} line {number}: is not the checksum of a file") from error
-        known += [sha256] if file == name else []
-    return known
+    return found
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _recorded(record: Path, name: str) -> list[str]:
+    """Checksums of everything that was written under a name."""
+    return [one.sha256 for one in recorded_files(record.parent) if one.file == name]

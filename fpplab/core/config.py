@@ -18,11 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fpplab.core.checksums import check_recorded
 from fpplab.core.errors import ConfigError
-from fpplab.core.files import open_regular
+from fpplab.core.files import read_bounded
 from fpplab.core.strict_yaml import load_yaml
 
 _log = logging.getLogger(__name__)
 
+MOST_TEXT_BYTES = 8_000_000
+"""Greatest size of a text file."""
 MOST_FAULTS = 5
 """So many faults of a file are told at once."""
 
@@ -105,13 +107,13 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ConfigError
-        There is no such file, it is no file but a pipe or device, it is not UTF-8, or it cannot be read.
+        There is no such file, it is no file but a pipe or device, it is not UTF-8, too large for a text file,
+        or cannot be read.
     DataError
         It is part of a session, and was changed since.
     """
     try:
-        with open_regular(path) as stream:
-            content = stream.read()
+        content = read_bounded(path, MOST_TEXT_BYTES)
         check_recorded(path, content)
         return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:

@@ -23,6 +23,9 @@ from fpplab.core.lock import try_lock
 MUCH = 1 << 30
 """Bytes from which on the space that work needs is said without being asked."""
 
+MOST_JOURNAL_BYTES = 256_000_000
+"""Greatest size of a journal: some 700,000 frames."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -57,6 +60,34 @@ def _regular(path: str, flags: int) -> int:
         words = os.strerror(code) if stat.S_ISDIR(kind) else "it is a pipe or a device, not a file"
         raise OSError(code, words, path)
     return handle
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """Read a small file whole, and refuse to read a large one.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most : int
+        Greatest number of bytes that one of its kind has.
+
+    Returns
+    -------
+    bytes
+        The content.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, is no file, or is larger.
+    """
+    with open_regular(path) as stream:
+        content = stream.read(most + 1)
+    if len(content) > most:
+        words = f"it is larger than {readable_bytes(most)}, the most that one of its kind has"
+        raise OSError(errno.EFBIG, words, str(path))
+    return content
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
@@ -273,8 +304,16 @@ def whole_lines(path: Path) -> list[bytes]:
     -------
     list[bytes]
         The lines without their newlines.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, is no file, or is larger than any journal.
     """
-    return path.read_bytes().split(b"\n")[:-1]
+    try:
+        return read_bounded(path, MOST_JOURNAL_BYTES).split(b"\n")[:-1]
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def cut_torn_line(path: Path) -> None:

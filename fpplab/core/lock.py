@@ -19,6 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from fpplab.core.errors import DataError
+from fpplab.core.strict_json import parse_object
+
+MOST_BYTES = 10_000
+"""That are read of what a process writes about itself."""
 
 try:
     import fcntl
@@ -200,7 +204,8 @@ def lock_owner(lock: Path) -> str:
         The process in words.
     """
     try:
-        found = json.loads(lock.read_bytes())
+        with lock.open("rb") as file:
+            found = parse_object(file.read(MOST_BYTES))
         return "process {pid} on {host} ('{command}', since {since})".format(**found)
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 PLAN, RIG, ORIGIN = "plan.yaml", "rig.yaml", "origin.yaml"
 """What was projected; what with, as resolved; when, where and with which devices it was begun."""
+FORMAT, LOG = "session.yaml", "log.jsonl"
+"""In which version of the format it is; what was done with it, when and by which program."""
 JOURNAL, FRAMES, CHECKSUMS = "journal.jsonl", "frames", "files.jsonl"
 """A line for each frame; the folder of their files; the checksums of the files beside it."""
 DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
@@ -14,7 +16,10 @@ DECODED, CLOUD, CALIBRATION, REPORT, VERDICT = (
     "verdict.yaml",
 )
 """The results."""
+RECORDING = "view.rrd"
+"""What the viewer showed, in any folder of results."""
 SESSION_FILES = frozenset(
-    (PLAN, RIG, ORIGIN, JOURNAL, CHECKSUMS, DECODED, CLOUD, CALIBRATION, REPORT, VERDICT)
+    (PLAN, RIG, ORIGIN, FORMAT, LOG, JOURNAL, CHECKSUMS)
+    + (DECODED, CLOUD, CALIBRATION, REPORT, VERDICT, RECORDING)
 )
 """Every file that fpplab writes into a session, beside the folder of its frames."""

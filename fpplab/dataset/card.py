@@ -17,10 +17,13 @@ import numpy as np
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
-from fpplab.core.files import write_text
+from fpplab.core.files import read_bounded, write_text
+from fpplab.core.strict_json import parse_json
 from fpplab.dataset.fields import FIELDS, FRAMES, FieldSpec
 from fpplab.dataset.shard import CHECKSUMS, SCENES, array_file, shard_name
 
+MOST_BYTES = 50_000_000
+"""Greatest size of a card, which holds a whole world."""
 CARD, README, PLAN = "card.json", "README.md", "plan.yaml"
 FORMAT = "fpplab dataset 1"
 """Value of the card's field `format`."""
@@ -184,7 +187,7 @@ def read_card(folder: Path) -> dict[str, Any]:
     """
     path = folder / CARD
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
+        card = parse_json(read_bounded(path, MOST_BYTES))
     except FileNotFoundError:
         raise DataError(f"{folder}: is not a data set (it has no {CARD})") from None
     except (OSError, ValueError) as error:

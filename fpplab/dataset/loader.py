@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import operator
 from collections.abc import Iterable
 from functools import cached_property
@@ -13,6 +12,8 @@ import numpy as np
 
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import whole_lines
+from fpplab.core.strict_json import parse_object
 from fpplab.dataset.card import PLAN, SPLITS, read_card, split_of
 from fpplab.dataset.fields import Arrays
 from fpplab.dataset.shard import SCENES, array_file, check_shard, shard_name
@@ -128,11 +129,9 @@ class Dataset:
         """
         shard, row = self._place(k)
         try:
-            lines = (shard / SCENES).read_text(encoding="utf-8").splitlines()
-            found: dict[str, Any] = json.loads(lines[row])
-        except (OSError, ValueError, IndexError) as error:
+            return parse_object(whole_lines(shard / SCENES)[row])
+        except (ValueError, IndexError) as error:
             raise DataError(f"{shard / SCENES}: cannot be read ({error})") from error
-        return found
 
     @cached_property
     def plan(self) -> Plan:

@@ -13,19 +13,24 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
 from fpplab.core.errors import DataError
-from fpplab.core.files import flush_folder, writing
+from fpplab.core.files import flush_folder, open_regular, read_bounded, writing
 from fpplab.core.lock import locked_file
+from fpplab.core.strict_json import parse_object
 from fpplab.dataset.fields import Arrays, FieldSpec
 
 CHECKSUMS, SCENES = "sha256.json", "scenes.jsonl"
 """Beside the arrays: checksums of all other files, and one line for each sample with all that was drawn."""
+
+MOST_SUMS_BYTES = 1_000_000
+"""Greatest size of the file of checksums."""
 
 
 def shard_name(number: int) -> str:
@@ -221,10 +226,12 @@ def check_shard(shard: Path) -> None:
         Names a file that is damaged, or the shard is incomplete.
     """
     try:
-        sums = json.loads((shard / CHECKSUMS).read_bytes())
+        sums = parse_object(read_bounded(shard / CHECKSUMS, MOST_SUMS_BYTES))
         for name, expected in sums.items():
-            with (shard / name).open("rb") as stream:
-                if hashlib.file_digest(stream, "sha256").hexdigest() != expected:
+            if Path(name).name != name:
+                raise DataError(f"{shard / CHECKSUMS}: names '{name}', which is not in its folder")
+            with open_regular(shard / name) as stream:
+                if hashlib.file_digest(cast(BufferedReader, stream), "sha256").hexdigest() != expected:
                     raise DataError(
                         f"{shard / name}: is damaged, its checksum is not the shard's; remove {shard} and "
                         "run the same `fpplab dataset` again"

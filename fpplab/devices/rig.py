@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from fpplab.core import config
 from fpplab.core.config import Document
@@ -31,7 +31,8 @@ from fpplab.devices import Camera, CameraSettings, Device, Fixture, Projector, S
 from fpplab.devices.backends import load_backend
 from fpplab.devices.rig_lock import using_rig
 from fpplab.devices.shared import SharedBackend
-from fpplab.patterns.response import Curve, with_named_response
+from fpplab.patterns.curve import Curve
+from fpplab.patterns.response import with_named_response
 
 Dev = TypeVar("Dev", bound=Device)
 
@@ -70,6 +71,19 @@ class CameraSection(DeviceSection):
     """
 
 
+class StageSection(DeviceSection):
+    """The stage, and how far it may go."""
+
+    soft_limits_mm: tuple[float, float] | None = None
+    """Positions in mm that are exceeded only with consent; by default the travel alone counts."""
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        if self.soft_limits_mm is not None and self.soft_limits_mm[0] >= self.soft_limits_mm[1]:
+            raise ValueError("'soft_limits_mm' must be two rising positions")
+        return self
+
+
 class DepthSection(Document):
     """The part of a rig file that says where everything lies."""
 
@@ -85,6 +99,11 @@ class RigFile(DepthSection):
     name: str
     """What the rig is called in reports and messages."""
 
+    notes: tuple[str, ...] = ()
+    """What whoever uses the rig should know, told each time it is opened: reasons for which a matched twin
+    would have been refused, had they not been accepted.
+    """
+
     camera: CameraSection
     """The camera."""
 
@@ -94,7 +113,7 @@ class RigFile(DepthSection):
     bench: DeviceSection | None = None
     """What the devices share, where they share anything: a simulated world, a recording, emulated wires."""
 
-    stage: DeviceSection | None = None
+    stage: StageSection | None = None
     """The linear stage, if there is one."""
 
     response: Curve | None = None
@@ -151,11 +170,14 @@ class Rig:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(using_rig(self._source))
+            for note in self.file.notes:
+                _log.warning("%s: %s", self._source, note)
             shared = self.simulation = self._open_simulation(stack)
             self.camera = self._device(stack, "camera", Camera, self.file.camera, shared)  # type: ignore[type-abstract]
             self.projector = self._device(stack, "projector", Projector, self.file.projector, shared)  # type: ignore[type-abstract]
             if self.file.stage:
                 self.stage = self._device(stack, "stage", Stage, self.file.stage, shared)  # type: ignore[type-abstract]
+                self.stage.soft_limits_mm = self.file.stage.soft_limits_mm
             if self.file.fixture:
                 self.fixture = self._device(stack, "fixture", Fixture, self.file.fixture, shared)  # type: ignore[type-abstract]
             self._stack = stack.pop_all()

@@ -7,6 +7,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import final
 
+from fpplab.core.acts import DangerousAct, agreed, consent_words
 from fpplab.core.errors import LimitError, StateError
 from fpplab.devices.device import Device, State
 
@@ -28,10 +29,13 @@ class Stage(Device):
     """A linear stage in mm."""
 
     kind = "stage"
+    soft_limits_mm: tuple[float, float] | None = None
+    """Positions in mm that are exceeded only with consent; None where the travel alone counts."""
     _homed = False
 
     def _forget(self) -> None:
         self._homed = False
+        self._agreed_mm: set[float] = set()
 
     @property
     @final
@@ -75,7 +79,7 @@ class Stage(Device):
         Raises
         ------
         LimitError
-            The position lies outside the travel.
+            The position lies outside the travel, or outside the soft limits and nobody agrees.
         StateError
             The stage is not homed.
         DeviceTimeoutError
@@ -101,7 +105,7 @@ class Stage(Device):
         Raises
         ------
         LimitError
-            It lies outside.
+            It lies outside, or outside the soft limits and nobody agrees.
         """
         self._need(State.IDLE, doing="check")
         self._check_travel("check", mm)
@@ -112,6 +116,19 @@ class Stage(Device):
             raise LimitError(
                 self.name, doing, f"{mm:g} mm was asked for", f"the travel is {least:g} to {most:g} mm"
             )
+        self._check_soft_limits(doing, mm)
+
+    def _check_soft_limits(self, doing: str, mm: float) -> None:
+        if self.soft_limits_mm is None or mm in self._agreed_mm:
+            return
+        least, most = self.soft_limits_mm
+        if least <= mm <= most:
+            return
+        act = DangerousAct.BEYOND_SOFT_LIMITS
+        found = f"{mm:g} mm lies beyond the soft limits of the rig file, {least:g} to {most:g} mm"
+        if not agreed(act, f"{self.name}: {found}."):
+            raise LimitError(self.name, doing, found, consent_words(act))
+        self._agreed_mm.add(mm)  # who agreed to go there is not asked again
 
     @property
     @final

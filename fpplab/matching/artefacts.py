@@ -7,7 +7,7 @@ the artefact on the bench is found by aligning its true shape with the bench's c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +15,11 @@ from fpplab.calibration.model import Calibration
 from fpplab.clouds import Cloud
 from fpplab.comparison import Comparison, compare
 from fpplab.comparison.alignment import align_mesh
+from fpplab.core.errors import DataError
 from fpplab.core.geometry import RigidTransform
 from fpplab.core.progress import Progress, no_progress
+from fpplab.diagnosis import FaultCause
+from fpplab.matching.refusal import Refusals
 from fpplab.patterns.fringes import make_patterns
 from fpplab.patterns.recording import Recording
 from fpplab.phase import decode
@@ -25,6 +28,9 @@ from fpplab.reconstruction.depth_range import depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
+
+MOST_MISFIT = 0.005
+"""Mean distance of points from the true surface, as a share of the mesh's size, of a scan of that shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +94,84 @@ def _surface(found: Comparison) -> float:
     return found.surface_smcd_um
 
 
+@dataclass(frozen=True, eq=False)
+class BenchScan:
+    """A scan recorded on the bench, compared with the true shape of what was scanned.
+
+    Attributes
+    ----------
+    item : str
+        The artefact, as the twin's world calls it.
+    session : Session
+        The scan.
+    cloud : Cloud
+        Of the bench's own calibration.
+    T_camera_item : RigidTransform
+        Pose of the artefact, in mm.
+    comparison : Comparison
+        Of the cloud with the true shape.
+    """
+
+    item: str
+    session: Session
+    cloud: Cloud
+    T_camera_item: RigidTransform
+    comparison: Comparison
+
+
+def fit_scan(
+    twin: Twin, item: str, session: Session, calibration: Calibration, refusals: Refusals
+) -> BenchScan:
+    """Reconstruct a scan and refuse it where it is not that of the artefact.
+
+    Parameters
+    ----------
+    twin : Twin
+        It has the artefact in its world.
+    item : str
+        The artefact, as the twin's world calls it.
+    session : Session
+        Recorded on the bench.
+    calibration : Calibration
+        Found by the bench's own characterisation.
+    refusals : Refusals
+        Refuse, or note what is accepted.
+
+    Returns
+    -------
+    BenchScan
+        With the pose of the artefact.
+
+    Raises
+    ------
+    CalibrationError
+        Points are off the true shape by more than `MOST_MISFIT` of its size.
+    DataError
+        The true shape does not fit the cloud in any pose.
+    ConfigError
+        The twin's world has no such item.
+    """
+    mesh = twin.mesh(item)
+    _, cloud = reconstruct(session, calibration)
+    try:
+        T_camera_item = align_mesh(cloud.points.astype(float), mesh).transform
+    except DataError as error:
+        raise DataError(f"{session.path}: is no scan of the {item} by this bench: {error}") from error
+    placed = mesh.copy().apply_transform(T_camera_item.matrix)
+    judged = compare(cloud, placed, calibration, align=True)
+    limit = 1e3 * MOST_MISFIT * float(mesh.scale)
+    if (off := _surface(judged)) > limit:
+        refusals.refuse(
+            FaultCause.ARTEFACT_MISFIT,
+            f"{session.path}: its points are {off:.0f} µm off the {item}'s surface (at most {limit:.0f}): "
+            "it is a scan of something else or of another bench",
+        )
+    return BenchScan(item, session, cloud, T_camera_item, judged)
+
+
 def compare_artefacts(
     twin: Twin,
-    scans: Mapping[str, Session],
-    reference_calibration: Calibration,
+    scans: Sequence[BenchScan],
     twin_calibration: Calibration,
     progress: Progress = no_progress,
 ) -> list[ArtefactComparison]:
@@ -101,10 +181,8 @@ def compare_artefacts(
     ----------
     twin : Twin
         Matched; it has the artefacts in its world.
-    scans : mapping of str to Session
-        Scans recorded on the bench, by name of the artefact.
-    reference_calibration : Calibration
-        Found by the bench's own characterisation.
+    scans : sequence of BenchScan
+        Recorded on the bench.
     twin_calibration : Calibration
         Found by the characterisation of the twin's own frames.
     progress : Progress
@@ -114,36 +192,15 @@ def compare_artefacts(
     -------
     list of ArtefactComparison
         One for each scan, in their order.
-
-    Raises
-    ------
-    DataError
-        The true shape of an item does not fit the recorded cloud.
-    ConfigError
-        The twin's world has no such item.
     """
     found = []
-    for number, (item, session) in enumerate(scans.items(), 1):
-        found.append(_compared(twin, item, session, reference_calibration, twin_calibration))
+    for number, scan in enumerate(scans, 1):
+        own = _scanned(twin, scan.item, scan.session, scan.T_camera_item, twin_calibration)
+        placed = twin.mesh(scan.item).copy().apply_transform(scan.T_camera_item.matrix)
+        judged = compare(own, placed, twin_calibration, align=True)
+        found.append(ArtefactComparison(scan.item, scan.comparison, judged, scan.cloud, own))
         progress(number / len(scans))
     return found
-
-
-def _compared(
-    twin: Twin, item: str, session: Session, reference_calibration: Calibration, twin_calibration: Calibration
-) -> ArtefactComparison:
-    mesh = twin.mesh(item)
-    _, cloud = reconstruct(session, reference_calibration)
-    T_camera_item = align_mesh(cloud.points.astype(float), mesh).transform
-    own = _scanned(twin, item, session, T_camera_item, twin_calibration)
-    placed = mesh.copy().apply_transform(T_camera_item.matrix)
-    return ArtefactComparison(
-        item,
-        compare(cloud, placed, reference_calibration, align=True),
-        compare(own, placed, twin_calibration, align=True),
-        cloud,
-        own,
-    )
 
 
 def _scanned(

@@ -16,8 +16,9 @@ from fpplab.core.conventions import Floats, full_scale
 from fpplab.core.errors import CalibrationError
 from fpplab.devices import CameraSettings
 from fpplab.matching.light import normalised_response
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, uniform_patterns
-from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.response import Response
 from fpplab.patterns.response_fit import GRID, MEAN, pixels_of_regions, statistics
 from fpplab.simulation.matchable import Twin, TwinParameters
 
@@ -123,7 +124,7 @@ def match_gamma(twin: Twin, response: Response, item: str, settings: CameraSetti
     seen = np.array([level.seen for level in response.measured])
     card = GreyCard(twin, item, settings, response)
     start = _normalised_response(response)
-    twin.become(replace(twin.parameters, response=normalised_response(start.g, start.b)))
+    twin.become(replace(twin.parameters, response=start))
     _match_dark(card, response)
     epochs = [_epoch(card, shown, seen)]
     while len(epochs) < MAX_EPOCHS:
@@ -215,7 +216,7 @@ def _normalised_response(response: Response) -> Curve:
     dark_level = response.dark[0] if response.dark else min(level.seen for level in response.measured)
     white = response.a + response.b - dark_level
     black = min(max((response.b - dark_level) / white, 0.0), 0.5)
-    return normalised_response(response.g, black)
+    return normalised_response(response, black=black)
 
 
 def _match_dark(card: GreyCard, response: Response) -> None:
@@ -245,17 +246,19 @@ def _fitted_parameters(card: GreyCard, last: GammaEpoch, shown: Floats, seen: Fl
     """Fit W, b, g with the scale from light to level of the last epoch; the dark level is held."""
     now = last.parameters
     dark_level = card.dark_level()
-    light = now.response.apply(shown)
+    light, shape = now.response.apply(shown), now.response
     factor = float(light @ (last.levels - dark_level) / (light @ light))
 
     def misfit(unknown: Floats) -> Floats:
-        white, black, g = unknown
-        return np.asarray(dark_level + factor * white * ((1 - black) * shown**g + black) - seen)
+        return np.asarray(dark_level + factor * unknown[0] * response_of(unknown).apply(shown) - seen)
 
-    found = least_squares(
-        misfit, [1.0, now.response.b, now.response.g], bounds=([0.01, 0, 0.2], [100, 0.5, 5])
-    )
-    white, black, g = (float(x) for x in found.x)
-    return replace(
-        now, white=now.white * white, response=normalised_response(g, black), ambient=now.ambient / white
-    )
+    def response_of(unknown: Floats) -> Curve:
+        # A spline's shape is that of the measured levels already; only black and white are left.
+        g = shape.g if shape.spline else float(unknown[2])
+        return normalised_response(shape, black=float(unknown[1]), g=g)
+
+    start, bounds = [1.0, shape.b, shape.g], ([0.01, 0.0, 0.2], [100.0, 0.5, 5.0])
+    free = 2 if shape.spline else 3
+    found = least_squares(misfit, start[:free], bounds=(bounds[0][:free], bounds[1][:free])).x
+    white = float(found[0])
+    return replace(now, white=now.white * white, response=response_of(found), ambient=now.ambient / white)

@@ -27,6 +27,7 @@ from fpplab.characterisation.parameters import DistortionModel, Model, Solution,
 from fpplab.characterisation.zhang import matrix_of, transform
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import Pinhole, RigidTransform
+from fpplab.matching.light import TILES, tile_numbers
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.reference import Reference
 from fpplab.simulation.matchable import ExpectedLevels, Twin, TwinParameters
@@ -72,14 +73,14 @@ def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters
     Parameters
     ----------
     parameters : TwinParameters
-        Of the twin; not changed. The uncertainty of its calibration is dropped.
+        Of the twin; not changed.
     found : Solution
         The new geometry; its board points are not used.
 
     Returns
     -------
     TwinParameters
-        With the new calibration and poses.
+        With the new calibration and poses; the calibration is as uncertain as before.
     """
     known = parameters.calibration
     calibration = Calibration(
@@ -87,6 +88,7 @@ def with_solution(parameters: TwinParameters, found: Solution) -> TwinParameters
         replace(known.projector, matrix=matrix_of(found.projector), distortion=found.projector[4:]),
         transform(found.T_projector_camera),
         {},
+        known.uncertainty,
     )
     return replace(parameters, calibration=calibration, poses=tuple(transform(p) for p in found.poses))
 
@@ -148,23 +150,31 @@ def refine_by_images(reference: Reference, twin: Twin, level: DistortionModel) -
     shared = 2 * free + 6
     per_pose = 6 + NUISANCE_PARAMETERS
     size = shared + per_pose * len(start.poses)
-    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    normal, gradient, scatter = np.zeros((size, size)), np.zeros(size), np.zeros((size, size))
     for pose in range(len(start.poses)):
         residuals = _residual_of_pose(reference, twin, start, pose)
         columns = np.append(np.arange(shared), shared + per_pose * pose + np.arange(per_pose))
-        displacement = slice(shared + 3, shared + 6)
+        displacement, tiles = slice(shared + 3, shared + 6), tile_numbers(residuals.pixels)
+        by_tile = np.zeros((TILES**2, len(columns)))
         for image, jacobian in enumerate(residuals.jacobian(start, free)):
             own, residual = _remove_vibration(
                 reference, twin, start, residuals, image, jacobian[:, shared + 3 :]
             )
-            block, right_side = _equations(jacobian, residual, displacement, own, start.vibration_mm)
+            block, right_side, scores = _equations(
+                jacobian, residual, displacement, own, start.vibration_mm, tiles
+            )
             normal[np.ix_(columns, columns)] += block
             gradient[columns] += right_side
+            by_tile += scores
+        scatter[np.ix_(columns, columns)] += by_tile.T @ by_tile
     twin.become(start)
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
-    step = np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-12)[0] / scale
-    return _updated(start, step, free, shared, per_pose)
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+    variance = np.diag(inverse @ scatter @ inverse)
+    of_places = variance[shared:].reshape(-1, per_pose)[:, 3:6].sum(axis=1)
+    sigma = {**start.sigma, "poses_um": 1e3 * float(np.sqrt(of_places.mean()))}
+    return replace(_updated(start, inverse @ gradient, free, shared, per_pose), sigma=sigma)
 
 
 def _remove_vibration(
@@ -193,23 +203,31 @@ def _remove_vibration(
 
 
 def _equations(
-    jacobian: Floats, residual: Floats, displacement: slice, own: Floats, vibration_mm: float
-) -> tuple[Floats, Floats]:
+    jacobian: Floats,
+    residual: Floats,
+    displacement: slice,
+    own: Floats,
+    vibration_mm: float,
+    tiles: NDArray[np.int64],
+) -> tuple[Floats, Floats, Floats]:
     """Build normal equations (C, C), (C,) of one image, weighted by its noise, its displacement eliminated.
 
     displacement: columns of the board's displacement. That of the image is normally distributed with
-    `vibration_mm`; the residual is without its estimate `own`.
+    `vibration_mm`; the residual is without its estimate `own`. At last the part of each tile in the right
+    side, (T, C).
     """
     weight, sigma = level_weights(residual)
     weighted = jacobian * (weight / sigma**2)[:, None]
-    block, right_side = jacobian.T @ weighted, weighted.T @ residual
+    block = jacobian.T @ weighted
+    columns = (weighted * residual[:, None]).T
+    scores: Floats = np.stack([np.bincount(tiles, column, TILES**2) for column in columns], axis=1)
     if vibration_mm == 0:
-        return block, right_side
+        return block, scores.sum(axis=0), scores
     normal = block[displacement, displacement] + np.eye(3) / vibration_mm**2
     share = np.linalg.solve(normal, block[displacement])
-    return block - block[:, displacement] @ share, right_side - share.T @ (
-        right_side[displacement] - own / vibration_mm**2
-    )
+    scores = scores - scores[:, displacement] @ share
+    right_side = scores.sum(axis=0) + share.T @ own / vibration_mm**2
+    return block - block[:, displacement] @ share, right_side, scores
 
 
 def _updated(start: TwinParameters, step: Floats, free: int, shared: int, per_pose: int) -> TwinParameters:

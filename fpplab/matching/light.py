@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.matching.loss import SURROUNDINGS_PX, board_mask, level_weights, subsample_pixels
 from fpplab.matching.reference import Reference
-from fpplab.patterns.response import Curve
+from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 MAX_PIXELS = 20_000
@@ -25,6 +26,8 @@ MAX_ROUNDS = 3
 CONVERGED_GAIN = 5e-3
 """Relative decrease of the cost below which the fit has converged."""
 MAX_HALVINGS = 4
+TILES = 5
+"""Tiles along each side of the board whose residuals count as dependent in standard uncertainties."""
 
 
 @dataclass(frozen=True)
@@ -78,22 +81,25 @@ def _plain(name: str, step: float, lower: float, upper: float) -> AdjustablePara
     return AdjustableParameter(step, lower, upper, read, set_)
 
 
-def normalised_response(g: float, black: float) -> Curve:
-    """Build a response whose white is 1.
+def normalised_response(curve: Curve, *, black: float | None = None, g: float | None = None) -> Curve:
+    """Scale a response so that its white is 1.
 
     Parameters
     ----------
-    g : float
-        Exponent.
-    black : float
-        Level of a dark image, b, relative to white.
+    curve : Curve
+        Whose shape it gets.
+    black : float, optional
+        Level of a dark image relative to white; that of the curve by default.
+    g : float, optional
+        Exponent; that of the curve by default.
 
     Returns
     -------
     Curve
-        With a = 1 - black, b = black.
+        With a + b = 1.
     """
-    return Curve(a=1.0 - black, b=black, g=g)
+    dark = curve.b / (curve.a + curve.b) if black is None else black
+    return Curve(a=1.0 - dark, b=dark, g=curve.g if g is None else g, spline=curve.spline)
 
 
 ADJUSTABLE = {
@@ -113,14 +119,14 @@ ADJUSTABLE = {
         0.0,
         0.5,
         lambda p: p.response.b,
-        lambda p, v: replace(p, response=normalised_response(p.response.g, v)),
+        lambda p, v: replace(p, response=normalised_response(p.response, black=v)),
     ),
     "g": AdjustableParameter(
         0.01,
         0.2,
         5.0,
         lambda p: p.response.g,
-        lambda p, v: replace(p, response=normalised_response(v, p.response.b)),
+        lambda p, v: replace(p, response=normalised_response(p.response, g=v)),
     ),
 }
 """The parameters that can be fitted, by name; `b` and `g` are those of the response."""
@@ -146,6 +152,28 @@ class PixelSample:
     images: tuple[int, ...]
     pixels: PixelIndices
     seen: Floats
+
+    @property
+    def tiles(self) -> NDArray[np.int64]:
+        """Number of the tile of every pixel, (P,): residuals within one count as dependent."""
+        return tile_numbers(self.pixels)
+
+
+def tile_numbers(pixels: PixelIndices) -> NDArray[np.int64]:
+    """Number the tiles of a grid over some pixels.
+
+    Parameters
+    ----------
+    pixels : PixelIndices
+        Rows and columns of P pixels.
+
+    Returns
+    -------
+    NDArray of int64
+        (P,), 0 to `TILES`² - 1.
+    """
+    row, column = (TILES * (one - one.min()) // (np.ptp(one) + 1) for one in pixels)
+    return np.asarray(TILES * row + column, np.int64)
 
 
 def sample_pixels(
@@ -254,10 +282,12 @@ def fit_light(
     """
     best = twin.parameters
     residual = light_residuals(reference, twin, samples)
+    sigma: dict[str, float] = {}
     for _ in range(MAX_ROUNDS):
-        gained, best, residual = _round(reference, twin, names, samples, best, residual)
+        gained, best, residual, sigma = _round(reference, twin, names, samples, best, residual)
         if gained < CONVERGED_GAIN:
             break
+    best = replace(best, sigma={**best.sigma, **sigma})
     twin.become(best)
     return best
 
@@ -269,8 +299,8 @@ def _round(
     samples: Sequence[PixelSample],
     start: TwinParameters,
     residual: Floats,
-) -> tuple[float, TwinParameters, Floats]:
-    """Make one step; return the relative gain, the parameters and their residuals."""
+) -> tuple[float, TwinParameters, Floats, dict[str, float]]:
+    """Make one step; return the relative gain, the parameters, their residuals and standard uncertainties."""
     weight, _ = level_weights(residual)
     cost = float(np.sum(weight * residual**2))
     slopes = []
@@ -286,11 +316,32 @@ def _round(
     scaled = matrix / scale
     normal, gradient = scaled.T @ (weight[:, None] * scaled), scaled.T @ (weight * residual)
     step = np.linalg.lstsq(normal, gradient, rcond=1e-9)[0] / scale
+    sigma = dict(
+        zip(names, (_standard_errors(scaled, weight, residual, samples) / scale).tolist(), strict=True)
+    )
     for tried, after in _step_candidates(reference, twin, names, samples, start, step):
         gain = 1.0 - float(np.sum(weight * after**2)) / max(cost, 1e-12)
         if gain > 0:
-            return gain, tried, after
-    return 0.0, start, residual
+            return gain, tried, after, sigma
+    return 0.0, start, residual, sigma
+
+
+def _standard_errors(
+    matrix: Floats, weight: Floats, residual: Floats, samples: Sequence[PixelSample]
+) -> Floats:
+    """Standard uncertainties (C,) that allow residuals of one tile of a pose to be as dependent as they are.
+
+    What remains of a fit is not noise but what the twin lacks, which neighbours and images of a pose share.
+    """
+    first, clusters = 0, []
+    for sample in samples:
+        clusters.append(np.tile(first + sample.tiles, len(sample.images)))
+        first += TILES**2
+    scores = matrix * (weight * residual)[:, None]
+    numbers = np.concatenate(clusters)
+    sums = np.stack([np.bincount(numbers, column) for column in scores.T])
+    inverse = np.linalg.pinv(matrix.T @ (weight[:, None] * matrix))
+    return np.asarray(np.sqrt(np.diag(inverse @ (sums @ sums.T) @ inverse)))
 
 
 def _step_candidates(

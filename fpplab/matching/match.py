@@ -1,8 +1,7 @@
 """Characterisation matching: the twin's parameters are fitted in steps, each kept only if it lowers the loss.
 
-Order of the steps: geometry by the observed points, light, then one by one the effects that the paper names
-as missing (ambient light, defocus of projector and camera, vignetting, noise); at last all parameters of
-light together and the geometry by the images in turn, until the loss has converged. Each step is one epoch.
+The steps are those of `fpplab.matching.steps`; each is one epoch. The last ones are repeated until neither
+the loss nor any parameter changes by more than it is uncertain.
 """
 
 from __future__ import annotations
@@ -16,23 +15,28 @@ import numpy as np
 from fpplab.core.config import Document
 from fpplab.core.errors import CalibrationError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
-from fpplab.matching import geometry, light, noise
+from fpplab.matching import light
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
-from fpplab.matching.light import PixelSample
+from fpplab.matching.light import ADJUSTABLE, PixelSample
 from fpplab.matching.loss import Weights
 from fpplab.matching.record import MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
+from fpplab.matching.steps import (
+    FIRST_STEPS,
+    REPEATED_STEPS,
+    SAMPLED_POSES,
+    MatchingContext,
+    MatchingStep,
+)
 from fpplab.matching.watching import watched_twin
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 CONVERGED = "converged"
 """Why a matching ends that need not go on."""
-SAMPLED_POSES = 6
+LEAST_CHANGE = 1e-3
+"""Relative change of a parameter below which it has converged, however well it is known."""
 EQUAL_LOSS = 2e-4
 """Losses that differ by less are equal but for noise; the images' mean square difference then decides."""
-F_NUMBERS = (1.0, 2.0, 4.0)
-APERTURES = (0.5, 1.0, 2.0)
-"""Factors of the twin's own aperture with which the search for a focus starts."""
 EXPLAINS = {
     "projector defocus": "blur of the projector that grows with the distance from its focus",
     "depth of field": "blur of the camera that grows with the distance from its focus",
@@ -60,129 +64,9 @@ class MatchingLimits(Document):
     """Number of rounds of the last steps without a gain after which the matching has converged."""
     converged: float = 2e-4
     """Decrease of the loss over the board below which a round has no gain."""
-
-
-@dataclass(frozen=True, eq=False)
-class MatchingContext:
-    """What every step is given.
-
-    Attributes
-    ----------
-    reference : Reference
-        What was recorded of the bench.
-    twin : Twin
-        To be matched.
-    samples : list of PixelSample
-        Pixels at which images are compared.
-    white : str
-        The parameter that scales the levels: "white", or "paper" where a measured response fixes white.
-    """
-
-    reference: Reference
-    twin: Twin
-    samples: list[PixelSample]
-    white: str
-
-    def light_parameters(self, *more: str) -> tuple[str, ...]:
-        """Name the parameters of light that are free.
-
-        Parameters
-        ----------
-        *more : str
-            Further names to be appended.
-
-        Returns
-        -------
-        tuple of str
-            Keys of `fpplab.matching.light.ADJUSTABLE`; the response is free only where it was not measured.
-        """
-        response = () if self.reference.response is not None else ("b", "g")
-        return (self.white, "ink", "ambient", "black_level", *response, *more)
-
-    def fit(self, *names: str) -> TwinParameters:
-        """Fit parameters of light and sharpness to the samples.
-
-        Parameters
-        ----------
-        *names : str
-            Keys of `fpplab.matching.light.ADJUSTABLE`.
-
-        Returns
-        -------
-        TwinParameters
-            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
-        """
-        return light.fit_light(self.reference, self.twin, names, self.samples)
-
-
-@dataclass(frozen=True)
-class MatchingStep:
-    """One step of a matching.
-
-    Attributes
-    ----------
-    name : str
-        As recorded and reported.
-    propose : callable
-        Gives the parameters to try, from the `MatchingContext` whose twin has the best ones so far.
-    characterises : bool
-        Whether the twin's own RMS reprojection error must be found again.
-    """
-
-    name: str
-    propose: Callable[[MatchingContext], TwinParameters]
-    characterises: bool = False
-
-
-def _projector_defocus(at: MatchingContext) -> TwinParameters:
-    names = ("projector_focus_mm", "projector_aperture_mm")
-    if at.twin.parameters.projector_focus_mm is None:
-        light.search_focus_grid(at.reference, at.twin, at.samples, *names, APERTURES)
-    if at.twin.parameters.projector_focus_mm is None:
-        return at.fit("projector_blur")
-    return at.fit("projector_blur", *names)
-
-
-def _depth_of_field(at: MatchingContext) -> TwinParameters:
-    names = ("camera_focus_mm", "f_number")
-    if at.twin.parameters.camera_focus_mm is None:
-        light.search_focus_grid(at.reference, at.twin, at.samples, *names, F_NUMBERS)
-    if at.twin.parameters.camera_focus_mm is None:
-        return at.twin.parameters
-    return at.fit("projector_blur", *names)
-
-
-def _fit_together(at: MatchingContext) -> TwinParameters:
-    now = at.twin.parameters
-    names = ["projector_blur", "vignetting"]
-    if now.projector_focus_mm is not None:
-        names += ["projector_focus_mm", "projector_aperture_mm"]
-    if now.camera_focus_mm is not None:
-        names += ["camera_focus_mm", "f_number"]
-    return at.fit(*at.light_parameters(*names))
-
-
-def _refine_by_images(at: MatchingContext) -> TwinParameters:
-    return geometry.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
-
-
-FIRST_STEPS = (
-    MatchingStep(
-        "points",
-        lambda at: geometry.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
-    ),
-    MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
-    MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
-    MatchingStep("projector defocus", _projector_defocus),
-    MatchingStep("depth of field", _depth_of_field),
-    MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
-    MatchingStep(
-        "noise",
-        lambda at: noise.match_noise(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
-        True,
-    ),
-)
-REPEATED_STEPS = (MatchingStep("together", _fit_together), MatchingStep("images", _refine_by_images))
+    poses_um: float = 5.0
+    """RMS distance in µm by which a round may move the poses and still have no gain; half of their own
+    standard uncertainty, where that is more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,10 +209,13 @@ def match_twin(
         The record is damaged.
     """
     epochs = record.read()
-    begin = _best(epochs).parameters.parameters() if epochs else start
-    twin.become(begin)
+    if not epochs:
+        start = ParametersFile.of(start).parameters()  # as the record will tell them to whoever goes on
+    elif epochs[-1].next_frame is not None:
+        twin.count_frames_from(epochs[-1].next_frame)
+    twin.become(_best(epochs).parameters.parameters() if epochs else start)
     white = "paper" if reference.response is not None else "white"
-    samples = _samples_of_poses(reference, begin)
+    samples = _samples_of_poses(reference, epochs[-1].parameters.parameters() if epochs else start)
     before = epochs[-1].seconds if epochs else 0.0
     started = time.monotonic() - before
     watch = _StepWatch(started, limits, progress, tell)
@@ -338,7 +225,7 @@ def match_twin(
     if not epochs:
         watch.begin(0, "epoch 0, start", may_end=False)
         first = evaluate(reference, twin, weights)
-        _record_epoch(state, "start", first, _difference(state), True, observe)
+        _record_epoch(state, "start", ParametersFile.of(start), first, _difference(state), True, observe)
     ended = _run(state, limits, observe)
     watch.begin(len(FIRST_STEPS) + 2 * len(REPEATED_STEPS) + 1, "judging the result", may_end=False)
     twin.become(state.best.parameters.parameters())
@@ -409,25 +296,62 @@ def _run(state: _State, limits: MatchingLimits, observe: EpochObserver) -> str:
                 return f"after {state.seconds:.0f} s"
         if number > len(FIRST_STEPS) and (number - len(FIRST_STEPS)) % len(REPEATED_STEPS) == 0:
             before, after = (
-                _best(state.epochs[:end]).loss["loss_board"]
-                for end in (number + 1 - len(REPEATED_STEPS), number + 1)
+                _best(state.epochs[:end]) for end in (number + 1 - len(REPEATED_STEPS), number + 1)
             )
-            idle = idle + 1 if before - after < limits.converged else 0
+            idle = 0 if _changed(before, after, limits) else idle + 1
             if idle >= limits.patience:
                 return CONVERGED
     raise AssertionError("the steps are endless")
 
 
+def _changed(before: MatchingEpoch, after: MatchingEpoch, limits: MatchingLimits) -> bool:
+    """Whether a round still changed the loss, or a parameter by more than it is uncertain."""
+    if before.loss["loss_board"] - after.loss["loss_board"] >= limits.converged:
+        return True
+    old, new = before.parameters.parameters(), after.parameters.parameters()
+    if moved_um(old, new) > max(limits.poses_um, 0.5 * new.sigma.get("poses_um", 0.0)):
+        return True
+    for name in new.sigma.keys() & ADJUSTABLE.keys():
+        values = [ADJUSTABLE[name].read(one) for one in (old, new) if getattr(one, name, 0.0) is not None]
+        if len(values) < 2 or abs(values[1] - values[0]) > max(
+            new.sigma[name], LEAST_CHANGE * abs(values[0])
+        ):
+            return True
+    return False
+
+
+def moved_um(before: TwinParameters, after: TwinParameters) -> float:
+    """Compute how far the poses of the board moved.
+
+    Parameters
+    ----------
+    before, after : TwinParameters
+        With the same number of poses.
+
+    Returns
+    -------
+    float
+        RMS distance in µm.
+    """
+    off = [a.translation - b.translation for a, b in zip(before.poses, after.poses, strict=True)]
+    return 1e3 * float(np.sqrt(np.mean(np.sum(np.square(off), axis=-1))))
+
+
 def _take_step(state: _State, step: MatchingStep, observe: EpochObserver) -> None:
     best, twin = state.best, state.at.twin
     twin.become(best.parameters.parameters())
-    tried = step.propose(state.at)
+    before = step.misfit(state.at) if step.misfit else None
+    written = ParametersFile.of(step.propose(state.at))
+    tried = written.parameters()
     twin.become(tried)
+    after = step.misfit(state.at) if step.misfit else None
     known = None if step.characterises else best.loss["epsilon_v_px"]
     found = evaluate(state.at.reference, twin, state.weights, known)
     state.at = replace(state.at, samples=_samples_of_poses(state.at.reference, tried))
     difference = _difference(state)
-    _record_epoch(state, step.name, found, difference, _accepted(best, found, difference), observe)
+    better = after <= before if before is not None and after is not None else None
+    accepted = _accepted(best, found, difference) if better is None else better
+    _record_epoch(state, step.name, written, found, difference, accepted, observe)
 
 
 def _accepted(best: MatchingEpoch, found: TwinEvaluation, difference: float) -> bool:
@@ -458,7 +382,13 @@ def _noise(state: _State) -> float:
 
 
 def _record_epoch(
-    state: _State, name: str, found: TwinEvaluation, difference: float, accepted: bool, observe: EpochObserver
+    state: _State,
+    name: str,
+    tried: ParametersFile,
+    found: TwinEvaluation,
+    difference: float,
+    accepted: bool,
+    observe: EpochObserver,
 ) -> None:
     if not np.isfinite(found.loss.board):
         raise CalibrationError(
@@ -471,7 +401,11 @@ def _record_epoch(
         loss=found.loss.summary(),
         difference=difference,
         seconds=state.seconds,
-        parameters=ParametersFile.of(state.at.twin.parameters),
+        parameters=tried,
+        next_frame=state.at.twin.next_frame,
+        poses_um=moved_um(state.best.parameters.parameters(), state.at.twin.parameters)
+        if state.epochs
+        else None,
     )
     state.record.add(epoch)
     state.epochs.append(epoch)

@@ -1,9 +1,11 @@
 """Noise of the bench, estimated from its frames for the twin: photon transfer, and vibration.
 
-A frame of the reference less the level that the twin expects is noise, and the effect of the item's
-displacement at that moment. The displacement is common to many thousands of pixels, so it is estimated by
-least squares with the image's own gradients; the rest is the sensor's noise, whose variance rises with the
-level.
+The sensor's noise is what the phase fit leaves of the frames beyond harmonics and flicker
+(`fpplab.phase.error_model`), so that nothing which the twin lacks is taken for noise. It is estimated alike
+from frames of the bench and of the twin, and the twin's is scaled.
+
+The displacement of an image is common to many thousands of pixels, so it is estimated by least squares with
+the image's own gradients in the twin.
 
 References
 ----------
@@ -15,50 +17,38 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.core.conventions import Floats, Image, PixelIndices
 from fpplab.matching.loss import board_mask, subsample_pixels
-from fpplab.matching.reference import Reference
+from fpplab.matching.reference import LevelStack, Reference
+from fpplab.patterns.recording import Recording
+from fpplab.phase.error_model import error_model_of
+from fpplab.phase.noise import QUANTISATION, NoiseModel
 from fpplab.simulation.matchable import Twin, TwinParameters
 
 SHIFT_MM = 0.02
 MAX_PIXELS = 30_000
-BINS = 12
-ROUNDING_VARIANCE = 1.0 / 12.0
-"""Variance of rounding to integers."""
-NOISE_ABOVE_ROUNDING = 0.15
-"""Share of full scale above black from which the noise is large enough for rounding to act as noise."""
-SAME_LEVEL = 0.2
-"""Difference of two frames' levels, as share of full scale, below which their noise is the same."""
-
-
-@dataclass(frozen=True)
-class ReferenceNoise:
-    """Noise of frames at their bit depth: variance `constant + per_level * (level - black)`, and vibration.
-
-    Attributes
-    ----------
-    constant : float
-        Variance at black, in raw levels squared.
-    constant_sigma : float
-        Standard uncertainty of `constant`.
-    per_level : float
-        Increase of the variance with the level, in raw levels.
-    vibration_mm : float
-        Standard deviation of the item's position along each axis, from frame to frame.
-    """
-
-    constant: float
-    constant_sigma: float
-    per_level: float
-    vibration_mm: float
+SIGNIFICANT = 3.0
+"""Standard errors by which the noise of bench and twin must differ for the twin's to be changed."""
+ROUNDS = 2
+"""Comparisons of the sensor's noise, each with the twin as the one before left it."""
+PROBE_E, PROBE_FACTOR, MOST_PROBE_E = 5.0, 4.0, 1e5
+"""Read noise in electrons of the unbinned pixel at least with which it is found what it does to the levels,
+the factor by which it grows until that shows, and where it ends."""
+FINE_PX = 1.5
+"""Width in px by which residuals are divided into a fine and a coarse part."""
+LEVELS = 3
+"""Number of brightness classes in which residuals are compared."""
 
 
 def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinParameters:
     """Give the twin the noise of the reference, estimated in the same way from frames of both.
 
-    Read noise is changed only where it is significant beside rounding. The twin is left as it is.
+    Read noise is changed only where the two differ significantly at black. Rounding makes the estimates
+    nonlinear, so they are compared again with the twin as it was found. The twin is left as it is.
 
     Parameters
     ----------
@@ -75,24 +65,148 @@ def match_noise(reference: Reference, twin: Twin, poses: Sequence[int]) -> TwinP
         With another full-well capacity, vibration and, where significant, read noise.
     """
     now = twin.parameters
-    images = reference.plan.finest_images
-    patterns = reference.shown(images)
-    own = [twin.frames(pose, patterns, reference.settings) for pose in poses]
-    real = [[np.asarray(f) for f in reference.frames(pose, images)] for pose in poses]
-    views = [_View.of(reference, twin, now, pose, images) for pose in poses]
+    changed = replace(now, vibration_mm=_vibration(reference, twin, now, poses))
+    real = [_noise_of(reference, pose, reference.recorded(pose)) for pose in poses]
+    levels = [float(np.mean(reference.frames(pose, reference.one_of_each_set))) for pose in poses]
+    levels = [level / reference.full_scale * 255.0 for level in levels]
+    for _ in range(ROUNDS):
+        twin.become(changed)
+        changed = _sensor_noise(reference, twin, poses, real, levels)
     twin.become(now)
-    of_reference, of_twin = (_noise(reference, views, frames) for frames in (real, own))
-    ratio = (
-        of_twin.per_level / of_reference.per_level
-        if min(of_twin.per_level, of_reference.per_level) > 0
-        else 1.0
-    )
-    changed = replace(now, full_well_e=now.full_well_e * ratio, vibration_mm=of_reference.vibration_mm)
-    shows = of_reference.constant - ROUNDING_VARIANCE > 3.0 * of_reference.constant_sigma
-    if shows and of_twin.constant > ROUNDING_VARIANCE:
-        grown = np.sqrt((of_reference.constant - ROUNDING_VARIANCE) / (of_twin.constant - ROUNDING_VARIANCE))
-        changed = replace(changed, read_noise_e=float(now.read_noise_e * grown * ratio))
     return changed
+
+
+def _sensor_noise(
+    reference: Reference,
+    twin: Twin,
+    poses: Sequence[int],
+    real: Sequence[NoiseModel],
+    levels: Sequence[float],
+) -> TwinParameters:
+    """Change full well and read noise: variances at black and at the mean levels become the bench's."""
+    now = twin.parameters
+    own = [_twin_noise(reference, twin, pose) for pose in poses]
+    pairs = list(zip(real, own, strict=True))
+    at_black = np.array([a.constant - b.constant for a, b in pairs])
+    if not _significant(at_black):
+        shot = np.array(
+            [(_above_rounding(a, x), _above_rounding(b, x)) for (a, b), x in zip(pairs, levels, strict=True)]
+        )
+    else:
+        changed = _read_noise(reference, twin, poses[:2], own, float(at_black.mean()))
+        now = replace(now, read_noise_e=changed)
+        shot = np.array([(a.per_level, b.per_level) for a, b in pairs])
+    of_bench, of_twin = shot.sum(axis=0)
+    if min(of_bench, of_twin) <= 0 or not _significant(shot[:, 0] - shot[:, 1]):
+        return now
+    # Electrons per level: the read noise in levels is not to change with them.
+    ratio = float(of_twin / of_bench)
+    return replace(now, full_well_e=now.full_well_e * ratio, read_noise_e=now.read_noise_e * ratio)
+
+
+def _significant(differences: Floats) -> bool:
+    """Whether the mean of what several poses say differs from 0 by more than their scatter explains."""
+    if len(differences) < 2:
+        return False
+    return bool(abs(differences.mean()) > SIGNIFICANT * differences.std(ddof=1) / np.sqrt(len(differences)))
+
+
+def _above_rounding(noise: NoiseModel, level: float) -> float:
+    return float(noise.variance(level)) - QUANTISATION * noise.step**2
+
+
+def _read_noise(
+    reference: Reference, twin: Twin, poses: Sequence[int], own: Sequence[NoiseModel], excess: float
+) -> float:
+    """Read noise that adds `excess` to the variance at black, by what a probe adds to it."""
+    now = twin.parameters
+    before = float(np.mean([one.constant for one in own]))
+    probe_e, added = max(PROBE_E, now.read_noise_e), 0.0
+    while added < 0.5 * abs(excess) and probe_e < MOST_PROBE_E:
+        probe_e *= PROBE_FACTOR
+        twin.become(replace(now, read_noise_e=probe_e))
+        added = float(np.mean([_twin_noise(reference, twin, pose).constant for pose in poses])) - before
+    twin.become(now)
+    if added <= 0:
+        return now.read_noise_e
+    per_square = added / (probe_e**2 - now.read_noise_e**2)
+    return float(np.sqrt(max(now.read_noise_e**2 + excess / per_square, 0.0)))
+
+
+def _twin_noise(reference: Reference, twin: Twin, pose: int) -> NoiseModel:
+    return _noise_of(reference, pose, twin.frames(pose, reference.patterns, reference.settings))
+
+
+def _noise_of(reference: Reference, pose: int, frames: Sequence[Image]) -> NoiseModel:
+    name = reference.sessions[pose].path.name
+    recording = Recording(frames, reference.plan, reference.projector[0], reference.settings.bits, name)
+    return error_model_of(recording).noise
+
+
+def noise_misfit(reference: Reference, twin: Twin, poses: Sequence[int]) -> float:
+    """Tell how far the twin's noise is from the reference's, by variance and by spectrum.
+
+    Compared is what the phase fit leaves of the finest fringes over the board, in `LEVELS` classes of
+    brightness, divided into structure finer and coarser than `FINE_PX`: the sensor's noise is fine, vibration
+    is as coarse as edges and fringes are.
+
+    Parameters
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        With the parameters to judge.
+    poses : sequence of int
+        Indices of the poses whose frames are compared.
+
+    Returns
+    -------
+    float
+        RMS difference of the logarithms of the standard deviations; 0 where three images leave nothing.
+    """
+    images = reference.plan.finest_images
+    if len(images) < 4:
+        return 0.0
+    shift = reference.plan.fringes[reference.plan.finest_set()].phase_shifts()
+    off = []
+    for pose in poses:
+        now = twin.parameters
+        board = board_mask(now.calibration.camera, now.poses[pose], reference.target)
+        real = reference.frames(pose, images)
+        own = np.stack(twin.frames(pose, reference.shown(images), reference.settings)).astype(np.float32)
+        edges = np.quantile(real.mean(axis=0)[board], np.linspace(0, 1, LEVELS + 1)[1:-1])
+        classes = np.where(board, np.digitize(real.mean(axis=0), edges), -1)
+        off.append(np.log(_spreads(real, shift, classes) / _spreads(own, shift, classes)))
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
+def _spreads(frames: LevelStack, shift: Floats, classes: NDArray[np.int64]) -> Floats:
+    """Standard deviations (LEVELS, 2) of what the phase fit leaves, fine and coarse."""
+    waves = np.stack([np.ones_like(shift), np.cos(shift), np.sin(shift)], axis=1)
+    rest = np.einsum("mn,nvu->mvu", np.eye(len(shift)) - waves @ np.linalg.pinv(waves), frames)
+    coarse = np.stack([cv2.GaussianBlur(one.astype(np.float32), (0, 0), FINE_PX) for one in rest])
+    parts = (rest - coarse, coarse)
+    freedom = len(shift) / (len(shift) - 3)
+    return np.array(
+        [
+            [max(float(np.sqrt(freedom * np.mean(part[:, classes == k] ** 2))), 1e-3) for part in parts]
+            for k in range(LEVELS)
+        ]
+    )
+
+
+def _vibration(reference: Reference, twin: Twin, now: TwinParameters, poses: Sequence[int]) -> float:
+    """Standard deviation in mm of the item's position along each axis, from frame to frame."""
+    images = reference.plan.finest_images
+    squares, weights = 0.0, 0.0
+    for pose in poses:
+        view = _View.of(reference, twin, now, pose, images)
+        shifts, variance = view.displacements(reference.frames(pose, images))
+        if len(images) > 1:
+            excess_variance = shifts.var(axis=0, ddof=1) - variance.mean(axis=0)
+            weight = 1.0 / variance.mean(axis=0) ** 2
+            squares, weights = squares + float(weight @ excess_variance), weights + float(weight.sum())
+    return float(np.sqrt(max(squares / weights, 0.0))) if weights else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,63 +237,15 @@ class _View:
             slopes.append((expected(shifted) - here) / SHIFT_MM)
         return cls(pixels, here, np.stack(slopes, axis=-1))
 
-    def separate(self, frames: Sequence[Image]) -> tuple[Floats, Floats, Floats]:
-        """Estimate the displacement of every frame in mm (n, 3), its variance (n, 3), and the rest (n, P)."""
-        shifts, variances, rest = [], [], []
+    def displacements(self, frames: LevelStack) -> tuple[Floats, Floats]:
+        """Estimate the displacement of every frame in mm (n, 3), and its variance (n, 3)."""
+        shifts, variances = [], []
         for frame, expected, slopes in zip(frames, self.expected, self.slopes, strict=True):
-            seen = np.asarray(frame)[self.pixels].astype(np.float64)
+            seen = frame[self.pixels].astype(np.float64)
             basis = np.column_stack([slopes, expected, np.ones_like(expected)])
             normal = basis.T @ basis
             found = np.linalg.solve(normal, basis.T @ (seen - expected))
             left = seen - expected - basis @ found
             shifts.append(found[:3])
             variances.append(np.diag(np.linalg.inv(normal))[:3] * float(np.mean(left**2)))
-            rest.append(left)
-        return np.array(shifts), np.array(variances), np.array(rest)
-
-
-def _noise(reference: Reference, views: Sequence[_View], poses: Sequence[Sequence[Image]]) -> ReferenceNoise:
-    squares, weights, levels, variances = 0.0, 0.0, [], []
-    for view, frames in zip(views, poses, strict=True):
-        shifts, variance, rest = view.separate(frames)
-        if len(frames) > 1:
-            excess_variance = shifts.var(axis=0, ddof=1) - variance.mean(axis=0)
-            weight = 1.0 / variance.mean(axis=0) ** 2
-            squares, weights = squares + float(weight @ excess_variance), weights + float(weight.sum())
-        level, spread = _transfer(view.expected, rest, reference.full_scale)
-        levels.append(level)
-        variances.append(spread)
-    vibration = float(np.sqrt(max(squares / weights, 0.0))) if weights else 0.0
-    constant, per_level, sigma = _line(np.concatenate(levels), np.concatenate(variances))
-    return ReferenceNoise(constant, sigma, per_level, vibration)
-
-
-def _transfer(expected: Floats, rest: Floats, full_scale: int) -> tuple[Floats, Floats]:
-    """Levels above black and variances of one pose's noise, by bins of level.
-
-    From the difference of two frames, which cancels what the twin does not know of the board.
-    """
-    black = float(expected.min())
-    signal = 0.5 * (expected[1:] + expected[:-1]) - black
-    alike = np.abs(np.diff(expected, axis=0)) < SAME_LEVEL * full_scale
-    bright = (signal > NOISE_ABOVE_ROUNDING * full_scale) & alike & (signal + black < 0.97 * full_scale)
-    at, half = signal[bright], 0.5 * np.diff(rest, axis=0)[bright] ** 2
-    edges = np.linspace(NOISE_ABOVE_ROUNDING * full_scale, full_scale, BINS + 1)
-    bins = np.digitize(at, edges)
-    chosen = [bins == k for k in range(1, BINS + 1) if np.count_nonzero(bins == k) > 200]
-    # The median of a squared normal variable is 0.455 of its variance; edges that fit badly do not move it.
-    return (
-        np.array([at[k].mean() for k in chosen]),
-        np.array([np.median(half[k]) / 0.4549 for k in chosen]),
-    )
-
-
-def _line(level: Floats, variance: Floats) -> tuple[float, float, float]:
-    """Constant and slope of the variance, and the constant's standard uncertainty."""
-    if len(level) < 3:
-        return ROUNDING_VARIANCE, 0.0, np.inf
-    basis = np.column_stack([np.ones_like(level), level])
-    (constant, slope), *_ = np.linalg.lstsq(basis, variance, rcond=None)
-    rest = variance - basis @ (constant, slope)
-    covariance = np.linalg.inv(basis.T @ basis) * float(rest @ rest) / max(len(level) - 2, 1)
-    return float(constant), max(float(slope), 0.0), float(np.sqrt(covariance[0, 0]))
+        return np.array(shifts), np.array(variances)

@@ -1,17 +1,27 @@
-"""Plausibility checks of a matching: a twin that cannot match the bench is refused with the reason."""
+"""Plausibility checks of a matching: a twin that cannot match the bench is refused with the reason.
+
+What the recordings tell is checked before the work starts; what only the matched twin shows is a finding.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fpplab.calibration.model import Calibration
-from fpplab.core.conventions import Floats
-from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.core.conventions import Floats, Mask
+from fpplab.core.errors import ConfigError
+from fpplab.diagnosis import FaultCause, Finding
 from fpplab.matching.loss import Loss, board_mask
 from fpplab.matching.reference import Reference
+from fpplab.matching.refusal import Refusals
+from fpplab.patterns.phase_error import relative_harmonics
+from fpplab.patterns.response import Response
+from fpplab.phase.error_model import error_model_of
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import Twin
 from fpplab.targets import Target
@@ -25,8 +35,15 @@ MAX_CONTRAST_DIFFERENCE = 0.12
 """
 EDGE_GRADIENT = 0.3
 """Share of the steepest gradient from which a pixel lies on an edge."""
+BRIGHTNESS_SHARE = 0.1
+"""Width of the neighbourhood whose brightness edges are divided by, as a share of the board's side."""
 MIN_SSIM = 0.8
 """SSIM over the board below which the twin does not match."""
+RUINOUS_UNLIKE = 3.0
+"""Excess of unlike images from which on nobody should use the twin."""
+MAX_HARMONIC_DIFFERENCE = 0.02
+"""Greatest difference of the fringes' second harmonic from that of the response, as a share of the fringe:
+0.06 of an exponent near 1."""
 
 
 def check_devices(twin: Twin, session: Session) -> None:
@@ -85,7 +102,7 @@ def check_board(twin: Twin, target: Target, source: str) -> None:
             )
 
 
-def check_geometry(found: Calibration, nominal: Calibration) -> None:
+def check_geometry(found: Calibration, nominal: Calibration, refusals: Refusals) -> None:
     """Refuse a bench whose geometry is far from that of the twin's file.
 
     A board of another pitch changes only the scale of the scene, not its images: the baseline shows it.
@@ -96,6 +113,8 @@ def check_geometry(found: Calibration, nominal: Calibration) -> None:
         Found on the bench.
     nominal : Calibration
         Of the twin's file.
+    refusals : Refusals
+        Refuse, or note what is accepted.
 
     Raises
     ------
@@ -114,23 +133,60 @@ def check_geometry(found: Calibration, nominal: Calibration) -> None:
                 if name == "baseline"
                 else "another lens, or another binning"
             )
-            raise CalibrationError(
-                f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
-            )
+            words = f"the {name} is {is_:.4g} {unit} on the bench and {should:.4g} {unit} in the twin: {why}"
+            refusals.refuse(FaultCause.STALE_CALIBRATION, words)
     turn = found.T_projector_camera.rotation @ nominal.T_projector_camera.rotation.T
     angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if angle > MAX_ROTATION_DEG:
-        raise CalibrationError(
+        refusals.refuse(
+            FaultCause.STALE_CALIBRATION,
             f"the projector is turned by {angle:.1f}° against the twin's: its pose in the twin's file is "
-            "wrong, or one of the pictures is mirrored or turned"
+            "wrong, or one of the pictures is mirrored or turned",
         )
 
 
-def check_sharpness(reference: Reference, twin: Twin) -> None:
-    """Refuse a reference whose focus moved between poses.
+def check_response(response: Response, sessions: Sequence[Session], refusals: Refusals) -> None:
+    """Refuse a response that is not that of the recordings.
 
-    Each pose's edges must be as steep as the twin's, relative to the other poses: what softens all of them
-    alike is the bench's lens or print, not a focus that moved.
+    The fringes on the board are bent by the response: the second harmonic of the widest set of at least four
+    images tells it without any twin.
+
+    Parameters
+    ----------
+    response : Response
+        Measured, it is said, on the bench.
+    sessions : sequence of Session
+        Recorded on the bench.
+    refusals : Refusals
+        Refuse, or note what is accepted.
+
+    Raises
+    ------
+    CalibrationError
+        The second harmonic differs by more than `MAX_HARMONIC_DIFFERENCE` of the fringe's amplitude.
+    """
+    plan = sessions[0].plan
+    wide = [k for k, one in enumerate(plan.fringes) if one.images > 3]
+    if not wide:
+        return
+    widest = min(wide, key=lambda k: plan.fringes[k].stripes)
+    recordings = [replace(one.recording(verify=False), response=None) for one in sessions]
+    seen = float(np.median([error_model_of(one).sets[widest].harmonics[0] for one in recordings]))
+    should = float(relative_harmonics(response, plan.response, 2)[2])
+    if not abs(seen - should) <= MAX_HARMONIC_DIFFERENCE:
+        refusals.refuse(
+            FaultCause.RESPONSE,
+            f"the second harmonic of the fringes on the board is {100 * seen:.1f} % of the fringe, but "
+            f"{100 * should:.1f} % by the response file: it is another rig's, or the projector's gamma was "
+            "changed; measure it again with `fpplab gamma`",
+        )
+
+
+def sharpness_finding(reference: Reference, twin: Twin) -> Finding | None:
+    """Find a pose that was taken with another focus than the others.
+
+    Each pose's edges must be as steep as the twin's, at the same brightness, relative to the other poses:
+    what softens all of them alike is the bench's lens or print, not a focus that moved.
 
     Parameters
     ----------
@@ -139,9 +195,9 @@ def check_sharpness(reference: Reference, twin: Twin) -> None:
     twin : Twin
         Matched.
 
-    Raises
-    ------
-    CalibrationError
+    Returns
+    -------
+    Finding or None
         Names the pose that differs most from the median of all.
     """
     contrasts = edge_contrast(reference, twin)
@@ -149,12 +205,14 @@ def check_sharpness(reference: Reference, twin: Twin) -> None:
     worst = int(np.argmax(np.abs(np.log(contrasts / usual))))
     off = float(contrasts[worst]) / usual - 1.0
     if abs(off) <= MAX_CONTRAST_DIFFERENCE:
-        return
+        return None
     word, name = "softer" if off < 0 else "sharper", reference.sessions[worst].path.name
-    raise CalibrationError(
-        f"{name}: its edges are {100 * abs(off):.0f} % {word}, relative to the matched twin's, than those of "
-        "the other poses: the bench's focus moved, or the board moved; record the poses again"
+    words = (
+        f"{name}: at the same brightness its edges are {100 * abs(off):.0f} % {word}, relative to the "
+        f"matched twin's, than those of the other poses (at most {100 * MAX_CONTRAST_DIFFERENCE:.0f} %): the "
+        "bench's focus moved, or the board moved"
     )
+    return Finding(FaultCause.LENS_NOT_LOCKED, words, abs(off) / MAX_CONTRAST_DIFFERENCE)
 
 
 def edge_contrast(reference: Reference, twin: Twin) -> Floats:
@@ -182,7 +240,8 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
     seen = twin.expected(pose, reference.shown(images), reference.settings)
     real = reference.frames(pose, images)
     products, squares = 0.0, 0.0
-    for there, here in zip(real, seen, strict=True):
+    for pair in zip(real, seen, strict=True):
+        there, here = (_at_even_brightness(one, board) for one in pair)
         for axis in ((1, 0), (0, 1)):
             a, b = (
                 cv2.Sobel(one, cv2.CV_32F, *axis, ksize=3)[board].astype(np.float64) for one in (there, here)
@@ -192,24 +251,34 @@ def _contrast(reference: Reference, twin: Twin, pose: int, images: Sequence[int]
     return products / max(squares, 1e-12)
 
 
-def check_similarity(loss: Loss, unexplained: float) -> None:
-    """Refuse a matching whose result is not similar to the reference.
+def _at_even_brightness(image: NDArray[np.float32], board: Mask) -> NDArray[np.float32]:
+    """Divide an image by the mean level of its neighbourhood on the board."""
+    inside = board.astype(np.float32)
+    width = BRIGHTNESS_SHARE * float(np.sqrt(board.sum()))
+    level, share = (cv2.GaussianBlur(one * inside, (0, 0), width) for one in (image, np.ones_like(image)))
+    return np.asarray(image * share / np.maximum(level, 1e-3 * level.max()), np.float32)
+
+
+def similarity_finding(loss: Loss, unexplained: float) -> Finding | None:
+    """Find that a matching's result is not similar to the reference.
 
     Parameters
     ----------
     loss : Loss
         Of the result.
     unexplained : float
-        RMS difference that is left, in raw levels, for the message.
+        RMS difference that is left, in raw levels, for the words.
 
-    Raises
-    ------
-    CalibrationError
-        The SSIM over the board is below `MIN_SSIM`.
+    Returns
+    -------
+    Finding or None
+        Where the SSIM over the board is below `MIN_SSIM`.
     """
     alike = float(loss.similarity.board.mean())
-    if alike < MIN_SSIM:
-        raise CalibrationError(
-            f"the twin does not match the bench: SSIM over the board is {alike:.3f} at best, but at least "
-            f"{MIN_SSIM:g} is needed; {unexplained:.1f} levels of difference are left"
-        )
+    if alike >= MIN_SSIM:
+        return None
+    words = (
+        f"SSIM over the board is {alike:.3f} at best, but at least {MIN_SSIM:g} is needed; {unexplained:.1f} "
+        "levels of difference are left"
+    )
+    return Finding(FaultCause.UNLIKE_IMAGES, words, RUINOUS_UNLIKE * (1.0 - alike) / (1.0 - MIN_SSIM))

@@ -17,7 +17,7 @@ from fpplab.core import config
 from fpplab.core.config import Document
 from fpplab.core.errors import DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines
-from fpplab.patterns.response import Curve
+from fpplab.patterns.curve import Curve
 from fpplab.simulation.matchable import TwinParameters
 
 EPOCHS = "match.jsonl"
@@ -61,6 +61,10 @@ class ParametersFile(Document):
     """Electrons of the unbinned pixel."""
     vibration_mm: float
     """Standard deviation of the item's position from frame to frame in mm."""
+    placed: Annotated[dict[str, PoseFile], Field(default_factory=dict)]
+    """T_camera_item of other items that were measured on the bench, by name."""
+    sigma: Annotated[dict[str, float], Field(default_factory=dict)]
+    """Standard uncertainties that a fit stated, by name of the parameter, in its unit."""
 
     @classmethod
     def of(cls, parameters: TwinParameters) -> ParametersFile:
@@ -80,6 +84,8 @@ class ParametersFile(Document):
             calibration=CalibrationFile.of(parameters.calibration),
             poses=tuple(PoseFile.of(pose) for pose in parameters.poses),
             response=parameters.response,
+            placed={name: PoseFile.of(pose) for name, pose in parameters.placed.items()},
+            sigma=dict(parameters.sigma),
             **{name: getattr(parameters, name) for name in PLAIN},
         )
 
@@ -95,11 +101,14 @@ class ParametersFile(Document):
             calibration=self.calibration.calibration(),
             poses=tuple(pose.transform() for pose in self.poses),
             response=self.response,
+            placed={name: pose.transform() for name, pose in self.placed.items()},
+            sigma=self.sigma,
             **{name: getattr(self, name) for name in PLAIN},
         )
 
 
-PLAIN = tuple(n for n in ParametersFile.model_fields if n not in ("calibration", "poses", "response"))
+_WHOLE = ("calibration", "poses", "response", "placed", "sigma")
+PLAIN = tuple(name for name in ParametersFile.model_fields if name not in _WHOLE)
 """Names of the parameters that are numbers."""
 
 
@@ -116,10 +125,14 @@ class MatchingEpoch(Document):
     """As `Loss.summary` gives it."""
     difference: float
     """RMS of reference less twin over the board, in raw levels."""
+    poses_um: float | None = None
+    """RMS distance in µm by which the step moved the poses of the board; absent in older records."""
     seconds: float
     """Duration of the matching so far in s, all runs together."""
     parameters: ParametersFile
     """That were tried."""
+    next_frame: int | None = None
+    """Number of the twin's frame that follows; None in records of version 0.1.0."""
 
 
 @dataclass(frozen=True)

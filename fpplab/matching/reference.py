@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpplab.characterisation import Characterisation
-from fpplab.core.conventions import Lattice, full_scale
+from fpplab.core.conventions import Image, Lattice, full_scale
 from fpplab.devices import CameraSettings
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
@@ -163,6 +163,21 @@ class Reference:
             Raw levels (n, h, w), float32.
         """
         return np.stack([self.sessions[pose].read(i, verify=False) for i in images]).astype(np.float32)
+
+    def recorded(self, pose: int) -> list[Image]:
+        """Read all frames of a pose as they were recorded; their checksums are not verified.
+
+        Parameters
+        ----------
+        pose : int
+            Index of the session.
+
+        Returns
+        -------
+        list of Image
+            Raw levels [v, u].
+        """
+        return [self.sessions[pose].read(index, verify=False) for index in range(len(self.patterns))]
 
     def spread_poses(self, count: int) -> tuple[int, ...]:
         """Choose poses that are evenly spread over the depths of the board.

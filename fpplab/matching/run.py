@@ -13,16 +13,18 @@ from fpplab.characterisation import Characterisation
 from fpplab.core.errors import ConfigError
 from fpplab.core.progress import Progress, Say, ignore, no_progress
 from fpplab.devices.rig import Rig
-from fpplab.diagnosis import Diagnosis
+from fpplab.diagnosis import Diagnosis, FaultCause, Finding
 from fpplab.matching import plausibility
-from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts
+from fpplab.matching.artefacts import ArtefactComparison, compare_artefacts, fit_scan
+from fpplab.matching.card import card_pose
 from fpplab.matching.evaluation import TwinEvaluation, evaluate
 from fpplab.matching.gamma import GammaMatch, match_gamma
 from fpplab.matching.loss import Weights
 from fpplab.matching.match import EpochObserver, MatchedTwin, MatchingLimits, match_twin
 from fpplab.matching.record import PLAIN, MatchingRecord
 from fpplab.matching.reference import Reference
-from fpplab.matching.verdict import diagnose_matching
+from fpplab.matching.refusal import Refusals
+from fpplab.matching.verdict import accepted_findings, diagnose_matching
 from fpplab.patterns.response import Response
 from fpplab.pipeline import characterise_sessions
 from fpplab.sessions.session import Session
@@ -64,6 +66,10 @@ class MatchingRequest:
         Of the loss.
     limits : MatchingLimits
         When to stop.
+    accepted : frozenset of FaultCause
+        Causes for which the matching is not refused, of `fpplab.matching.refusal.ACCEPTABLE`.
+    card_scan : Session or None
+        The bench's scan of the grey card as it stood for the response.
     start : callable
         Gives the parameters to start from, given the nominal twin in the geometry of the reference.
     """
@@ -74,6 +80,8 @@ class MatchingRequest:
     scans: Mapping[str, Session] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
     limits: MatchingLimits = field(default_factory=MatchingLimits)
+    accepted: frozenset[FaultCause] = frozenset()
+    card_scan: Session | None = None
     start: Callable[[TwinParameters], TwinParameters] = unchanged_start
 
 
@@ -118,6 +126,14 @@ class MatchingResult:
         The paper's table; rows with the response only where it was measured.
     artefacts : tuple of ArtefactComparison
         One for each recorded scan.
+    accepted : frozenset of FaultCause
+        Causes for which nothing was refused.
+    noted : tuple of str
+        What was found and accepted before the matching.
+    card_measured : bool
+        Whether the pose of the grey card was measured on the bench.
+    late : tuple of Finding
+        What only the matched twin shows: poses with another focus, images that stay unlike.
     """
 
     reference: Reference
@@ -128,11 +144,20 @@ class MatchingResult:
     matched: MatchedTwin
     rows: tuple[AblationRow, ...]
     artefacts: tuple[ArtefactComparison, ...]
+    accepted: frozenset[FaultCause] = frozenset()
+    noted: tuple[str, ...] = ()
+    card_measured: bool = False
+    late: tuple[Finding, ...] = ()
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """Whether to believe the twin; looks at the frames of the poses."""
         return diagnose_matching(self)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was accepted although the twin would have been refused for it; stays with the twin."""
+        return (*self.noted, *accepted_findings(self))
 
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain data, as the command line prints them.
@@ -155,6 +180,8 @@ class MatchingResult:
             "explained": self.matched.explained,
             "unexplained_levels": self.matched.unexplained,
             "parameters": {**light, "response": found.response.model_dump()},
+            "sigma": dict(found.sigma),
+            "notes": list(self.notes),
             "baseline_mm": found.calibration.baseline_mm,
             "poses": self.by_pose(),
             "artefacts": [one.summary() for one in self.artefacts],
@@ -258,15 +285,19 @@ def match_sessions(
     DataError
         A session or the record is damaged, or an artefact does not fit its recorded scan.
     """
-    plausibility.check_devices(twin, sessions[0])
-    plausibility.check_board(twin, target, "--target")
+    refusals = Refusals(request.accepted)
+    _check_inputs(twin, sessions, target, request)
     nominal = twin.parameters
     tell("characterising the bench")
     found = characterise_sessions(sessions, target, lambda share: progress(0.1 * share))
-    plausibility.check_geometry(found.calibration, nominal.calibration)
+    plausibility.check_geometry(found.calibration, nominal.calibration, refusals)
+    if request.response is not None:
+        plausibility.check_response(request.response, sessions, refusals)
+    tell("comparing the scans with the artefacts' shapes")
+    scans = [fit_scan(twin, *scan, found.calibration, refusals) for scan in request.scans.items()]
     reference = Reference.of(sessions, target, found, request.response)
     prepared(reference)
-    nominal = request.start(with_reference_geometry(nominal, found))
+    nominal = request.start(_placed(with_reference_geometry(nominal, found), request, found, twin))
     twin.become(nominal)
     gamma = None
     if request.response is not None:
@@ -283,9 +314,8 @@ def match_sessions(
         observe=observe,
         tell=tell,
     )
-    plausibility.check_similarity(matched.final.loss, matched.unexplained)
-    if matched.refined_focus:
-        plausibility.check_sharpness(reference, twin)
+    late = plausibility.similarity_finding(matched.final.loss, matched.unexplained)
+    blurred = plausibility.sharpness_finding(reference, twin) if matched.refined_focus else None
     twin.become(nominal)
     tell("comparing before and after")
     before = evaluate(reference, twin, request.weights, progress=lambda share: progress(0.8 + 0.04 * share))
@@ -293,18 +323,47 @@ def match_sessions(
     twin.become(matched.parameters)
     own = matched.final.characterisation
     assert own is not None  # the last evaluation characterises
-    artefacts = compare_artefacts(
-        twin,
-        request.scans,
-        found.calibration,
-        own.calibration,
-        lambda share: progress(0.85 + 0.15 * share),
+    artefacts = compare_artefacts(twin, scans, own.calibration, lambda share: progress(0.85 + 0.15 * share))
+    result = MatchingResult(
+        reference,
+        nominal,
+        start,
+        gamma,
+        before,
+        matched,
+        rows,
+        tuple(artefacts),
+        request.accepted,
+        tuple(refusals.notes),
+        request.card_scan is not None,
+        tuple(one for one in (late, blurred) if one is not None),
     )
-    result = MatchingResult(reference, nominal, start, gamma, before, matched, rows, tuple(artefacts))
     if not result.diagnosis.is_useless:
         twin.become(matched.parameters)
-        twin.save(folder)
+        twin.save(folder, result.notes)
     return result
+
+
+def _check_inputs(twin: Twin, sessions: Sequence[Session], target: Target, request: MatchingRequest) -> None:
+    """Refuse what can be told before any work: other devices, another board, items that are not there."""
+    given = [*sessions, *request.scans.values()]
+    for session in [*given, request.card_scan] if request.card_scan else given:
+        plausibility.check_devices(twin, session)
+    plausibility.check_board(twin, target, "--target")
+    for item in request.scans:
+        twin.mesh(item)
+    if request.response is not None:
+        twin.pose_of(request.card)
+
+
+def _placed(
+    nominal: TwinParameters, request: MatchingRequest, found: Characterisation, twin: Twin
+) -> TwinParameters:
+    """Put the grey card where the bench's scan of it shows it."""
+    if request.card_scan is None:
+        return nominal
+    pose = card_pose(request.card_scan, found.calibration, twin.pose_of(request.card))
+    return replace(nominal, placed={**nominal.placed, request.card: pose})
 
 
 def with_reference_geometry(nominal: TwinParameters, found: Characterisation) -> TwinParameters:
@@ -320,10 +379,11 @@ def with_reference_geometry(nominal: TwinParameters, found: Characterisation) ->
     Returns
     -------
     TwinParameters
-        With calibration (without its RMS values) and poses of `found`.
+        With calibration (without its RMS values) and poses of `found`. The twin's calibration is as uncertain
+        as the bench's: images of the same board know no better what is wrong with the board.
     """
     known = found.calibration
-    calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {})
+    calibration = Calibration(known.camera, known.projector, known.T_projector_camera, {}, known.uncertainty)
     return replace(nominal, calibration=calibration, poses=found.poses)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from fpplab.diagnosis import Diagnosis, FaultCause, Finding, diagnose_poses, diagnosis_of
 from fpplab.matching.light import ADJUSTABLE
 from fpplab.matching.match import CONVERGED, EQUAL_LOSS
+from fpplab.matching.plausibility import RUINOUS_UNLIKE
 from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 
@@ -30,8 +31,12 @@ NATURAL = frozenset(
     {"ink", "ambient", "black_level", "projector_blur", "projector_aperture_mm", "vignetting"}
 )
 """Parameters whose least value a device may well have: no ambient light, a sharp projector."""
-RUINOUS = {FaultCause.NO_GAIN: 1.0, FaultCause.UNLIKE_IMAGES: 3.0}
-"""Excess from which on nobody should use the twin."""
+RUINOUS = {
+    FaultCause.NO_GAIN: 1.0,
+    FaultCause.UNLIKE_IMAGES: RUINOUS_UNLIKE,
+    FaultCause.LENS_NOT_LOCKED: 1.0,
+}
+"""Excess from which on nobody should use the twin, unless the cause is accepted."""
 
 
 def diagnose_matching(found: MatchingResult) -> Diagnosis:
@@ -49,13 +54,45 @@ def diagnose_matching(found: MatchingResult) -> Diagnosis:
         bench than it was before, or its images differ by three times as much as they may.
     """
     recorded = diagnose_poses(_recordings(found.reference.sessions), (), {}).findings
-    own = [*_of_fit(found), *_of_poses(found), *_at_borders(found), *_of_artefacts(found)]
+    ruinous = {cause: excess for cause, excess in RUINOUS.items() if cause not in found.accepted}
     unknown = [] if found.artefacts else ["artefact_misfit: no --scan of an artefact was given"]
+    if found.gamma and not found.card_measured:
+        unknown.append("the grey card stands where the twin's file says: no --card ITEM=SESSION was given")
     poses = len(found.reference.sessions)
     good = (
         f"its images differ from the bench's by {found.matched.unexplained:.2f} levels RMS in {poses} poses"
     )
-    return diagnosis_of([*recorded, *own], good, unknown, RUINOUS)
+    return diagnosis_of([*recorded, *_own_findings(found)], good, unknown, ruinous)
+
+
+def accepted_findings(found: MatchingResult) -> tuple[str, ...]:
+    """List what would have made the twin useless, had it not been accepted.
+
+    Parameters
+    ----------
+    found : MatchingResult
+        The matching.
+
+    Returns
+    -------
+    tuple of str
+        Sentences.
+    """
+    return tuple(
+        f"{one.cause} accepted: {one.evidence}"
+        for one in _own_findings(found)
+        if one.cause in found.accepted and one.excess >= RUINOUS.get(one.cause, np.inf)
+    )
+
+
+def _own_findings(found: MatchingResult) -> list[Finding]:
+    return [
+        *found.late,
+        *_of_fit(found),
+        *_of_poses(found),
+        *_at_borders(found),
+        *_of_artefacts(found),
+    ]
 
 
 def _recordings(sessions: Sequence[Session]) -> Iterator[tuple[str, Recording]]:

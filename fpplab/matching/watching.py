@@ -45,6 +45,13 @@ class _WatchedTwin:
     def target(self) -> Target:
         return self._twin.target
 
+    @property
+    def next_frame(self) -> int:
+        return self._twin.next_frame
+
+    def count_frames_from(self, number: int) -> None:
+        self._twin.count_frames_from(number)
+
     def become(self, parameters: TwinParameters) -> None:
         self._twin.become(parameters)
 
@@ -73,5 +80,8 @@ class _WatchedTwin:
     def mesh(self, item: str) -> trimesh.Trimesh:
         return self._twin.mesh(item)
 
-    def save(self, folder: Path) -> Path:
-        return self._twin.save(folder)
+    def pose_of(self, item: str) -> RigidTransform:
+        return self._twin.pose_of(item)
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
+        return self._twin.save(folder, notes)

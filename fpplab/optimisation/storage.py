@@ -17,6 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from fpplab.core import config
 from fpplab.core.errors import ConfigError, DataError
 from fpplab.core.files import append_line, cut_torn_line, whole_lines
+from fpplab.core.strict_json import parse_object
 from fpplab.core.version import __version__
 from fpplab.optimisation.candidate import Candidate, Score
 from fpplab.optimisation.study import Study
@@ -114,7 +115,7 @@ class Journal:
         cut_torn_line(self.path)  # a measurement whose recording was interrupted
         for number, line in enumerate(whole_lines(self.path), 1):
             try:
-                data = json.loads(line)
+                data = parse_object(line)
                 if number == 1:
                     self._check_header(data)
                 else:

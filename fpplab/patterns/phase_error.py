@@ -1,6 +1,6 @@
-"""Phase error of phase shifting under a nonlinear (gamma) response, and how many steps keep it small.
+"""Phase error of phase shifting under a nonlinear response, and how many steps keep it small.
 
-A response turns the sinusoid `w(φ) = (1 + cos φ)/2` into `a w^g + b = Σ_k c_k cos kφ`. N-step phase shifting
+A response turns the sinusoid `w(φ) = (1 + cos φ)/2` into `a S(w) + b = Σ_k c_k cos kφ`. N-step phase shifting
 is sensitive to the harmonics `mN + 1`, m any integer (negative ones are k = |mN + 1|: N - 1, N + 1, 2N - 1,
 …), which rotate the decoded vector by
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from fpplab.core.config import Document
 from fpplab.core.conventions import TWO_PI, Axis, Floats, axis_length, phase_steps
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.response import Response
 
@@ -28,12 +29,15 @@ MOST_STEPS = 30
 """Greatest number of steps that `least_steps` tries."""
 COVERAGE = 2.0
 """Coverage factor: a fit is judged at the worse end of g plus or minus so many of its standard
-uncertainties."""
+uncertainties, with as many times what the levels leave of the curve."""
+GREYS = 256
+"""Grey levels of the projector."""
 TABLE = (3, 4, 5, 6, 8, 12)
 """Numbers of steps whose phase errors are always reported."""
 
 _PHASES = 512
 _REACH = 8
+_HIGHEST = 64
 _TURNS = np.exp(1j * TWO_PI * np.outer(np.arange(-_REACH, _REACH + 1), np.arange(_PHASES) / _PHASES))
 """exp(imNφ) for m from -`_REACH` on, over the error's own period of Nφ."""
 
@@ -61,13 +65,37 @@ def harmonics(g: float, highest: int) -> Floats:
     return mean * np.concatenate([[1.0], np.cumprod((g - k + 1.0) / (g + k))])
 
 
-def phase_error(g: float, steps: int) -> float:
-    """Compute the RMS phase error of phase shifting under a power-law response.
+def relative_harmonics(response: Curve, correction: Curve | None = None, highest: int = _HIGHEST) -> Floats:
+    """Compute the harmonics of a sinusoid through a response, relative to the fringe.
 
     Parameters
     ----------
-    g : float
-        Exponent of the response.
+    response : Curve
+        From the level shown to the light.
+    correction : Curve, optional
+        Response whose inverse the patterns are shown through; by default they are shown as they are.
+    highest : int
+        Highest harmonic.
+
+    Returns
+    -------
+    ndarray of float64, (highest + 1,)
+        `c_0/c_1 … c_highest/c_1`, signed, of `c_0 + 2 Σ c_k cos kφ`.
+    """
+    phase = TWO_PI * np.arange(16 * _PHASES) / (16 * _PHASES)
+    wanted = 0.5 + 0.5 * np.cos(phase)
+    light = response.shape(wanted if correction is None else correction.correct(wanted))
+    found = np.fft.rfft(light).real[: highest + 1]
+    return np.asarray(found / found[1])
+
+
+def harmonic_phase_error(relative: Floats, steps: int) -> float:
+    """Compute the RMS phase error that harmonics cause.
+
+    Parameters
+    ----------
+    relative : ndarray of float64, (K,)
+        Harmonics relative to the fringe, as `relative_harmonics` gives them.
     steps : int
         Number N of equally spaced steps.
 
@@ -81,25 +109,45 @@ def phase_error(g: float, steps: int) -> float:
     Guo, He and Zhang, Opt. Lett. 29, 2004
     """
     order = np.abs(steps * np.arange(-_REACH, _REACH + 1) + 1)
-    amplitudes = harmonics(g, int(order.max()))
-    turned = np.einsum("m,mp->p", amplitudes[order] / amplitudes[1], _TURNS)
-    return _rms(np.angle(turned))
+    shares = np.where(order < len(relative), relative[np.minimum(order, len(relative) - 1)], 0.0)
+    return _rms(np.angle(np.einsum("m,mp->p", shares, _TURNS)))
 
 
-def corrected_phase_error(g: float, steps: int, correction: float, greys: int = 256) -> float:
-    """Compute the RMS phase error that remains after the patterns were pre-corrected.
-
-    What the rounding to `greys` grey levels leaves is that of one mirror; a camera pixel that averages over
-    mirrors of different phase sees less of it.
+def phase_error(g: float, steps: int) -> float:
+    """Compute the RMS phase error of phase shifting under a power-law response.
 
     Parameters
     ----------
     g : float
         Exponent of the response.
     steps : int
+        Number N of equally spaced steps.
+
+    Returns
+    -------
+    float
+        RMS phase error in rad, without the rounding of the patterns.
+    """
+    amplitudes = harmonics(g, _REACH * steps + 1)
+    return harmonic_phase_error(amplitudes / amplitudes[1], steps)
+
+
+def shown_phase_error(
+    response: Curve, steps: int, correction: Curve | None = None, greys: int = GREYS
+) -> float:
+    """Compute the RMS phase error of patterns as they are shown, in `greys` grey levels.
+
+    What the rounding to grey levels leaves is that of one mirror; a camera pixel that averages over mirrors
+    of different phase sees less of it.
+
+    Parameters
+    ----------
+    response : Curve
+        From the level shown to the light.
+    steps : int
         Number of equally spaced steps.
-    correction : float
-        Exponent that the patterns were corrected for.
+    correction : Curve, optional
+        Response whose inverse the patterns are shown through; by default they are shown as they are.
     greys : int
         Number of grey levels of the projector.
 
@@ -110,19 +158,20 @@ def corrected_phase_error(g: float, steps: int, correction: float, greys: int = 
     """
     phase = TWO_PI * (np.arange(16 * _PHASES) + 0.5) / (16 * _PHASES)
     shifts = phase_steps(steps)
-    shown = (0.5 + 0.5 * np.cos(phase - shifts[:, None])) ** (1.0 / correction)
-    light = (np.rint(shown * (greys - 1)) / (greys - 1)) ** g
+    wanted = 0.5 + 0.5 * np.cos(phase - shifts[:, None])
+    shown = wanted if correction is None else correction.correct(wanted)
+    light = response.shape(np.rint(shown * (greys - 1)) / (greys - 1))
     decoded = np.exp(1j * shifts) @ light
     return _rms(np.angle(decoded * np.exp(-1j * phase)))
 
 
-def least_steps(g: float, allowed_rad: float = ALLOWED_RAD) -> int | None:
-    """Find the fewest steps whose phase error is acceptable without correction.
+def least_steps(response: Curve, allowed_rad: float = ALLOWED_RAD) -> int | None:
+    """Find the fewest steps from which on the phase error is acceptable without correction.
 
     Parameters
     ----------
-    g : float
-        Exponent of the response.
+    response : Curve
+        From the level shown to the light.
     allowed_rad : float
         Greatest acceptable RMS phase error in rad.
 
@@ -131,7 +180,32 @@ def least_steps(g: float, allowed_rad: float = ALLOWED_RAD) -> int | None:
     int or None
         From 3 to `MOST_STEPS`; None where even `MOST_STEPS` are too few.
     """
-    return next((n for n in range(3, MOST_STEPS + 1) if phase_error(g, n) <= allowed_rad), None)
+    relative = relative_harmonics(response, highest=_REACH * MOST_STEPS + 1)
+    found = None
+    for steps in range(MOST_STEPS, 2, -1):
+        if harmonic_phase_error(relative, steps) > allowed_rad:
+            break
+        found = steps
+    return found
+
+
+def unexplained_phase_error(response: Response) -> float:
+    """Compute the RMS phase error that levels may hide from a fitted curve.
+
+    What the curve leaves of the levels, spread over the harmonics, is taken to rotate the fringe.
+
+    Parameters
+    ----------
+    response : Response
+        The fit, with the misfit of its levels.
+
+    Returns
+    -------
+    float
+        RMS phase error in rad, a standard uncertainty.
+    """
+    left = response.residual if response.misfit is None else response.misfit
+    return float(2.0 * left * np.sqrt(2.0 / response.levels) / response.a)
 
 
 def _rms(error: Floats) -> float:
@@ -161,14 +235,18 @@ class ResponseJudgement(Document):
     phase_px: float
     """The same in projector px."""
     worst_rad: float
-    """RMS phase error in rad at the worse end of g's uncertainty; the judgement is by this one."""
+    """RMS phase error in rad at the worse end of the curve's uncertainty; the judgement is by this one."""
     corrected_rad: float
     """RMS phase error in rad that pre-correction by this response leaves, rounding to 256 grey levels
     included."""
     least_steps: int | None
-    """Fewest steps with which uncorrected patterns are good enough; None above `MOST_STEPS`."""
+    """Fewest steps from which on uncorrected patterns are good enough; None above `MOST_STEPS`."""
     by_steps: dict[str, float]
     """RMS phase error in rad of uncorrected patterns for every number of steps of `TABLE`."""
+    corrected_by_steps: dict[str, float]
+    """The same of patterns corrected by this response."""
+    rounding_by_steps: dict[str, float]
+    """What the rounding of patterns to 256 grey levels alone makes, under a straight response: the floor."""
 
 
 def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> ResponseJudgement:
@@ -190,19 +268,24 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
     ResponseJudgement
         The verdict with its figures.
     """
-    ends = _ends(response)
-
-    def error(g: float, steps: int) -> float:
-        return corrected_phase_error(g, steps, plan.response.g) if plan.response else phase_error(g, steps)
+    curve = Curve(a=response.a, b=response.b, g=response.g, spline=response.spline)
+    ends, hidden = _ends(response, curve), COVERAGE * unexplained_phase_error(response)
 
     def px(axis: Axis, stripes: float, rad: float) -> float:
         return rad / TWO_PI * axis_length(size, axis) / stripes
 
+    def table(of: Curve, correction: Curve | None = None) -> dict[str, float]:
+        return {str(n): shown_phase_error(of, n, correction) for n in TABLE}
+
     finest = [plan.fringes[plan.finest_set(axis)] for axis in plan.axes]
-    fringe = max(finest, key=lambda f: px(f.axis, f.stripes, error(response.g, f.images)))
-    rad = error(response.g, fringe.images)
-    worst = max(error(g, fringe.images) for g in ends)
-    enough = max(least_steps(g) or MOST_STEPS + 1 for g in ends)
+    fringe = max(
+        finest, key=lambda f: px(f.axis, f.stripes, shown_phase_error(curve, f.images, plan.response))
+    )
+    rad = shown_phase_error(curve, fringe.images, plan.response)
+    worst = max(shown_phase_error(end, fringe.images, plan.response) for end in ends)
+    enough = max(least_steps(end, _left_for_harmonics(hidden)) or MOST_STEPS + 1 for end in ends)
+    corrected = max(shown_phase_error(end, fringe.images, curve) for end in ends)
+    worst, corrected = float(np.hypot(worst, hidden)), float(np.hypot(corrected, hidden))
     found = ResponseJudgement(
         good_enough=worst <= ALLOWED_RAD,
         sentence="",
@@ -213,23 +296,33 @@ def judge_response(response: Response, plan: Plan, size: tuple[int, int]) -> Res
         phase_rad=rad,
         phase_px=px(fringe.axis, fringe.stripes, rad),
         worst_rad=worst,
-        corrected_rad=max(corrected_phase_error(g, fringe.images, response.g) for g in ends),
+        corrected_rad=corrected,
         least_steps=enough if enough <= MOST_STEPS else None,
-        by_steps={str(n): phase_error(response.g, n) for n in TABLE},
+        by_steps=table(curve),
+        corrected_by_steps=table(curve, curve),
+        rounding_by_steps=table(Curve(a=1.0, b=0.0, g=1.0)),
     )
     return found.model_copy(update={"sentence": _sentence(found)})
 
 
-def _ends(response: Response) -> tuple[float, ...]:
+def _left_for_harmonics(hidden: float) -> float:
+    return float(np.sqrt(max(ALLOWED_RAD**2 - hidden**2, 0.0)))
+
+
+def _ends(response: Response, curve: Curve) -> tuple[Curve, ...]:
+    """The curve, and for a power law those at both ends of its exponent's uncertainty."""
+    if curve.spline:
+        return (curve,)
     reach = min(COVERAGE * response.sigma[2], 0.9 * response.g)
-    return response.g - reach, response.g, response.g + reach
+    ends = (response.g - reach, response.g, response.g + reach)
+    return tuple(curve.model_copy(update={"g": g}) for g in ends)
 
 
 def _sentence(found: ResponseJudgement) -> str:
     what = "corrected patterns" if found.corrected_patterns else "patterns as they are"
     says = (
         f"{found.steps} steps of {found.stripes:g} stripes, {what}: RMS phase error {found.phase_rad:.2g} "
-        f"rad, {found.phase_px:.2g} projector px (at most {found.worst_rad:.2g} rad within g's uncertainty)"
+        f"rad, {found.phase_px:.2g} projector px (at most {found.worst_rad:.2g} rad within its uncertainty)"
     )
     if found.good_enough:
         return f"{says}: good enough, at most {ALLOWED_RAD:g} rad are allowed"

@@ -15,8 +15,9 @@ from fpplab.core.conventions import Axis, axis_length
 from fpplab.core.depth import DepthField
 from fpplab.core.errors import ConfigError
 from fpplab.core.kinds import ByKind
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet, indices_along
-from fpplab.patterns.response import Curve, with_named_response
+from fpplab.patterns.response import with_named_response
 from fpplab.patterns.unwrapping import unwrapping_methods
 
 AnyFringeSet = Annotated[FringeSet, ByKind(default="sinusoid")]

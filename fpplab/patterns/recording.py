@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -12,11 +13,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fpplab.core import buffers
-from fpplab.core.conventions import Axis, Image, Map, full_scale, raw_per_grey
+from fpplab.core.conventions import Axis, Floats, Image, Map, full_scale, raw_per_grey
 from fpplab.core.errors import DataError
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import FringeSet
+from fpplab.patterns.phase_error import relative_harmonics
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
 
 _BAND = 32
 """Rows whose mean is taken while their sums are in the cache."""
@@ -54,15 +56,13 @@ class Recording:
         """8-bit grey levels to one unit of the raw frames."""
         return 1.0 / raw_per_grey(self.bits)
 
-    @property
-    def exponent(self) -> float | None:
-        """Exponent from the light that the plan wants to the light seen; None where no response is known.
+    @cached_property
+    def harmonics(self) -> Floats | None:
+        """Harmonics that the response causes, relative to the fringe; None where no response is known.
 
         Patterns that the plan corrects are shown through the inverse of its response.
         """
-        if self.response is None:
-            return None
-        return self.response.g / (self.plan.response.g if self.plan.response else 1.0)
+        return None if self.response is None else relative_harmonics(self.response, self.plan.response)
 
     @property
     def full_scale(self) -> int:

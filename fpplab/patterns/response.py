@@ -1,8 +1,9 @@
 """Response (gamma) of projector and camera together: from the level shown to the level seen.
 
-`I_out = a I_in^g + b`, levels as shares of full scale: a is the gain, b the level seen of a
-dark image, g the exponent (gamma). What a camera sees of `I_in` determines a and b only up to its own
-gain and black level. The exponent g does not depend on them, and only g distorts fringes.
+`I_out = a I_in^g + b`, levels as shares of full scale: a is the gain, b the level seen of a dark image, g
+the exponent (gamma); where no power law predicts the levels, a monotone spline takes the place of `I_in^g`.
+What a camera sees of `I_in` determines a and b only up to its own gain and black level. The shape between
+them does not depend on these, and only the shape distorts fringes.
 """
 
 from __future__ import annotations
@@ -19,95 +20,17 @@ from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Floats, Mask
 from fpplab.core.errors import CalibrationError, ConfigError
 from fpplab.core.files import write_text
+from fpplab.patterns.curve import Curve, power_law
+from fpplab.patterns.response_spline import SplineFit, fit_spline, leave_one_out, prefers_spline
 
 LEAST_LEVELS = 5
 """Fewest levels that are fitted: three parameters, and two degrees of freedom to judge the fit by."""
-CORRECTABLE = (0.5, 5.0)
-"""Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
-three steps.
-"""
 MOST_SIGMA_G = 0.05
 """Greatest relative uncertainty of g with which patterns are corrected: the share of the error that may
 remain."""
 
 _Sigma = Annotated[float, Field(ge=0)]
 LawParameters = tuple[float, float, float]
-
-
-class Curve(Document):
-    """A response as a power law: `I_out = a I_in^g + b`."""
-
-    a: Positive
-    """Gain."""
-    b: float
-    """Level seen of a dark image, as a share of full scale."""
-    g: Positive
-    """Exponent (gamma)."""
-
-    def apply(self, levels_in: ArrayLike) -> Floats:
-        """Compute the levels seen for levels shown.
-
-        Parameters
-        ----------
-        levels_in : array_like
-            Levels shown, in [0, 1].
-
-        Returns
-        -------
-        ndarray of float64
-            Levels seen, as shares of full scale, of the same shape.
-        """
-        return _model(np.asarray(levels_in, np.float64), self.a, self.b, self.g)
-
-    def invert(self, levels_out: ArrayLike) -> Floats:
-        """Compute the levels shown for levels seen.
-
-        Parameters
-        ----------
-        levels_out : array_like
-            Levels seen, as shares of full scale.
-
-        Returns
-        -------
-        ndarray of float64
-            Levels shown, of the same shape; NaN below b, which no level shown gives.
-        """
-        share = (np.asarray(levels_out, np.float64) - self.b) / self.a
-        return np.asarray(np.where(share >= 0, np.abs(share) ** (1.0 / self.g), np.nan))
-
-    def correct(self, levels: ArrayLike) -> Floats:
-        """Compute the levels to show so that the light rises from black to white in proportion to `levels`.
-
-        The light that can be reached is b … a + b, so `levels` are shares of that:
-        `invert(a level + b) = level^(1/g)`. Gain, black level and exposure cancel, black stays
-        black and white stays white.
-
-        Parameters
-        ----------
-        levels : array_like
-            Wanted light, in [0, 1].
-
-        Returns
-        -------
-        ndarray of float64
-            Levels to show, in [0, 1], of the same shape.
-        """
-        return np.asarray(np.asarray(levels, np.float64) ** (1.0 / self.g))
-
-    def check_correctable(self) -> None:
-        """Refuse an exponent whose inverse a projector cannot show.
-
-        Raises
-        ------
-        ValueError
-            g is outside of `CORRECTABLE`.
-        """
-        least, most = CORRECTABLE
-        if not least <= self.g <= most:
-            raise ValueError(
-                f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
-                "beyond which the projector has too few grey levels; change its own gamma setting"
-            )
 
 
 class ResponseLevel(Document):
@@ -141,7 +64,7 @@ class Region(Document):
 
 
 class Response(Curve):
-    """A fitted response `I_out = a I_in^g + b` with its uncertainty and the levels that it was fitted to."""
+    """A fitted response with its uncertainty and the levels that it was fitted to."""
 
     sigma: tuple[_Sigma, _Sigma, _Sigma]
     """Standard uncertainties of a, b and g."""
@@ -167,6 +90,9 @@ class Response(Curve):
     """Level seen with the projector off, and its standard uncertainty."""
     left_out: tuple[str, ...] = ()
     """Which levels and regions were not fitted, and why."""
+    prediction_errors: dict[str, float] | None = None
+    """RMS error, as a share of full scale, with which `power_law` and `spline` predict a level from the
+    others; the spline is chosen where chance does not explain that it is better."""
 
     @property
     def normalised(self) -> dict[str, float] | None:
@@ -237,7 +163,7 @@ class Response(Curve):
         return config.load_document(path, cls)
 
     def curve(self, source: Path | str) -> Curve:
-        """Give the power law alone, for correcting patterns.
+        """Give the curve alone, for correcting patterns.
 
         Parameters
         ----------
@@ -247,24 +173,24 @@ class Response(Curve):
         Returns
         -------
         Curve
-            a, b and g.
+            a, b, g and spline.
 
         Raises
         ------
         ConfigError
-            g cannot be inverted or is too uncertain.
+            It cannot be inverted, or g is too uncertain.
         """
         try:
             self.check_correctable()
         except ValueError as error:
             raise ConfigError(f"{source}: {error}") from error
-        if self.sigma[2] > MOST_SIGMA_G * self.g:
+        if not self.spline and self.sigma[2] > MOST_SIGMA_G * self.g:
             raise ConfigError(
                 f"{source}: 'g' is {self.g:.3g} with a standard uncertainty of {self.sigma[2]:.2g}: "
                 f"at most {100 * MOST_SIGMA_G:g} % to correct patterns with; measure it again with more "
                 "levels and light"
             )
-        return Curve(a=self.a, b=self.b, g=self.g)
+        return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
 
 def with_named_response(data: Any, source: Path) -> Any:
@@ -305,8 +231,12 @@ def fit_response(
     sigma_out: ArrayLike | None = None,
     saturation: float = 0.99,
     saturated: ArrayLike | None = None,
+    power_only: bool = False,
 ) -> Response:
     """Fit the response by nonlinear least squares, weighted by `1/sigma_out²` where given.
+
+    A monotone spline takes the place of the power law where it predicts levels that were left out better than
+    chance explains (`fpplab.patterns.response_spline`).
 
     With `sigma_out`, a misfit that it does not explain is added to every level as a further, equal variance,
     chosen so that chi² equals its degrees of freedom: levels known to a millionth must not bend the curve
@@ -324,6 +254,8 @@ def fit_response(
         Levels seen at or above it are left out, and named in `Response.left_out`.
     saturated : array_like of bool, (n,), optional
         Further levels to leave out, whose mean hides clipped pixels.
+    power_only : bool
+        Whether the power law is fitted alone.
 
     Returns
     -------
@@ -353,7 +285,7 @@ def fit_response(
         for i, o in zip(shown[~kept], seen[~kept], strict=True)
     )
     _fit_for_use(shown[kept], seen[kept], left_out)
-    return _fit(shown[kept], seen[kept], None if sigma is None else sigma[kept], left_out)
+    return _fit(shown[kept], seen[kept], None if sigma is None else sigma[kept], left_out, power_only)
 
 
 def _levels(name: str, values: ArrayLike) -> Floats:
@@ -378,7 +310,9 @@ def _fit_for_use(shown: Floats, seen: Floats, left_out: tuple[str, ...]) -> None
         )
 
 
-def _fit(shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str, ...]) -> Response:
+def _fit(
+    shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str, ...], power_only: bool
+) -> Response:
     misfit = 0.0 if sigma is None else _misfit(shown, seen, sigma)
     total = None if sigma is None else np.hypot(sigma, misfit)
     (a, b, g), covariance = _least_squares(shown, seen, total)
@@ -386,10 +320,10 @@ def _fit(shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str,
         raise CalibrationError(
             f"the levels do not follow a I^g + b: the best fit has a = {a:.3g} and g = {g:.3g}"
         )
-    rest = seen - _model(shown, a, b, g)
+    rest = seen - power_law(shown, a, b, g)
     spread = np.sqrt(np.diag(covariance))
     sigmas: list[float | None] = [None] * len(shown) if sigma is None else sigma.tolist()
-    return Response(
+    found = Response(
         a=a,
         b=b,
         g=g,
@@ -405,6 +339,42 @@ def _fit(shown: Floats, seen: Floats, sigma: Floats | None, left_out: tuple[str,
         ),
         left_out=left_out,
     )
+    if power_only or (bent := fit_spline(shown, seen, sigma)) is None:
+        return found
+    slopes = _slopes(shown, a, b, g) / (1.0 if total is None else total[:, None])
+    leverage = np.einsum("li,ij,lj->l", slopes, np.linalg.pinv(slopes.T @ slopes), slopes)
+    of_power = leave_one_out(rest, leverage)
+    errors = {
+        "power_law": float(np.sqrt(np.mean(of_power[1:-1] ** 2))),
+        "spline": float(np.sqrt(np.mean(bent.left_out[1:-1] ** 2))),
+    }
+    found = found.model_copy(update={"prediction_errors": errors})
+    return _bent(found, bent, sigma) if prefers_spline(of_power, bent.left_out, sigma) else found
+
+
+def _bent(power: Response, bent: SplineFit, sigma: Floats | None) -> Response:
+    """Replace the power law by a spline; the exponent stays, for information."""
+    excess = float(np.sum(bent.residual**2)) / bent.freedom
+    if sigma is not None:
+        excess -= float(np.mean(sigma**2))
+    covariance = np.diag([*np.square(bent.sigma), power.sigma[2] ** 2])
+    measured = tuple(
+        level.model_copy(update={"residual": rest})
+        for level, rest in zip(power.measured, bent.residual.tolist(), strict=True)
+    )
+    return power.model_copy(
+        update={
+            "a": bent.a,
+            "b": bent.b,
+            "spline": bent.coefficients,
+            "sigma": (*bent.sigma, power.sigma[2]),
+            "covariance": _vectors(covariance),
+            "residual": float(np.sqrt(np.mean(bent.residual**2))),
+            "residual_sum": float(np.sum(bent.residual**2)),
+            "misfit": None if sigma is None else float(np.sqrt(max(excess, 0.0))),
+            "measured": measured,
+        }
+    )
 
 
 def _misfit(shown: Floats, seen: Floats, sigma: Floats) -> float:
@@ -414,7 +384,7 @@ def _misfit(shown: Floats, seen: Floats, sigma: Floats) -> float:
     def excess(further: float) -> float:
         total = np.hypot(sigma, further)
         best, _ = _least_squares(shown, seen, total)
-        return float(np.sum(((seen - _model(shown, *best)) / total) ** 2)) - (len(shown) - 3)
+        return float(np.sum(((seen - power_law(shown, *best)) / total) ** 2)) - (len(shown) - 3)
 
     # With the whole range as deviation chi² is less than its degrees of freedom, whatever was seen.
     return float(brentq(excess, 0.0, 1.0, xtol=1e-9)) if excess(0.0) > 0 else 0.0
@@ -427,7 +397,7 @@ def _least_squares(shown: Floats, seen: Floats, sigma: Floats | None) -> tuple[L
     start = min((_linear(shown, seen, weight, g) for g in np.geomspace(0.2, 6.0, 35)), key=lambda s: s[1])[0]
     try:
         best, covariance = curve_fit(
-            _model, shown, seen, p0=start, sigma=sigma, absolute_sigma=sigma is not None, jac=_slopes
+            power_law, shown, seen, p0=start, sigma=sigma, absolute_sigma=sigma is not None, jac=_slopes
         )
     except RuntimeError as error:
         raise CalibrationError(f"the response could not be fitted: {error}") from error
@@ -444,10 +414,6 @@ def _linear(shown: Floats, seen: Floats, weight: Floats, g: float) -> tuple[LawP
     basis = np.stack([shown**g, np.ones_like(shown)], axis=1) * weight[:, None]
     (a, b), *_ = np.linalg.lstsq(basis, seen * weight, rcond=None)
     return (float(a), float(b), g), float(np.sum((seen * weight - basis @ (a, b)) ** 2))
-
-
-def _model(shown: Floats, a: float, b: float, g: float) -> Floats:
-    return np.asarray(a * shown**g + b)
 
 
 def _slopes(shown: Floats, a: float, _b: float, g: float) -> Floats:

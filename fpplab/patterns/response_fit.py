@@ -230,14 +230,14 @@ def _name(index: int) -> str:
     return f"region {index // GRID + 1}, {index % GRID + 1} (row, column) of {GRID} x {GRID}"
 
 
-def _fit(greys: GreyLevelImages, regions: Mask) -> Response:
+def _fit(greys: GreyLevelImages, regions: Mask, power_only: bool = False) -> Response:
     seen, sigma, clipped = levels_of(greys, regions)
-    return fit_response(greys.shown, seen, sigma, saturated=clipped)
+    return fit_response(greys.shown, seen, sigma, saturated=clipped, power_only=power_only)
 
 
 def _region(greys: GreyLevelImages, index: int) -> Region:
     alone = np.arange(GRID**2) == index
-    fitted = _fit(greys, alone)
+    fitted = _fit(greys, alone, power_only=True)
     return Region(
         row=index // GRID,
         column=index % GRID,

@@ -24,7 +24,7 @@ import numpy as np
 
 from fpplab.core.conventions import Floats
 from fpplab.patterns.fringe_sets import FringeSet
-from fpplab.patterns.phase_error import harmonics, phase_error
+from fpplab.patterns.phase_error import harmonic_phase_error, harmonics
 
 HARMONICS = (2, 3, 4, 5)
 """Harmonics of the response that are looked for."""
@@ -39,6 +39,7 @@ _OUTLIER = 9.0
 _FEWEST_STRIPES = 4.0
 _SIGNIFICANT = -math.log(0.001)
 _PASSES = 2
+_HIGHEST = 64
 _PIXELS = 2000
 
 
@@ -392,7 +393,7 @@ def noise_power(group: Group, found: Found) -> tuple[Floats, int]:
 
 
 def errors_of_sets(
-    groups: Sequence[Group], found: Sequence[Found], fringes: Sequence[FringeSet], exponent: float | None
+    groups: Sequence[Group], found: Sequence[Found], fringes: Sequence[FringeSet], known: Floats | None
 ) -> list[CommonErrors]:
     """Tell the common errors of every set, also of those whose own images do not show them.
 
@@ -404,8 +405,8 @@ def errors_of_sets(
         What was fitted.
     fringes : sequence of FringeSet
         All sets.
-    exponent : float, optional
-        Exponent g between the light wanted and seen, where it has been measured.
+    known : ndarray of float64, (K,), optional
+        Harmonics that a measured response causes, relative to the fringe.
 
     Returns
     -------
@@ -422,8 +423,8 @@ def errors_of_sets(
     scatter = np.mean(powers) if powers else np.nan
     result = []
     for k, fringe in enumerate(fringes):
-        g = exponent if exponent is not None else bent[k][0] if k in bent else typical
-        shares, rad = _response_errors(g, fringe.images)
+        relative = known if known is not None else _power_law_harmonics(bent[k][0] if k in bent else typical)
+        shares, rad = relative[list(HARMONICS)], harmonic_phase_error(relative, fringe.images)
         unseen = float(np.sqrt(scatter * fringe.images))
         first, second = sums.get(k, (unseen, unseen))
         result.append(CommonErrors(shares, rad, first, second, fringe.images))
@@ -450,11 +451,12 @@ def _gain_sums(
         yield k, (float(first), float(second))
 
 
-def _response_errors(g: float, images: int) -> tuple[Floats, float]:
+def _power_law_harmonics(g: float) -> Floats:
+    """Harmonics relative to the fringe; NaN where g is."""
     if np.isnan(g):
-        return np.full(len(HARMONICS), np.nan), np.nan
-    amplitudes = harmonics(g, HARMONICS[-1])
-    return amplitudes[list(HARMONICS)] / amplitudes[1], phase_error(g, images)
+        return np.full(_HIGHEST + 1, np.nan)
+    amplitudes = harmonics(g, _HIGHEST)
+    return np.asarray(amplitudes / amplitudes[1])
 
 
 def _exponent(group: Group, found: Found) -> tuple[float, float]:

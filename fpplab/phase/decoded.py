@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.archives import check_npz
+from fpplab.core.archives import load_arrays
 from fpplab.core.conventions import Axis, Map, Mask
 from fpplab.core.errors import DataError
 from fpplab.core.files import write_large
@@ -147,23 +147,26 @@ class Decoded:
             The file is missing, damaged or of another kind.
         """
         try:
-            # Opened here, because on a damaged file NumPy forgets to close it.
-            check_npz(Path(path))
-            with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-                maps = {name: archive[name] for name in _KEYS}
-                v_per_u = float(archive["v_per_u"])
-                optional = {name: archive[name] for name in _OPTIONAL if name in archive}
+            found = load_arrays(Path(path), (*_KEYS, "v_per_u", *_OPTIONAL))
+            maps: dict[str, Any] = {name: found[name] for name in _KEYS}
+            v_per_u = float(found["v_per_u"])
+            optional: dict[str, Any] = {name: found[name] for name in _OPTIONAL if name in found}
         except FileNotFoundError:
             raise DataError(f"{path}: there is no such file; decode a session into it first") from None
         except KeyError as error:
-            raise DataError(f"{path}: is no decoded measurement, {error.args[0]}") from error
-        except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+            raise DataError(f"{path}: is no decoded measurement, it has no '{error.args[0]}'") from error
+        except (OSError, ValueError, TypeError) as error:
             raise DataError(
                 f"{path}: is damaged or no NPZ file ({error}); decode the session again"
             ) from error
         kinds = {(m.shape, m.dtype.name, m.ndim) for m in maps.values()}
         if len(kinds) != 1 or next(iter(kinds))[1:] != ("float32", 2):
             raise DataError(f"{path}: its maps must be float32 images of one size; decode the session again")
+        for name, values in optional.items():
+            if values.shape != maps["u"].shape:
+                raise DataError(
+                    f"{path}: '{name}' is of another size than the maps; decode the session again"
+                )
         return cls(**maps, v_per_u=v_per_u, **optional)
 
 

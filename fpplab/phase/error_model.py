@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpplab.core.conventions import Image, Mask, full_scale, raw_per_grey
+from fpplab.core.conventions import Floats, Image, Mask, full_scale, raw_per_grey
 from fpplab.patterns.fringe_sets import FringeSet
 from fpplab.patterns.recording import Recording
 from fpplab.phase.common_errors import (
@@ -74,7 +74,7 @@ def error_model_of(recording: Recording) -> ErrorModel:
     """
     plan = recording.plan
     return fit_errors(
-        _sample(recording), plan.fringes, recording.bits, plan.masks.modulation_min, recording.exponent
+        _sample(recording), plan.fringes, recording.bits, plan.masks.modulation_min, recording.harmonics
     )
 
 
@@ -92,7 +92,7 @@ def fit_errors(
     fringes: Sequence[FringeSet],
     bits: int,
     modulation_min: float = 0.0,
-    exponent: float | None = None,
+    known: Floats | None = None,
 ) -> ErrorModel:
     """Estimate noise by photon transfer, beyond harmonics and flicker; robust against scene and motion.
 
@@ -110,8 +110,8 @@ def fit_errors(
         Depth of the values.
     modulation_min : float
         Least modulation in 8-bit grey levels of pixels that are used.
-    exponent : float, optional
-        Exponent of the response, where it has been measured.
+    known : ndarray of float64, (K,), optional
+        Harmonics that a measured response causes, relative to the fringe.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def fit_errors(
     noise = _noise(groups, found, step * grey)
     if not groups:
         noise = _noise_beside_saturation(samples, fringes, saturation, grey, step) or noise
-    return ErrorModel(noise, tuple(errors_of_sets(groups, found, fringes, exponent)), saturation)
+    return ErrorModel(noise, tuple(errors_of_sets(groups, found, fringes, known)), saturation)
 
 
 def _usable(samples: Sequence[Image], saturation: int) -> Mask:

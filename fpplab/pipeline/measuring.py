@@ -26,6 +26,7 @@ from fpplab.reconstruction.depth_range import DepthRange, depth_bounds
 from fpplab.reconstruction.points import points_of
 from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
 from fpplab.sessions.lock import only_writer
+from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.session import Session
 
 
@@ -194,6 +195,7 @@ def finish_scan(
         only_writer(session.path),
         ThreadPoolExecutor(1) as writer,
     ):  # the disk has time until the cloud is known
+        begin_session_log(session.path)
         saved: list[Future[None]] = []
 
         def save(maps: Decoded) -> None:

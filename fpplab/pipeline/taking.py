@@ -12,6 +12,7 @@ from fpplab.devices import Frame
 from fpplab.devices.rig import Mounted, Rig
 from fpplab.patterns.plan import Plan
 from fpplab.sessions.lock import only_writer
+from fpplab.sessions.log import begin_session_log
 from fpplab.sessions.origin import record_origin
 from fpplab.sessions.session import Session, need_space_for_frames
 
@@ -73,6 +74,7 @@ def take(
     with only_writer(out):
         check_space(rig, plan, [out], force)
         session = Session.resume(out, plan, rig.described(mount), force, complete_too)
+        begin_session_log(out)
         record_origin(out, rig, next_frame_of(rig))
         number_frames(rig, session)
         if plan.stage_mm is not None and session.missing():

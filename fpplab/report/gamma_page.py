@@ -52,10 +52,14 @@ def write_gamma_report(
         "Good enough for the plan" if judgement.good_enough else "Not good enough for the plan",
         judgement.sentence,
     )
-    rows = tuple((steps, f"{1e3 * error:.3g}") for steps, error in judgement.by_steps.items())
+    tables = (judgement.by_steps, judgement.corrected_by_steps, judgement.rounding_by_steps)
+    rows = tuple((steps, *(f"{1e3 * one[steps]:.3g}" for one in tables)) for steps in judgement.by_steps)
     section = response_section(response, levels)
-    caption = "RMS error of the phase by the harmonics of this response, without correction of the patterns."
-    table = ReportTable(("Steps", "Phase error in mrad"), rows, caption)
+    caption = (
+        "RMS error of the phase in mrad by the harmonics of this response and the rounding of patterns to "
+        "256 grey levels, which is the floor of what a correction reaches."
+    )
+    table = ReportTable(("Steps", "As they are", "Corrected", "Rounding alone"), rows, caption)
     sections = [replace(section, tables=(*section.tables, table))]
     basis = PageBasis((verdict,), {"response": provenance}, answer)
     write_page(path, f"Response {path.stem}", [], sections, basis=basis)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fpplab.matching.artefacts import ArtefactComparison
 from fpplab.matching.gamma import GammaMatch
 from fpplab.matching.match import EXPLAINS
-from fpplab.matching.record import MatchingEpoch
+from fpplab.matching.record import PLAIN, MatchingEpoch
 from fpplab.matching.reference import Reference
 from fpplab.matching.run import MatchingResult
 from fpplab.report.drawing import (
@@ -309,20 +309,26 @@ def difference_images(real: GreyPicture, before: GreyPicture, after: GreyPicture
 
 
 def _parameters_section(found: MatchingResult) -> ReportSection:
-    names = [n for n in vars(found.matched.parameters) if n not in ("calibration", "poses", "response")]
     before, after = found.nominal, found.matched.parameters
 
     def word(value: float | None) -> str:
         return "sharp at all depths" if value is None else f"{value:.4g}"
 
-    rows = [(n, word(getattr(before, n)), word(getattr(after, n))) for n in names]
+    def sigma(name: str) -> str:
+        return f"{after.sigma[name]:.2g}" if name in after.sigma else ""
+
+    rows = [(n, word(getattr(before, n)), word(getattr(after, n)), sigma(n)) for n in PLAIN]
     rows += [
-        (f"response {k}", word(getattr(before.response, k)), word(getattr(after.response, k))) for k in "abg"
+        (f"response {k}", word(getattr(before.response, k)), word(getattr(after.response, k)), sigma(k))
+        for k in "abg"
     ]
-    rows.append(
-        ("baseline in mm", f"{before.calibration.baseline_mm:.3f}", f"{after.calibration.baseline_mm:.3f}")
-    )
-    return ReportSection("Parameters", tables=(ReportTable(("Parameter", "Before", "Matched"), tuple(rows)),))
+    baselines = [f"{one.calibration.baseline_mm:.3f}" for one in (before, after)]
+    rows.append(("baseline in mm", baselines[0], baselines[1], ""))
+    if "poses_um" in after.sigma:
+        rows.append(("poses of the board in µm", "", "", sigma("poses_um")))
+    columns = ("Parameter", "Before", "Matched", "Standard uncertainty")
+    notes = "; ".join(found.notes)
+    return ReportSection("Parameters", notes, (ReportTable(columns, tuple(rows)),))
 
 
 def _artefact_section(one: ArtefactComparison) -> ReportSection:

@@ -34,6 +34,8 @@ from fpplab.report.scan_section import ScanSection, scan_tables, section_of
 
 IN_THE_HEAD = ("rig", "item", "plan", "taken", "calibration", "calibration_age")
 """Of a page's one provenance, what its head says too."""
+GENERATOR, LONGEST_HEAD = b'<meta name="generator" content="fpplab">', 1024
+"""By what a page is known as ours, and within how many bytes."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,27 @@ def write_page(
         version=__version__,
     )
     write_text(path, page)
+
+
+def is_report(path: Path) -> bool:
+    """Tell whether a file is a page that this module wrote.
+
+    Commands write their page before their result, so a page alone is of a run that was ended between.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not exist.
+
+    Returns
+    -------
+    bool
+        Whether it is one.
+    """
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return GENERATOR in stream.read(LONGEST_HEAD)
 
 
 def _environment() -> Environment:

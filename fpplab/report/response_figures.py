@@ -18,7 +18,7 @@ from fpplab.report.drawing import ACCENT, ALARM, FULL, SECOND, as_png, new_figur
 
 
 class ResponseLike(Protocol):
-    """A response `out = a in^g + b`, both in [0, 1]."""
+    """A response `out = a S(in) + b`, both in [0, 1]."""
 
     @property
     def a(self) -> float:
@@ -33,6 +33,26 @@ class ResponseLike(Protocol):
     @property
     def g(self) -> float:
         """Exponent."""
+        ...
+
+    @property
+    def spline(self) -> tuple[float, ...]:
+        """Coefficients of S; none for a power law."""
+        ...
+
+    def apply(self, levels_in: Floats) -> Floats:
+        """Compute the levels seen for levels shown.
+
+        Parameters
+        ----------
+        levels_in : Floats
+            Levels shown, in [0, 1].
+
+        Returns
+        -------
+        Floats
+            Levels seen, as shares of full scale, of the same shape.
+        """
         ...
 
 
@@ -57,7 +77,7 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
     figure, (left, right) = side_by_side(3.2, (1.3, 1.0))
     left.plot(
         axis,
-        response.a * axis**response.g + response.b,
+        response.apply(axis),
         color=SECOND,
         linewidth=1.5,
         label=_formula(response),
@@ -70,7 +90,7 @@ def response_curve(response: ResponseLike, levels: Floats) -> Figure:
         ylim=(min(0.0, float(seen.min())), None),
     )
     left.legend(loc="upper left")
-    rest = 255 * (seen - (response.a * shown**response.g + response.b))
+    rest = 255 * (seen - response.apply(shown))
     right.axhline(0, color=SECOND, linewidth=1.2)
     right.vlines(shown, 0, rest, color=ACCENT, linewidth=1.0)
     right.plot(shown, rest, "o", color=ACCENT, markersize=4)
@@ -194,4 +214,6 @@ def marker_levels(shown: NDArray[np.integer[Any]], seen: Mapping[str, Floats]) -
 
 def _formula(response: ResponseLike) -> str:
     sign = "+" if response.b >= 0 else "−"
+    if response.spline:
+        return f"{response.a:.3f} · S(level) {sign} {abs(response.b):.3f}"
     return rf"{response.a:.3f} · level$^{{{response.g:.3f}}}$ {sign} {abs(response.b):.3f}"

@@ -27,6 +27,17 @@ def response_section(response: Response, levels: Floats) -> ReportSection:
     row = (str(response.levels), *(f"{v:.4f} ± {s:.4f}" for v, s in values), f"{255 * response.residual:.2f}")
     columns = ("Levels fitted", "a", "b", "g", "Residual RMS in grey levels of 255")
     text = "Level seen = a · (level shown)ᵍ + b, levels as shares of full scale."
+    if response.spline:
+        text = (
+            "Level seen = a · S(level shown) + b, levels as shares of full scale. S is a monotone spline "
+            f"with {len(response.spline)} coefficients, since no power law predicts the levels as well; "
+            "g is the exponent of the best power law."
+        )
+    if errors := response.prediction_errors:
+        text += (
+            f" A level is predicted from the others to {255 * errors['power_law']:.2f} grey levels of 255 by "
+            f"the power law, and to {255 * errors['spline']:.2f} by a spline."
+        )
     return ReportSection(
         "Response",
         text,

@@ -23,6 +23,7 @@ from fpplab.core.files import (
 )
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG, SESSION_FILES
 from fpplab.patterns.plan import Plan
+from fpplab.sessions.format import write_format
 from fpplab.sessions.journal import format_words
 from fpplab.sessions.rig_record import RigRecord
 
@@ -44,9 +45,10 @@ def furnish(path: Path, plan: Plan, rig: RigRecord) -> None:
     DataError
         The disk is full.
     """
-    write_recorded(path / PLAN, config.dump(plan))
+    write_recorded(path / PLAN, config.dump(plan), keep=True)
     if rig is not None:
-        write_recorded(path / RIG, config.to_yaml(rig))
+        write_recorded(path / RIG, config.to_yaml(rig), keep=True)
+    write_format(path)
     write_text(path / JOURNAL, "")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,12 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from fpplab.core.archives import check_archive
+from fpplab.core.archives import array_head, check_archive
 from fpplab.core.conventions import Image
 from fpplab.core.errors import DataError, FppError
 from fpplab.core.files import open_regular
 
 NPY, ZIP = b"\x93NUMPY", b"PK"
+FORMATS = ("PNG", "TIFF", "JPEG", "MPO", "BMP", "PPM")
+"""Formats of pictures by Pillow's names: what programs of cameras write, and readers that are used much.
+
+Pillow refuses, before it asks for memory, a picture of more than 179 million pixels.
+"""
 LOSSY = ("JPEG", "MPO", "jpeg", "tiff_jpeg")
 """File formats, and compressions of TIFF files, that change grey levels."""
 GREY_MODES = {"L": 8, "I;16": 16, "I;16B": 16, "I;16L": 16}
@@ -95,7 +101,7 @@ class ImageFile(Protocol):
 
 @contextmanager
 def open_image_file(path: Path) -> Iterator[ImageFile]:
-    """Open a file of grey images: PNG, TIFF of any number of pages, JPEG and others, NPY, NPZ of one array.
+    """Open a file of grey images: PNG, TIFF of any number of pages, JPEG, BMP, PGM, NPY, NPZ of one array.
 
     What the file is is told by its first bytes, not by its name.
 
@@ -127,12 +133,20 @@ def open_image_file(path: Path) -> Iterator[ImageFile]:
                         yield _Array(path, inside, member.file_size)
             else:
                 stream.seek(0)
-                with Pillow.open(stream) as picture:
+                with _opened(stream) as picture:
                     yield _Picture(path, picture)
     except FppError:
         raise
     except Exception as error:
         raise DataError(f"{path}: is truncated or no image ({error})") from error
+
+
+def _opened(stream: IO[bytes]) -> Pillow.Image:
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", Pillow.DecompressionBombWarning
+        )  # there are cameras of 150 megapixels
+        return Pillow.open(stream, formats=FORMATS)
 
 
 def places_in(path: Path) -> list[ImagePlace]:
@@ -259,14 +273,10 @@ def _only_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
 def _array_head(path: Path, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape (…, height, width) and type of an array that is one of grey images, from its first bytes."""
     stream.seek(0)
-    readers = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
-    version: tuple[int, int] = np.lib.format.read_magic(stream)  # type: ignore[no-untyped-call]
-    if version not in readers:
-        raise DataError(f"{path}: is an array in NumPy's format {version}; save it anew")
-    shape, fortran, dtype = readers[version](stream)  # type: ignore[no-untyped-call]
+    try:
+        shape, fortran, dtype = array_head(stream)
+    except ValueError as error:
+        raise DataError(f"{path}: is truncated or no array of images ({error})") from error
     if dtype.kind != "u" or dtype.itemsize > 2:
         raise DataError(f"{path}: is an array of {dtype}; grey levels are uint8 or uint16")
     if len(shape) not in (2, 3, 4) or 0 in shape:

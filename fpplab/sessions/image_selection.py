@@ -154,6 +154,11 @@ class ImageSelection:
         """Files by a list, relative to the folder that is named, or else to the list's own."""
         folder = self._folder() if self.places else path.parent
         names = [line.strip() for line in read_text(path).splitlines()]
+        for name in names:
+            if Path(name).is_absolute() or ".." in Path(name).parts:
+                raise DataError(
+                    f"{path}: names '{name}', which is not below {folder}; name that folder instead"
+                )
         files = [folder / name for name in names if name]
         if not files:
             raise DataError(f"{path}: names no image")

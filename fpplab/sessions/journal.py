@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -191,18 +192,65 @@ def read_journal(path: Path, plan: Plan) -> dict[int, FrameRecord]:
     ids = pattern_ids(plan)
     records: dict[int, FrameRecord] = {}
     for number, line in enumerate(whole_lines(path / JOURNAL), 1):
-        where = f"{path / JOURNAL} line {number}"
-        try:
-            record = FrameRecord.model_validate_json(line)
-        except ValidationError as error:
-            raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
-        check_frame_place(record.index, record.pattern, ids, records, where)
-        if record.file != frame_file(record.index, record.pattern):
-            raise DataError(
-                f"{where}: frame {record.index} names the file '{record.file}', which is not its own"
-            )
+        record = _record_of(line, f"{path / JOURNAL} line {number}", ids, records)
         records[record.index] = record
     return records
+
+
+@dataclass(frozen=True)
+class JournalLines:
+    """A journal, line by line.
+
+    Attributes
+    ----------
+    records : dict of int to FrameRecord
+        Of the lines that are whole, by index of the image in the plan.
+    faults : tuple of str
+        What is wrong with the others.
+    """
+
+    records: dict[int, FrameRecord]
+    faults: tuple[str, ...]
+
+
+def readable_lines(path: Path, plan: Plan | None) -> JournalLines:
+    """Read the lines of a journal that are whole, and name the others.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    plan : Plan or None
+        What was projected; None where that is lost.
+
+    Returns
+    -------
+    JournalLines
+        Both.
+    """
+    ids = None if plan is None else pattern_ids(plan)
+    records: dict[int, FrameRecord] = {}
+    faults = []
+    for number, line in enumerate(whole_lines(path / JOURNAL), 1):
+        try:
+            record = _record_of(line, f"{path / JOURNAL} line {number}", ids, records)
+            records[record.index] = record
+        except DataError as error:
+            faults.append(str(error))
+    return JournalLines(records, tuple(faults))
+
+
+def _record_of(line: bytes, where: str, ids: list[str] | None, taken: Container[int]) -> FrameRecord:
+    """The record that a line holds; raises `DataError`."""
+    try:
+        record = FrameRecord.model_validate_json(line)
+    except ValidationError as error:
+        raise DataError(f"{where}: is not a frame's record ({config.describe(error)})") from error
+    if ids is not None:
+        check_frame_place(record.index, record.pattern, ids, taken, where)
+    if record.file != frame_file(record.index, record.pattern):
+        raise DataError(f"{where}: frame {record.index} names the file '{record.file}', which is not its own")
+    return record
 
 
 def check_whole(path: Path, plan: Plan, records: Sequence[FrameRecord]) -> None:

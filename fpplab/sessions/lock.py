@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from fpplab.core.errors import DataError
 from fpplab.core.files import writing
 from fpplab.core.lock import lock_owner, locked_file
+from fpplab.sessions.log import end_session_log
 
 _held: dict[Path, int] = {}
 """How many parts of this process hold each lock: a scan holds it while it acquires, and then reconstructs."""
@@ -55,6 +57,7 @@ def only_writer(path: Path) -> Iterator[None]:
                 raise DataError(f"{path}: {found}; wait until that is done, or name another output")
         _held[place] = 1
         stack.callback(_held.pop, place)
+        stack.push(partial(end_session_log, place))
         yield
 
 

@@ -8,8 +8,8 @@ from typing import Any
 from fpplab.core import config
 from fpplab.core.conventions import Lattice
 from fpplab.core.errors import DataError
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
 
 RigRecord = dict[str, Any] | None
 """A rig as `Rig.described` gives it, or None for images from elsewhere."""

@@ -1,9 +1,11 @@
 """A session: one measurement as a directory, readable after a crash at any moment.
 
+    session.yaml    in which version of this format it is
     plan.yaml       what was projected
     rig.yaml        what with, as resolved (absent for imported images)
     files.jsonl     checksums of the files beside it that decide what the frames mean
     journal.jsonl   one line per frame that is safely on disk, with its checksum
+    log.jsonl       what was done with it, when, and by which program
     frames/         one uncompressed TIFF per frame, memory-mappable
     decoded.npz, cloud.ply, calibration.yaml ...   results, beside them
 
@@ -29,9 +31,9 @@ from fpplab.core.files import append_line, make_directory, refuse_existing
 from fpplab.core.progress import Progress, no_progress
 from fpplab.core.session_names import FRAMES, JOURNAL, PLAN, RIG
 from fpplab.devices import Frame
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.patterns.response import Curve
 from fpplab.sessions.folder import (
     furnish,
     need_space_for_frames,
@@ -41,6 +43,7 @@ from fpplab.sessions.folder import (
     sweep_drafts,
     tidy,
 )
+from fpplab.sessions.format import check_format, upgrade_format
 from fpplab.sessions.frame_files import read_frame, tiff_head, write_frame
 from fpplab.sessions.journal import (
     FrameRecord,
@@ -189,6 +192,7 @@ class Session:
         path = Path(path)
         if not (path / PLAN).is_file() or not (path / JOURNAL).is_file():
             raise DataError(f"{path}: is not a session (it has no {PLAN} and {JOURNAL})")
+        check_format(path)
         plan = config.load_document(path / PLAN, Plan)
         records = read_journal(path, plan)
         _log.info("session %s opened: %d of %d frames", path, len(records), plan.images)
@@ -241,6 +245,7 @@ class Session:
         if not session.missing() and not complete_too:
             refuse_existing(path, force)
         tidy(path)
+        upgrade_format(path)
         return session
 
     def rig(self) -> RigRecord:

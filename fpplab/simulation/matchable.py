@@ -5,8 +5,8 @@ A rig's simulation that has a twin is `Matchable`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -18,8 +18,8 @@ from fpplab.calibration.model import Calibration
 from fpplab.core.conventions import Image, PixelIndices
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern
-from fpplab.patterns.response import Curve
 from fpplab.targets import Target
 
 ExpectedLevels = NDArray[np.float32]
@@ -64,6 +64,11 @@ class TwinParameters:
         Electrons of the unbinned pixel.
     vibration_mm : float
         Standard deviation of the item's position from frame to frame.
+    placed : mapping of str to RigidTransform
+        `T_camera_item` of other items that were measured on the bench, by name; the others stand where the
+        twin's own file says.
+    sigma : mapping of str to float
+        Standard uncertainties that a fit stated, by name of the parameter, in its unit.
     """
 
     calibration: Calibration
@@ -83,6 +88,8 @@ class TwinParameters:
     read_noise_e: float
     full_well_e: float
     vibration_mm: float
+    placed: Mapping[str, RigidTransform] = field(default_factory=dict)
+    sigma: Mapping[str, float] = field(default_factory=dict)
 
     def with_pose(self, index: int, pose: RigidTransform) -> TwinParameters:
         """Replace one of the poses.
@@ -121,6 +128,19 @@ class Twin(Protocol):
     @property
     def target(self) -> Target:
         """The board, as it is printed."""
+
+    @property
+    def next_frame(self) -> int:
+        """Number of the next frame, counted since the twin was made; noise and vibration follow from it."""
+
+    def count_frames_from(self, number: int) -> None:
+        """Give the next frame this number: a matching that goes on has the noise that it would have had.
+
+        Parameters
+        ----------
+        number : int
+            Not negative.
+        """
 
     def become(self, parameters: TwinParameters) -> None:
         """Set the parameters; what does not depend on the change is kept.
@@ -274,7 +294,28 @@ class Twin(Protocol):
             The world has no such item, or it is flat.
         """
 
-    def save(self, folder: Path) -> Path:
+    def pose_of(self, item: str) -> RigidTransform:
+        """Tell where an item of the world stands.
+
+        Called with a grey card before any work, and to find how far it stands from there.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item in the world.
+
+        Returns
+        -------
+        RigidTransform
+            `T_camera_item` in mm.
+
+        Raises
+        ------
+        ConfigError
+            The world has no such item.
+        """
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         """Write `rig.yaml`, `world.yaml` and `calibration.yaml` with the present parameters.
 
         Called once, with the matched parameters. Afterwards every command accepts the rig file.
@@ -283,6 +324,8 @@ class Twin(Protocol):
         ----------
         folder : Path
             Created where it is missing.
+        notes : sequence of str
+            For the rig file: what every command that opens it tells.
 
         Returns
         -------

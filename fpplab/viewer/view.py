@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from fpplab.viewer.canvas import Canvas
 
-RECORDING = "view.rrd"
-"""Name of the recording in a folder of results."""
-
 
 class CommandView:
     """What one command shows; its methods draw on the canvas.

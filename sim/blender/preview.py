@@ -21,7 +21,7 @@ from .camera import aim, compile_shader
 VIEWING_SAMPLES = 16
 """Light paths for each pixel of the rendered view."""
 
-CameraPicture = NDArray[np.float32]
+PreviewPixels = NDArray[np.float32]
 """Pictures (height, width)."""
 
 
@@ -50,7 +50,7 @@ def show_preview(stage: Any, preview: Preview) -> None:
     stage.unit_settings.length_unit = "MILLIMETERS"
 
 
-def take_picture(stage: Any, preview: Preview) -> CameraPicture:
+def take_picture(stage: Any, preview: Preview) -> PreviewPixels:
     """Render what the twin's camera sees on average, without noise, through the twin's own sub-pixels.
 
     Parameters
@@ -62,7 +62,7 @@ def take_picture(stage: Any, preview: Preview) -> CameraPicture:
 
     Returns
     -------
-    CameraPicture
+    PreviewPixels
         Mean grey levels (height, width), 0 to full scale.
     """
     wanted = preview.render
@@ -120,7 +120,7 @@ def _changed(stage: Any) -> list[tuple[Any, str]]:
     ]
 
 
-def _red(path: str) -> CameraPicture:
+def _red(path: str) -> PreviewPixels:
     """The first channel of a picture, row 0 on top."""
     image = bpy.data.images.load(path)
     try:

@@ -185,7 +185,7 @@ class Light:
     ) -> PatternLevels:
         """Compute what `irradiance` gives at some pixels only, under several patterns.
 
-        Where light is computed it is traced for these pixels alone.
+        Where light is computed it is traced for these pixels alone; a rendered table is looked up at them.
 
         Parameters
         ----------
@@ -201,16 +201,24 @@ class Light:
         PatternLevels
             (n, P), 1 for white.
         """
-        if self._world.path != "transport" or not self.computes(setup):
+        if self._world.path != "transport":
             return np.stack([self.irradiance(setup, Show(patterns, n))[pixels] for n in range(len(patterns))])
-        _, scene, _ = self._built(setup)
-        views = self._views(setup)
-        table = self._tables.get(
-            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
+        table = self._table_at(setup, pixels)
+        parts = (patterns[n : n + BATCH_PATTERNS] for n in range(0, len(patterns), BATCH_PATTERNS))
+        seen: PatternLevels = np.concatenate(
+            [self._seen(setup, table, [self._level(one) for one in part])[:, 0] for part in parts]
         )
-        seen = self._seen(setup, table, [self._level(pattern) for pattern in patterns])[:, 0]
         seen += np.float32(self._world.ambient) * table.albedo[0]
         return seen if self._falloff is None else seen * self._falloff[pixels]
+
+    def _table_at(self, setup: Setup, pixels: PixelIndices) -> LightTable:
+        if not self.computes(setup):
+            return self.table(setup).at(pixels)
+        _, scene, _ = self._built(setup)
+        views = self._views(setup)
+        return self._tables.get(
+            digest(scene, views, pixels), lambda: computed(scene, views, spots=True, pixels=pixels)
+        )
 
     def computes(self, setup: Setup) -> bool:
         """Tell whether the item's light is computed, without a render.
@@ -353,7 +361,8 @@ class Light:
         if self._loaded is None or self._loaded[0] is not patterns:
             response = self._world.projector.response
             depth = min(p.bit_depth for p in patterns)
-            rounding = response.a * max(response.g, 1.0) / (np.sqrt(12) * full_scale(depth))
+            steepest = 255.0 * float(np.diff(response.curve().shape(np.arange(256) / 255)).max())
+            rounding = response.a * max(steepest, 1.0) / (np.sqrt(12) * full_scale(depth))
             self._loaded = (
                 patterns,
                 MirrorStates(len(patterns), lambda n: self._level(patterns[n]), rounding),
@@ -361,8 +370,7 @@ class Light:
         return self._loaded[1]
 
     def _level(self, pattern: Pattern) -> PatternLevels:
-        response = self._world.projector.response
-        table = response.a * np.linspace(0, 1, 256) ** response.g + response.b
+        table = self._world.projector.response.curve().apply(np.linspace(0, 1, 256))
         return table.astype(np.float32)[pattern.image]
 
     def _levels_of_planes(self, pattern: Pattern) -> MirrorStates:

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fpplab.core.conventions import Floats
+from fpplab.core.conventions import Floats, PixelIndices
 from fpplab.core.geometry import RigidTransform, distort
 from sim.light.look_up import WINDOW, interpolated_light, sharp_light
 from sim.scene import ALBEDO, DIRECT, RenderScene, X, Y, Z
@@ -90,6 +90,26 @@ class LightTable:
         for view in rendered:
             albedo += view[..., ALBEDO]
         return cls(samples, albedo / np.float32(views), (left, top))
+
+    def at(self, pixels: PixelIndices) -> LightTable:
+        """Take some pixels alone.
+
+        Parameters
+        ----------
+        pixels : PixelIndices
+            Rows and columns of P pixels of the whole image.
+
+        Returns
+        -------
+        LightTable
+            Of one row of P pixels.
+        """
+        (left, top), (height, width) = self.corner, self.samples.shape[1:3]
+        row, column = pixels[0] - top, pixels[1] - left
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        samples = np.zeros((len(self.samples), 1, len(row), 4), np.float32)
+        samples[:, 0, inside] = self.samples[:, row[inside], column[inside]]
+        return LightTable(samples, self.albedo[pixels][None])
 
     def part(self, shape: tuple[int, int]) -> Part:
         """Find the region of a texture that the samples need, interpolation included.

@@ -10,13 +10,17 @@ from fpplab.calibration.model import Distortion, PoseFile
 from fpplab.core.config import Document, Positive
 from fpplab.core.conventions import Lattice
 from fpplab.core.geometry import Pinhole
+from fpplab.patterns.curve import Curve
 from sim.mirror_spread import LEAST_BLUR
 from sim.texture import MirrorTexture
 from sim.world.numbers import NotNegative, PixelSize, Share
 
 
 class ResponseSection(Document):
-    """The projector's response, light from grey levels, both 0 to 1: `I_out = a I_in^g + b`."""
+    """The projector's response, light from grey levels, both 0 to 1: `I_out = a S(I_in) + b`.
+
+    S is `I_in^g` or a spline.
+    """
 
     a: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Light of white above black."""
@@ -24,6 +28,13 @@ class ResponseSection(Document):
     """Black level, the light that leaks from closed mirrors: `b = (a + b) / C` for contrast C."""
     g: Annotated[float, Field(ge=0.2, le=5)] = 1.0
     """Exponent (gamma)."""
+    spline: tuple[float, ...] = ()
+    """Coefficients of a monotone cubic spline in place of `I_in^g`, as in a response file."""
+
+    @model_validator(mode="after")
+    def _spline_is_one(self) -> ResponseSection:
+        self.curve()
+        return self
 
     @model_validator(mode="after")
     def _white_is_one_at_most(self) -> ResponseSection:
@@ -32,6 +43,16 @@ class ResponseSection(Document):
                 f"'a' + 'b' is {self.a + self.b:g}: at most 1, which is the brightest the lamp gives"
             )
         return self
+
+    def curve(self) -> Curve:
+        """Give the response as a curve.
+
+        Returns
+        -------
+        Curve
+            The light for a grey level, both 0 to 1.
+        """
+        return Curve(a=self.a, b=self.b, g=self.g, spline=self.spline)
 
 
 class LedWorld(Document):

@@ -16,9 +16,9 @@ from fpplab.core.geometry import RigidTransform
 from fpplab.devices.rig import Rig
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
 from sim.world import World
 from tests.support.plane_twin import nominal, tilted
 

@@ -96,7 +96,8 @@ def test_commands_of_commands_are_suggested_too() -> None:
 def test_synonyms_lead_to_commands_and_are_none() -> None:
     assert {command for commands in SYNONYMS.values() for command in commands} <= set(COMMANDS)
     assert not set(SYNONYMS) & set(COMMANDS)
-    files = {path.stem.strip("_") for path in (ROOT / "fpplab/cli/commands").glob("[a-z]*.py")}
+    places = (ROOT / "fpplab/cli/commands").glob("[a-z]*")
+    files = {place.stem.strip("_").replace("_", "-") for place in places}
     assert set(PURPOSES) == files
 
 

@@ -23,7 +23,7 @@ PROGRAM = [sys.executable, "-m", "fpplab"]
 def test_a_signal_at_any_moment_of_a_short_command() -> None:
     """Before the first line of the program Python answers itself: by its death, or showing where it was."""
     codes = []
-    for moment_s, number in zip(MOMENTS_S, cycle([signal.SIGINT, signal.SIGTERM])):
+    for moment_s, number in zip(MOMENTS_S, cycle([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])):
         with subprocess.Popen(
             [*PROGRAM, "plan", "--help"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
@@ -55,7 +55,7 @@ main()
 
 @pytest.mark.parametrize(
     ("module", "number"),
-    [("fpplab.cli", "SIGINT"), ("typer", "SIGTERM"), ("rich.console", "SIGINT")],
+    [("fpplab.cli", "SIGINT"), ("typer", "SIGTERM"), ("rich.console", "SIGHUP")],
 )
 def test_a_signal_while_modules_are_loaded(module: str, number: str) -> None:
     code = LOADING.format(module=module, number=number, more=', "--json"')

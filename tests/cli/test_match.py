@@ -78,6 +78,44 @@ def test_a_twin_is_matched_and_runs(fpplab: Command, board: Path, tmp_path: Path
     assert "exists already" in again.json["error"]
 
 
+def test_what_was_accepted_is_told_by_the_twin(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    """The projector stands 30 mm elsewhere than the twin's file says."""
+    twin, out = small("rig_twin", tmp_path), tmp_path / "matched"
+    rig = config.parse_yaml(twin.read_text(), twin)
+    world = config.parse_yaml(config.read_text(found := config.find_config("world_twin")), found)
+    world["projector"]["T_camera_projector"]["translation_mm"] = [180, 0, 0]
+    (tmp_path / "other.yaml").write_text(config.to_yaml(world))
+    rig["bench"]["world"] = "other.yaml"
+    twin.write_text(config.to_yaml(rig))
+    call = ("match", "--twin", twin, "--reference", board, "--out", out, "--epochs", 2, "--json")
+    refused = fpplab(*call)
+    assert refused.code == 5
+    assert "--accept stale_calibration" in refused.json["error"]
+    unknown = fpplab(*call, "--accept", "luck")
+    assert unknown.code == 2
+    assert "--accept: 'luck'" in unknown.json["error"]
+    done = fpplab(*call, "--accept", "stale_calibration")
+    assert done.code == 0, done.err
+    assert done.json["notes"][0].startswith("stale_calibration accepted: the baseline is")
+    used = fpplab(
+        "gamma", "--rig", out / "rig.yaml", "--item", "grey_card", "--levels", 5, "--repeats", 1,
+        "--out", tmp_path / "response.yaml", "--json",
+    )  # fmt: skip
+    assert used.code == 0, used.err
+    assert "rig.yaml: stale_calibration accepted: the baseline is" in used.err
+
+
+def test_unknown_items_are_told_before_the_work(fpplab: Command, board: Path, tmp_path: Path) -> None:
+    twin = small("rig_twin", tmp_path)
+    call = ("match", "--twin", twin, "--reference", board, "--out", tmp_path / "no", "--json")
+    pose = next(board.iterdir())
+    for option, words in (("cup", "no item 'cup'"), ("board", "only artefacts and parts")):
+        done = fpplab(*call, "--scan", f"{option}={pose}")
+        assert done.code == 2
+        assert words in done.json["error"]
+        assert not (tmp_path / "no").exists()
+
+
 def test_a_twin_of_another_camera_is_refused(fpplab: Command, board: Path, tmp_path: Path) -> None:
     done = fpplab("match", "--twin", "rig_twin", "--reference", board, "--out", tmp_path / "no", "--json")
     assert done.code == 2

@@ -51,6 +51,21 @@ try:
 except KeyboardInterrupt:
     print("stopped" if slow.whole else "half")
 """,
+    "in an import, before a camera of pylon's emulation that grabs": """
+sys.path.insert(0, sys.argv[1])
+from pypylon import pylon
+os.environ["PYLON_CAMEMU"] = "1"
+camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateFirstDevice())
+camera.Open()
+camera.StartGrabbing()
+import slow
+try:
+    wait()
+except KeyboardInterrupt:
+    print("stopped" if camera.IsGrabbing() else "idle")
+camera.StopGrabbing()
+camera.Close()
+""",
     "twice, while all is closed": """
 try:
     hit()
@@ -76,7 +91,7 @@ def test_an_interruption_stops_the_work_once(moment: str, tmp_path: Path) -> Non
     assert (done.stdout, done.stderr) == ("stopped\n", "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_at_the_end_of_the_process(number: signal.Signals) -> None:
     code = f"{BEGIN}\nimport atexit\natexit.register(lambda: (print('end', flush=True), time.sleep(20)))\n"
     with subprocess.Popen(

@@ -38,6 +38,16 @@ def test_a_rig_opens_what_its_file_names_and_closes_it(tmp_path: Path) -> None:
     assert [d.state for d in devices if d] == [State.CLOSED] * 3
 
 
+def test_notes_are_told_each_time_the_rig_is_opened(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rig = rig_of(GOOD + "notes: ['lens_not_locked accepted: pose_02']\n", tmp_path)
+    assert not caplog.records
+    for times in (1, 2):
+        with rig:
+            pass
+        told = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+        assert told == times * [f"{tmp_path / 'rig.yaml'}: lens_not_locked accepted: pose_02"]
+
+
 def test_a_plan_s_depth_goes_before_the_rig_s_and_must_be_offered(tmp_path: Path) -> None:
     with rig_of(GOOD, tmp_path) as rig:
         offered = rig.camera.caps.bits

@@ -14,10 +14,10 @@ from fpplab.core import config
 from fpplab.core.errors import SyncError
 from fpplab.core.progress import no_progress
 from fpplab.devices.rig import Rig, RigFile
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.recording import Recording
-from fpplab.patterns.response import Curve
 from fpplab.phase import decode
 from fpplab.pipeline import measure_response
 from fpplab.reconstruction.points import points_of

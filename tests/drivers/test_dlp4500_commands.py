@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,10 +11,11 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from drivers.clock import SteppedClock
-from drivers.dlp4500 import protocol
+from drivers.dlp4500 import Dlp4500, protocol
 from drivers.emulators.dlpc350 import Dlpc350, Dlpc350Policy, EmulatedHid
 from fpplab.cli import app
-from fpplab.core.errors import ConfigError, DisconnectedError, ProtocolError
+from fpplab.core import acts, config
+from fpplab.core.errors import ConfigError, DisconnectedError, LimitError, ProtocolError
 from tests.drivers.dlpc350_host import FLASH
 
 
@@ -77,14 +79,46 @@ def test_power(hid: EmulatedHid) -> None:
 
 
 def test_leds_by_hand(hid: EmulatedHid) -> None:
-    said("led", "--green", "51", "--blue", "255")
+    said("led", "--green", "51", "--blue", "255", "--allow", "led-current")
     light = hid.controller.light()
     assert light is not None
     assert light.levels == {"green": pytest.approx(0.2), "blue": 1.0}
-    said("led", "--red", "255", "--not-inverted")
+    said("led", "--red", "255", "--not-inverted", "--allow", "led-current")
     assert hid.controller._registers[protocol.LED_CURRENT.number] == {"red": 255, "green": 0, "blue": 0}
     said("led")
     assert hid.controller.light() is None
+
+
+def test_levels_above_the_limits_need_consent(
+    hid: EmulatedHid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said("led")
+    refused = run("led", "--green", "136", "--blue", "130")
+    assert isinstance(refused.exception, LimitError)
+    assert "green 136 (limit 135); agree to it at a terminal, or add --allow led-current" in str(
+        refused.exception
+    )
+    assert hid.controller.light() is None
+    assert said("led", "--green", "136", "--dry-run")["above_limits"] == ["green 136 (limit 135)"]
+    assert hid.controller.light() is None
+    rig = tmp_path / "rig.yaml"
+    text = config.find_config("rig_bench.yaml").read_text(encoding="utf-8")
+    rig.write_text(
+        text.replace("flash: patterns.yaml}", "flash: patterns.yaml, led_limits: {green: 50}}"),
+        encoding="utf-8",
+    )
+    assert said("led", "--green", "51", "--dry-run", "--rig", str(rig))["above_limits"]
+    assert not said("led", "--green", "50", "--dry-run", "--rig", str(rig))["above_limits"]
+    monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+    for answer, is_lit in (("n\n", False), ("y\n", True)):
+        CliRunner().invoke(app, ["dlp4500", "led", "--green", "200"], input=answer)
+        assert (hid.controller.light() is not None) is is_lit
+
+
+def test_a_rig_file_whose_levels_exceed_its_limits_is_refused() -> None:
+    options = {"video": {"display": 0}, "led_limits": {"green": 100}, "led_levels": {"green": 101}}
+    with pytest.raises(ConfigError, match=r"'led_levels.green' is 101, but 'led_limits.green' is 100"):
+        Dlp4500("projector", options)
 
 
 def test_test_patterns(hid: EmulatedHid) -> None:

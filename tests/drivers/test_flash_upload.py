@@ -19,11 +19,14 @@ from drivers.dlp4500.flash.loader import MOST_DATA, BootLoaderLink, boot_loader_
 from drivers.dlp4500.flash.upload import check_firmware, plan_upload, verify_image_count
 from drivers.dlp4500.framing import UsbMessage
 from drivers.dlp4500.sequence import SIZE
+from drivers.dlp4500.transport import Link
 from drivers.emulators.dlpc350 import Dlpc350Policy, UsbFault
 from drivers.emulators.dlpc350.flash import SPLASH_ADDRESS
 from fpplab.cli import app
+from fpplab.core import acts
 from fpplab.core.errors import (
     Cancelled,
+    ConfigError,
     DataError,
     DeviceError,
     DeviceTimeoutError,
@@ -348,6 +351,21 @@ def test_a_projector_that_stays_in_its_program_is_reported():
         Deaf().upload(BUILT)
 
 
+class BusyComputer(Bench):
+    """Looks in vain for the projector while it restarts, and does nothing more for a long time."""
+
+    def link(self) -> Link:
+        try:
+            return super().link()
+        except DeviceError:
+            self.clock.sleep(20.0)
+            raise
+
+
+def test_a_projector_that_reappeared_while_the_computer_was_busy_is_found():
+    assert BusyComputer(MAKER).upload(BUILT)
+
+
 def test_a_projector_that_finds_other_images_is_reported():
     bench = Bench(MAKER)
     bench.upload(BUILT)
@@ -379,8 +397,16 @@ def _run(*words: object, says: str = "") -> Result:
     return CliRunner().invoke(app, ["dlp4500", "upload", *map(str, words)], input=says)
 
 
-@pytest.mark.parametrize(("words", "says"), [(["--yes"], ""), ([], "y\n")])
-def test_the_command(plugged_in, file, words, says):
+@pytest.fixture
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+
+
+CONSENT = [(["--yes"], ""), (["--allow", "erase-flash"], ""), ([], "y\n")]
+
+
+@pytest.mark.parametrize(("words", "says"), CONSENT)
+def test_the_command(plugged_in, file, words, says, at_a_terminal):
     result = _run(file, *words, "--json", says=says)
     assert result.exception is None
     answer = json.loads(result.stdout)
@@ -391,10 +417,28 @@ def test_the_command(plugged_in, file, words, says):
 
 
 @pytest.mark.parametrize("says", ["n\n", ""])
-def test_without_consent_nothing_is_erased(plugged_in, file, says):
+def test_without_consent_nothing_is_erased(plugged_in, file, says, at_a_terminal):
     result = _run(file, says=says)
     assert isinstance(result.exception, Cancelled)
     assert plugged_in.board.erased == []
+    assert plugged_in.runs_program()
+
+
+@pytest.mark.parametrize("words", [[], ["--allow", "led-current"]])
+def test_without_a_terminal_and_the_flag_nothing_is_sent(plugged_in, file, words):
+    result = _run(file, *words, says="y\n")
+    assert isinstance(result.exception, ConfigError)
+    assert "add --allow erase-flash" in str(result.exception)
+    assert plugged_in.board.messages == []
+
+
+def test_a_dry_run_tells_and_changes_nothing(plugged_in, file):
+    before = bytes(plugged_in.board.flash.content)
+    result = _run(file, "--dry-run", "--json")
+    assert result.exception is None
+    assert json.loads(result.stdout) == {"sectors": [TAIL, TABLE, HEAD], "images": 12, "dry_run": True}
+    assert plugged_in.board.erased == []
+    assert bytes(plugged_in.board.flash.content) == before
     assert plugged_in.runs_program()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,26 +17,42 @@ from fpplab.characterisation import DistortionModel
 from fpplab.core import config
 from fpplab.core.errors import CalibrationError, ConfigError, DataError
 from fpplab.core.geometry import RigidTransform
-from fpplab.matching import geometry, light, noise, plausibility
+from fpplab.diagnosis import FaultCause
+from fpplab.matching import geometry, light, match, noise, plausibility
+from fpplab.matching.card import fitted_plane, moved_into_plane
+from fpplab.matching.evaluation import evaluate
 from fpplab.matching.gamma import match_gamma
 from fpplab.matching.loss import Loss, Similarity, Weights, board_mask, ssim
-from fpplab.matching.match import explained_shares
+from fpplab.matching.match import MatchingLimits, explained_shares
 from fpplab.matching.record import EPOCHS, MatchingEpoch, MatchingRecord, ParametersFile
 from fpplab.matching.reference import Reference
+from fpplab.matching.refusal import Refusals, acceptable_causes
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve, Response, fit_response
+from fpplab.patterns.response import Response, fit_response
 from fpplab.simulation.matchable import TwinParameters
-from tests.support.plane_twin import CAMERA, SETTINGS, TARGET, PlaneTwin, Remembered, moved, nominal, tilted
+from tests.support.plane_twin import (
+    CAMERA,
+    PAIR,
+    PROJECTOR,
+    SETTINGS,
+    TARGET,
+    PlaneTwin,
+    Remembered,
+    moved,
+    nominal,
+    tilted,
+)
 
 PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=4), Sinusoid(axis="y", stripes=8, steps=4)))
 FACING = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
 
 
-def reference_of(truth: TwinParameters, seed: int = 1) -> Reference:
+def reference_of(truth: TwinParameters, seed: int = 1, plan: Plan = PLAN) -> Reference:
     """What a bench with these parameters would have recorded; only its images are used."""
     twin = PlaneTwin(truth, seed)
-    sessions = tuple(Remembered.of(twin, PLAN, pose) for pose in range(len(truth.poses)))
+    sessions = tuple(Remembered.of(twin, plan, pose) for pose in range(len(truth.poses)))
     return Reference(cast(Any, sessions), TARGET, cast(Any, _Known(truth)))
 
 
@@ -44,6 +61,7 @@ class _Known:
 
     def __init__(self, truth: TwinParameters) -> None:
         self.poses = truth.poses
+        self.calibration = Calibration(CAMERA, PROJECTOR, PAIR, {"joint": 0.05})
 
 
 @pytest.fixture(scope="module")
@@ -163,14 +181,48 @@ def test_light_is_found(truth: TwinParameters, reference: Reference) -> None:
     assert found.projector_blur == pytest.approx(truth.projector_blur, abs=0.03)
 
 
+NOISY_PLAN = Plan(fringes=(Sinusoid(axis="x", stripes=12, steps=8), Sinusoid(axis="y", stripes=8, steps=8)))
+
+
 def test_noise_is_found(truth: TwinParameters) -> None:
     noisy = replace(truth, vibration_mm=0.01, full_well_e=4000.0)
     twin = PlaneTwin(truth, 5)
-    found = noise.match_noise(reference_of(noisy, 4), twin, (0, 1, 3))
-    # In the image plane four frames of three poses have 18 degrees of freedom: 17 % is one deviation.
-    assert found.vibration_mm == pytest.approx(0.01, rel=0.5)
-    assert found.full_well_e == pytest.approx(4000.0, rel=0.3)
+    found = noise.match_noise(reference_of(noisy, 4, NOISY_PLAN), twin, (0, 1, 3))
+    # In the image plane eight frames of three poses have 42 degrees of freedom: 11 % is one deviation.
+    assert found.vibration_mm == pytest.approx(0.01, rel=0.35)
+    assert found.full_well_e == pytest.approx(4000.0, rel=0.1)
+    # The read noise cannot be told beside rounding: in grey levels it stays.
+    assert found.read_noise_e / found.full_well_e == pytest.approx(2.5 / 15000.0)
     assert twin.parameters is truth
+
+
+@pytest.mark.slow
+def test_what_the_twin_lacks_is_not_taken_for_noise(truth: TwinParameters) -> None:
+    """A bent response that the twin does not know made a full well of 24 e for 15,000 by its residuals."""
+    bent = replace(truth, response=Curve(a=0.92, b=0.08, g=1.6))
+    found = noise.match_noise(reference_of(bent, 4, NOISY_PLAN), PlaneTwin(truth, 5), (0, 1, 3))
+    assert found.full_well_e == pytest.approx(truth.full_well_e, rel=0.1)
+
+
+@pytest.mark.slow
+def test_great_read_noise_is_found(truth: TwinParameters) -> None:
+    noisy = replace(truth, read_noise_e=600.0)
+    found = noise.match_noise(reference_of(noisy, 4, NOISY_PLAN), PlaneTwin(truth, 5), (0, 1, 3))
+    assert found.read_noise_e == pytest.approx(600.0, rel=0.1)
+
+
+def test_the_right_noise_is_better_although_images_are_less_alike(truth: TwinParameters) -> None:
+    moving = replace(truth, vibration_mm=0.02)
+    held = reference_of(moving, 4, NOISY_PLAN)
+
+    def judged(vibration_mm: float) -> tuple[float, float]:
+        twin = PlaneTwin(replace(truth, vibration_mm=vibration_mm), 8)
+        alike = evaluate(held, twin, Weights(), 0.05).loss.similarity.board.mean()
+        return noise.noise_misfit(held, twin, (0, 1)), float(alike)
+
+    (still, alike_still), (right, alike_right), (much, _) = (judged(mm) for mm in (0.0, 0.02, 0.08))
+    assert right < 0.5 * min(still, much)
+    assert alike_right < alike_still
 
 
 def test_an_adjustable_parameter_is_clipped_to_its_range() -> None:
@@ -302,19 +354,41 @@ def scaled(known: Calibration, factor: float) -> Calibration:
 
 def test_a_board_of_another_pitch_is_detected_by_the_baseline(truth: TwinParameters) -> None:
     known = truth.calibration
-    plausibility.check_geometry(scaled(known, 1.05), known)
-    with pytest.raises(CalibrationError, match=r"the baseline is .* another pitch"):
-        plausibility.check_geometry(scaled(known, 1.2), known)
+    plausibility.check_geometry(scaled(known, 1.05), known, Refusals())
+    with pytest.raises(CalibrationError, match=r"baseline is .* another pitch.*--accept stale_calib"):
+        plausibility.check_geometry(scaled(known, 1.2), known, Refusals())
 
 
-def test_a_focus_that_moved_is_refused(truth: TwinParameters, reference: Reference) -> None:
-    plausibility.check_sharpness(reference, PlaneTwin(truth))
+def test_what_is_accepted_is_noted(truth: TwinParameters) -> None:
+    refusals = Refusals(acceptable_causes(["stale_calibration"]))
+    plausibility.check_geometry(scaled(truth.calibration, 1.2), truth.calibration, refusals)
+    (note,) = refusals.notes
+    assert note.startswith("stale_calibration accepted: the baseline is")
+    with pytest.raises(CalibrationError, match="unlike"):
+        refusals.refuse(FaultCause.UNLIKE_IMAGES, "unlike")
+    with pytest.raises(ConfigError, match="--accept: 'vibration' is no cause that can be accepted"):
+        acceptable_causes(["vibration"])
+
+
+def test_a_focus_that_moved_is_found(truth: TwinParameters, reference: Reference) -> None:
+    assert plausibility.sharpness_finding(reference, PlaneTwin(truth)) is None
     blurred = PlaneTwin(replace(truth, camera_focus_mm=400.0, f_number=3.0), 2)
     sessions = (*reference.sessions[:3], cast(Any, Remembered.of(blurred, PLAN, 3)))
-    with pytest.raises(
-        CalibrationError, match=r"pose_03: its edges are .* softer, .* the bench's focus moved"
-    ):
-        plausibility.check_sharpness(replace(reference, sessions=sessions), PlaneTwin(truth))
+    found = plausibility.sharpness_finding(replace(reference, sessions=sessions), PlaneTwin(truth))
+    assert found is not None
+    assert found.cause is FaultCause.LENS_NOT_LOCKED
+    assert re.search(r"pose_03: at the same brightness its edges are .* softer", found.evidence)
+
+
+def test_a_darker_pose_is_not_taken_for_another_focus(truth: TwinParameters, reference: Reference) -> None:
+    """A lamp that is a third weaker, and light that falls off by as much over the board."""
+    seen = [Remembered.of(PlaneTwin(truth, 2), PLAN, pose) for pose in range(len(reference.sessions))]
+    fall = np.linspace(0.5, 0.8, CAMERA.size[0])
+    dark = replace(seen[3], images=[np.rint(fall * image).astype(np.uint8) for image in seen[3].images])
+    other = replace(reference, sessions=cast(Any, (*seen[:3], dark)))
+    contrasts = plausibility.edge_contrast(other, PlaneTwin(truth))
+    assert np.abs(contrasts / np.median(contrasts) - 1).max() < 0.03
+    assert plausibility.sharpness_finding(other, PlaneTwin(truth)) is None
 
 
 def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: Reference) -> None:
@@ -325,10 +399,73 @@ def test_blur_of_all_poses_alike_is_accepted(truth: TwinParameters, reference: R
     assert (
         plausibility.edge_contrast(softer, PlaneTwin(truth)).max() < 1 - plausibility.MAX_CONTRAST_DIFFERENCE
     )
-    plausibility.check_sharpness(softer, PlaneTwin(truth))
+    assert plausibility.sharpness_finding(softer, PlaneTwin(truth)) is None
 
 
-def test_a_result_of_low_similarity_is_refused() -> None:
-    plausibility.check_similarity(loss(0.0, [0.99], [0.95]), 1.0)
-    with pytest.raises(CalibrationError, match=r"does not match the bench: SSIM over the board is 0.500"):
-        plausibility.check_similarity(loss(0.0, [0.99], [0.5]), 20.0)
+def test_a_result_of_low_similarity_is_useless() -> None:
+    assert plausibility.similarity_finding(loss(0.0, [0.99], [0.95]), 1.0) is None
+    found = plausibility.similarity_finding(loss(0.0, [0.99], [0.5]), 20.0)
+    assert found is not None
+    assert found.evidence.startswith("SSIM over the board is 0.500")
+    assert found.excess >= plausibility.RUINOUS_UNLIKE
+
+
+def test_the_response_of_another_rig_is_refused_before_the_work(truth: TwinParameters) -> None:
+    wide = Plan(fringes=(Sinusoid(axis="x", stripes=3, steps=6),))
+    twin = PlaneTwin(replace(truth, response=Curve(a=0.95, b=0.05, g=1.8)))
+    sessions = cast(Any, [Remembered.of(twin, wide, pose) for pose in range(3)])
+
+    def response(g: float) -> Response:
+        return fit_response(np.linspace(0, 1, 9), 0.7 * np.linspace(0, 1, 9) ** g + 0.05)
+
+    plausibility.check_response(response(1.8), sessions, Refusals())
+    with pytest.raises(CalibrationError, match=r"second harmonic .* is 2.*, but 7.7 % by the response"):
+        plausibility.check_response(response(1.25), sessions, Refusals())
+
+
+def test_the_card_is_put_where_its_scan_shows_it() -> None:
+    random = np.random.default_rng(5)
+    pose = RigidTransform.from_vectors(np.radians([4.0, -6.0, 0.0]), np.array([1.0, 2.0, 454.0]))
+    flat = np.column_stack([random.uniform(-60, 60, (4000, 2)), random.normal(0, 0.02, 4000)])
+    flat[:200, 2] += 30.0  # something that stands before it
+    centre, normal, spread = fitted_plane(pose.apply(flat))
+    nominal_pose = RigidTransform(np.eye(3), np.array([0.0, 0.0, 450.0]))
+    found = moved_into_plane(nominal_pose, centre, normal)
+    assert spread < 0.03
+    off = pose.inverse().apply(found.apply(np.array([[-50.0, -40, 0], [50, -40, 0], [0, 40, 0]])))
+    assert np.abs(off[:, 2]).max() < 0.01
+    turned = np.degrees(np.linalg.norm((found @ nominal_pose.inverse()).rotation_vector))
+    assert turned == pytest.approx(np.hypot(4, 6), abs=0.1)
+
+
+def test_a_round_that_still_moves_poses_has_not_converged(truth: TwinParameters) -> None:
+    limits = MatchingLimits()
+    now = replace(truth, sigma={"poses_um": 4.0, "white": 0.002})
+    before = epoch("together", 1.0).model_copy(
+        update={"loss": {"loss_board": 0.1}, "parameters": ParametersFile.of(now)}
+    )
+
+    def after(parameters: TwinParameters) -> MatchingEpoch:
+        return before.model_copy(update={"parameters": ParametersFile.of(parameters)})
+
+    assert not match._changed(before, after(now), limits)
+    assert not match._changed(before, after(moved(now, 0.004, 0.0)), limits)
+    assert match._changed(before, after(moved(now, 0.02, 0.0)), limits)
+    uncertain = replace(moved(now, 0.02, 0.0), sigma={"poses_um": 50.0})
+    assert not match._changed(before, after(uncertain), limits)
+    assert match._changed(before, after(replace(now, white=now.white + 0.01)), limits)
+    assert not match._changed(before, after(replace(now, white=now.white + 0.001)), limits)
+
+
+def test_standard_uncertainties_of_light_cover_the_truth(truth: TwinParameters) -> None:
+    names = ("white", "ink", "ambient", "projector_blur")
+    pulls = []
+    for seed in range(3):
+        twin = PlaneTwin(replace(truth, white=1.0, projector_blur=0.8))
+        held = reference_of(truth, 10 + seed)
+        samples = light.sample_pixels(held, truth, (0, 2), held.finest)
+        found = light.fit_light(held, twin, names, samples)
+        pulls.append([(getattr(found, n) - getattr(truth, n)) / found.sigma[n] for n in names])
+    assert np.abs(pulls).max() < 5
+    # Rounding and noise of a whole image leave little: a stated uncertainty far too great would tell nothing.
+    assert np.sqrt(np.mean(np.square(pulls))) > 0.1

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fpplab.diagnosis import Verdict
+from fpplab.diagnosis import FaultCause, Finding, Verdict
 from fpplab.matching import match
 from fpplab.matching.match import MatchingLimits
 from fpplab.matching.record import MatchingRecord
@@ -105,6 +105,26 @@ def test_a_matching_continues_from_its_record(matching: Matching) -> None:
     assert again.matched.ended == f"after {EPOCHS + 1} epochs"
 
 
+def test_a_matching_that_goes_on_is_the_undisturbed_one(matching: Matching, tmp_path: Path) -> None:
+    """Wherever it was interrupted: noise, samples and parameters are the same."""
+
+    def matched(folder: Path) -> MatchingResult:
+        wanted = MatchingRequest(limits=MatchingLimits(epochs=4))
+        return match_sessions(PlaneTwin(nominal(()), 7), matching.sessions[:3], TARGET, folder, wanted)
+
+    whole = matched(tmp_path / "whole")
+    lines = (tmp_path / "whole" / "match.jsonl").read_bytes().splitlines(keepends=True)
+    assert len(lines) == 5
+    for kept in (1, 3, 5):
+        folder = tmp_path / f"stopped_{kept}"
+        folder.mkdir()
+        (folder / "match.jsonl").write_bytes(b"".join(lines[:kept]))
+        again = matched(folder)
+        assert again.summary() == whole.summary()
+        for one, other in zip(again.matched.epochs, whole.matched.epochs, strict=True):
+            assert one.model_dump(exclude={"seconds"}) == other.model_dump(exclude={"seconds"})
+
+
 def test_a_step_is_ended_when_the_time_is_over(
     matching: Matching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +177,13 @@ def test_verdicts_on_a_matching(matching: Matching) -> None:
     worse = replace(whole, matched=replace(whole.matched, final=found.before), before=found.matched.final)
     assert diagnose_matching(worse).verdict is Verdict.USELESS
     assert diagnose_matching(worse).findings[0].cause == "no_gain"
+    focus = Finding(FaultCause.LENS_NOT_LOCKED, "pose_02: its edges are softer", 1.5)
+    moved_focus = replace(whole, late=(focus,))
+    assert diagnose_matching(moved_focus).verdict is Verdict.USELESS
+    accepted = replace(moved_focus, accepted=frozenset({FaultCause.LENS_NOT_LOCKED}))
+    assert diagnose_matching(accepted).verdict is Verdict.DOUBTFUL
+    assert accepted.notes == ("lens_not_locked accepted: pose_02: its edges are softer",)
+    assert whole.notes == ()
     at_border = with_changed(parameters=replace(whole.matched.parameters, f_number=64.0))
     assert [one.cause for one in diagnose_matching(at_border).findings] == ["at_border"]
     final = whole.matched.final

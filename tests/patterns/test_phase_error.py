@@ -11,20 +11,28 @@ from hypothesis import strategies as st
 from scipy.special import gammaln
 
 from fpplab.core.conventions import TWO_PI, phase_steps
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.phase_error import (
     ALLOWED_RAD,
-    corrected_phase_error,
     harmonics,
     judge_response,
     least_steps,
     phase_error,
+    relative_harmonics,
+    shown_phase_error,
 )
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve, Response
+from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
 
 SIZE = (912, 1140)
+GREYS = np.arange(256) / 255
+"""Grey levels that can be shown."""
+
+
+def law(g: float) -> Curve:
+    return Curve(a=0.7, b=0.05, g=g)
 
 
 def response(g: float, sigma: float = 0.001) -> Response:
@@ -71,18 +79,26 @@ def test_the_error_is_that_of_decoded_fringes(g: float, steps: int) -> None:
 
 
 def test_correction_leaves_what_rounding_leaves() -> None:
-    assert corrected_phase_error(2.2, 3, 2.2) < phase_error(2.2, 3) / 50
+    coarse = shown_phase_error(law(2.2), 3, law(2.2))
+    assert coarse < phase_error(2.2, 3) / 50
     # With 16 times the greys a sixteenth of it.
-    fine = corrected_phase_error(2.2, 3, 2.2, greys=4096)
-    assert fine == pytest.approx(corrected_phase_error(2.2, 3, 2.2) / 16, rel=0.25)
+    assert shown_phase_error(law(2.2), 3, law(2.2), greys=4096) == pytest.approx(coarse / 16, rel=0.25)
     # Without rounding a correction by too little leaves the error of the quotient.
-    assert corrected_phase_error(2.2, 3, 2.0, greys=1 << 24) == pytest.approx(phase_error(1.1, 3), rel=1e-4)
+    left = shown_phase_error(law(2.2), 3, law(2.0), greys=1 << 24)
+    assert left == pytest.approx(phase_error(1.1, 3), rel=1e-4)
+
+
+@pytest.mark.parametrize("g", [0.7, 1.3, 2.2])
+def test_harmonics_of_any_curve_are_those_of_the_power_law(g: float) -> None:
+    exact = harmonics(g, 6)
+    assert relative_harmonics(law(g), highest=6) == pytest.approx(exact / exact[1], abs=1e-6)
+    assert relative_harmonics(law(g), law(g), highest=6) == pytest.approx([2, 1, 0, 0, 0, 0, 0], abs=1e-9)
 
 
 def test_least_steps_are_the_first_that_do() -> None:
-    assert least_steps(1.0) == 3
+    assert least_steps(law(1.0)) == 3
     for g in (0.5, 2.2, 4.0):
-        steps = least_steps(g)
+        steps = least_steps(law(g))
         assert steps is not None
         assert phase_error(g, steps) <= ALLOWED_RAD < phase_error(g, steps - 1)
 
@@ -114,7 +130,7 @@ def test_a_plan_that_corrects_is_judged_with_its_correction() -> None:
 
 def test_an_uncertain_exponent_is_judged_at_its_worse_end() -> None:
     found = judge_response(response(1.0, sigma=0.05), plan(), SIZE)
-    assert found.phase_rad < 1e-6
+    assert found.phase_rad == pytest.approx(found.rounding_by_steps["3"])
     assert found.worst_rad == pytest.approx(phase_error(1.1, 3), rel=0.2)
     assert not found.good_enough
     assert "take" in found.sentence

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fpplab.core.conventions import phase_steps
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
-from fpplab.patterns.phase_error import phase_error
+from fpplab.patterns.phase_error import phase_error, relative_harmonics
 from fpplab.phase.error_model import fit_errors
 from fpplab.phase.noise import QUANTISATION, level_step, repeated_rounding, robust_mean
 
@@ -82,7 +83,12 @@ def test_the_response_is_seen_in_the_frames(steps, g):
 
 def test_a_measured_response_goes_before_what_the_frames_show():
     generator = np.random.default_rng(9)
-    errors = fit_errors(noisy(generator, waves(generator, 3), 1.0), sets(3), 8, exponent=1.2)
+    errors = fit_errors(
+        noisy(generator, waves(generator, 3), 1.0),
+        sets(3),
+        8,
+        known=relative_harmonics(Curve(a=1, b=0, g=1.2)),
+    )
     assert errors.sets[0].harmonic_rad == pytest.approx(phase_error(1.2, 3))
 
 

@@ -55,6 +55,9 @@ def test_any_changed_byte_is_found(whole: Path, name: str) -> None:
 
 def test_a_session_without_checksums_is_read(whole: Path) -> None:
     (whole / "files.jsonl").unlink()
+    with pytest.raises(DataError, match=r"files.jsonl is gone"):
+        read(whole)
+    (whole / "session.yaml").unlink()  # as version 0.1.0 left it
     (whole / "rig.yaml").write_text("name: two\nresolved: {}\n", encoding="utf-8")
     read(whole)
 
@@ -75,7 +78,7 @@ def test_a_crash_between_a_checksum_and_its_file(whole: Path) -> None:
     check_recorded(path, b"newer: 1\n")
     with record_file.open("ab") as stream:
         stream.write(b"{}\n")
-    with pytest.raises(DataError, match=r"files.jsonl line 6: is not the checksum"):
+    with pytest.raises(DataError, match=r"files.jsonl line 7: is not the checksum"):
         check_recorded(path, b"newer: 1\n")
 
 

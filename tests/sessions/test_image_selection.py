@@ -133,6 +133,12 @@ def test_a_list_of_names(tmp_path: Path, beside: bool) -> None:
     taken(Chosen(() if beside else (folder,), f"@{listed}"))
 
 
+@pytest.mark.parametrize("name", ["../elsewhere/f.png", "/etc/hostname"])
+def test_a_list_names_images_below_its_folder(tmp_path: Path, name: str) -> None:
+    (tmp_path / "list.txt").write_text(f"{name}\n")
+    refuses(Chosen((tmp_path,), f"@{tmp_path / 'list.txt'}"), "which is not below")
+
+
 def test_a_list_that_is_wrong(tmp_path: Path) -> None:
     folder = put(tmp_path / "images", [f"{k}.png" for k in range(7)])
     listed = tmp_path / "list.txt"

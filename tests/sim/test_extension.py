@@ -34,7 +34,7 @@ from sim.build import Setup
 from sim.extension import MANIFEST, write_extension
 from sim.items import item_poses
 from sim.light import Show
-from sim.preview import Arrangement, baseline_range_mm, make_preview, simulation_of, stage_for_baseline
+from sim.preview import Arrangement, baseline_range_mm, bench_of_rig, make_preview, stage_for_baseline
 from sim.preview_file import read_preview, write_preview
 from sim.sensor import SensorModel
 from tests.sim.conftest import RIG, plain, world, write_world
@@ -89,7 +89,7 @@ def twin_command(python_path: str, *words: object) -> subprocess.CompletedProces
 
 def seen_by_twin(rig: Rig, wanted: Arrangement, step: int) -> Picture:
     """Mean grey levels by the twin's own light path, from its tables of direct light."""
-    bench, plan, caps = simulation_of(rig), wanted.fringes(), rig.projector.caps
+    bench, plan, caps = bench_of_rig(rig), wanted.fringes(), rig.projector.caps
     patterns = tuple(rig.projector.load(make_patterns(plan, caps.size, caps.lattice)))
     stage_mm = stage_for_baseline(bench.world, wanted.baseline_mm)
     setup = Setup(wanted.item or bench.world.mounted, wanted.pose, stage_mm)
@@ -341,7 +341,7 @@ def test_scan_and_its_errors_come_back_into_the_scene(
     np.testing.assert_allclose(found["matrix"], np.eye(4), atol=1e-6)
     assert len(found["points"]) > 1000
     with Rig.load(small_rig) as rig:
-        of = simulation_of(rig).world
+        of = bench_of_rig(rig).world
         shape = make("pillars", {})
         moved = trimesh.Trimesh(item_poses(of, "pillars")[0].apply(shape.vertices), shape.faces)
         distance = np.abs(trimesh.proximity.signed_distance(moved, found["points"][::20]))

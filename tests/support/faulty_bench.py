@@ -14,10 +14,10 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats, Image, Lattice, full_scale
 from fpplab.core.geometry import RigidTransform
 from fpplab.devices import CameraSettings
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
 from fpplab.patterns.recording import Recording
-from fpplab.patterns.response import Curve
 from fpplab.simulation.matchable import TwinParameters
 from tests.support.plane_twin import PlaneTwin, nominal, tilted
 

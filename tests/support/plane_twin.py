@@ -20,9 +20,10 @@ from fpplab.core import config
 from fpplab.core.conventions import Floats, Image, Lattice, PixelIndices, full_scale
 from fpplab.core.geometry import Pinhole, RigidTransform
 from fpplab.devices import CameraSettings, Frame
+from fpplab.patterns.curve import Curve
 from fpplab.patterns.fringes import Pattern, make_patterns
 from fpplab.patterns.plan import Plan
-from fpplab.patterns.response import Curve
+from fpplab.patterns.recording import Recording
 from fpplab.sessions.session import Session
 from fpplab.simulation.matchable import ExpectedLevels, TwinParameters
 from fpplab.targets import Target
@@ -80,7 +81,7 @@ class PlaneTwin:
 
     def __init__(self, parameters: TwinParameters, seed: int = 0) -> None:
         self._now = parameters
-        self._random = np.random.default_rng(seed)
+        self._seed, self._next_frame = seed, 0
         self._kept: dict[bytes, tuple[Floats, ...]] = {}
         grey = (TARGET.image(PX_PER_MM) / 255.0 - TARGET.background) / (TARGET.foreground - TARGET.background)
         # A rim of what is not board: nothing comes back from there.
@@ -95,6 +96,13 @@ class PlaneTwin:
     def target(self) -> Target:
         return TARGET
 
+    @property
+    def next_frame(self) -> int:
+        return self._next_frame
+
+    def count_frames_from(self, number: int) -> None:
+        self._next_frame = number
+
     def become(self, parameters: TwinParameters) -> None:
         self._now = parameters
 
@@ -107,44 +115,60 @@ class PlaneTwin:
         return self.expected(pose, patterns, settings)[:, *pixels]
 
     def expected_of(self, item: str, patterns: Sequence[Pattern], settings: CameraSettings) -> ExpectedLevels:
-        return self._seen(CARD, patterns, settings, board=False)
+        return self._seen(self.pose_of(item), patterns, settings, board=False)
 
     def frames(self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings) -> list[Image]:
-        expected = self.expected(pose, patterns, settings)
+        expected, random = self.expected(pose, patterns, settings), self._draws(len(patterns))
         if self._now.vibration_mm:
-            expected = expected + self._shaken(pose, patterns, settings, expected)
-        return self._digitised(expected, settings)
+            expected = expected + self._shaken(pose, patterns, settings, expected, random)
+        return self._digitised(expected, settings, random)
+
+    def _draws(self, frames: int) -> np.random.Generator:
+        """The noise of the next frames follows from their number."""
+        self._next_frame += frames
+        return np.random.default_rng([self._seed, self._next_frame])
 
     def scan(
         self, item: str, pose: RigidTransform, patterns: Sequence[Pattern], settings: CameraSettings
     ) -> list[Image]:
-        return self._digitised(self._seen(pose, patterns, settings, board=False), settings)
+        seen = self._seen(pose, patterns, settings, board=False)
+        return self._digitised(seen, settings, self._draws(len(patterns)))
 
     def mesh(self, item: str) -> trimesh.Trimesh:
         return artefacts.make(item)
 
-    def save(self, folder: Path) -> Path:
+    def pose_of(self, item: str) -> RigidTransform:
+        return self._now.placed.get(item, CARD)
+
+    def save(self, folder: Path, notes: Sequence[str] = ()) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         self._now.calibration.save(folder / "calibration.yaml")
         return folder / "rig.yaml"
 
     def _shaken(
-        self, pose: int, patterns: Sequence[Pattern], settings: CameraSettings, expected: ExpectedLevels
+        self,
+        pose: int,
+        patterns: Sequence[Pattern],
+        settings: CameraSettings,
+        expected: ExpectedLevels,
+        random: np.random.Generator,
     ) -> NDArray[np.float32]:
         now, step = self._now, 0.02
         by_axis = []
         for axis in np.eye(3):
             there = RigidTransform(now.poses[pose].rotation, now.poses[pose].translation + step * axis)
             by_axis.append((self._seen(there, patterns, settings, board=True) - expected) / step)
-        shake = self._random.normal(0, now.vibration_mm, (len(patterns), 3)).astype(np.float32)
+        shake = random.normal(0, now.vibration_mm, (len(patterns), 3)).astype(np.float32)
         return np.einsum("na,anvu->nvu", shake, np.stack(by_axis))
 
-    def _digitised(self, expected: ExpectedLevels, settings: CameraSettings) -> list[Image]:
+    def _digitised(
+        self, expected: ExpectedLevels, settings: CameraSettings, random: np.random.Generator
+    ) -> list[Image]:
         now, full = self._now, full_scale(settings.bits)
         per_electron = full * (1 - now.black_level) / (16 * now.full_well_e)
         signal = np.maximum(expected - full * now.black_level, 0)
         sigma = np.sqrt(per_electron * signal + (4 * per_electron * now.read_noise_e) ** 2)
-        noisy = expected + sigma * self._random.standard_normal(expected.shape)
+        noisy = expected + sigma * random.standard_normal(expected.shape)
         return list(np.rint(noisy).clip(0, full).astype(np.uint8))
 
     def _seen(
@@ -282,6 +306,9 @@ class Remembered:
 
     def read(self, index: int, verify: bool = True) -> Image:
         return self.images[index]
+
+    def recording(self, verify: bool = True) -> Recording:
+        return Recording(self.images, self.plan, PROJECTOR.size, SETTINGS.bits, str(self.path))
 
     def projector(self) -> tuple[tuple[int, int], Lattice]:
         return PROJECTOR.size, Lattice.SQUARE

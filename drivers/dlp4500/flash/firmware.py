@@ -22,6 +22,7 @@ from drivers.dlp4500.flash.compression import CompressedImage, compress, repeats
 from drivers.dlp4500.packing import pack_images
 from drivers.dlp4500.sequence import SIZE, Slot
 from fpplab.core.errors import ConfigError, DataError
+from fpplab.core.files import read_bounded
 from fpplab.patterns.fringes import Pattern
 
 TABLE = 0x20000
@@ -55,6 +56,8 @@ _IMAGES_AT = len(_SPLASH_SIGNATURE) + 4 + MOST_IMAGES * _BLOCK.size
 """Offset of the first image in the splash area."""
 
 _HEADER = struct.Struct("<4sHHIIIIBBBB4x")
+MOST_BYTES = 4 * memory.SIZE
+"""Of a file that is read at all."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ class Firmware:
             The file is not a firmware of the LightCrafter 4500, or is truncated.
         """
         try:
-            firmware = cls(path.read_bytes(), path)
+            firmware = cls(read_bounded(path, MOST_BYTES), path)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
         firmware._check()

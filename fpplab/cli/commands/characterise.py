@@ -128,7 +128,7 @@ def characterise_command(
     from fpplab.patterns.plan import Plan
     from fpplab.phase import check_unwrapping
     from fpplab.pipeline import characterise_sessions, take_poses
-    from fpplab.report import PageBasis, write_report
+    from fpplab.report import PageBasis, is_report, write_report
     from fpplab.report.parts import PageVerdict
     from fpplab.report.provenance import poses_provenance
     from fpplab.sessions.session import recorded_sessions
@@ -145,7 +145,7 @@ def characterise_command(
     folder = out.with_name(out.stem + "_poses")
     goes_on = guide and folder.is_dir()  # its poses are kept, its result renewed
     refuse_existing(out, force or goes_on)
-    refuse_existing(page, force or goes_on)
+    refuse_existing(page, force or goes_on or is_report(page))  # of a run that ended before its result
     board, guided = Target.load(target), None
     level: DistortionModel | Literal["auto"] = "auto" if model is ModelName.AUTO else DistortionModel(model)
     viewer = open_viewer(context, CharacterisationView, view, keep_open, out.with_suffix(".rrd"))
@@ -188,13 +188,13 @@ def characterise_command(
         console.say(f"warning: {warning}")
     console.say(diagnosis.sentence)
     viewer.show(CharacterisationView.result, result)
-    result.calibration.save(out)
     source = poses_provenance(recorded, result.calibration, out)
     answer = {**diagnosis.summary(), **result.summary(), "left_out": result.left_out}
     answer |= {"guided": guided.summary()} if guided else {}
     basis = PageBasis((PageVerdict.of(diagnosis),), {"poses": source}, answer)
     title = f"Characterisation {out.stem}"
     write_report(page, title, facts=result.facts(), characterisation=result, guided=guided, basis=basis)
+    result.calibration.save(out)  # last: where it is, all is done
     console.answer({**answer, "provenance": source.summary(), "report": str(page)}, json)
 
 

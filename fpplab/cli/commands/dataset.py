@@ -48,10 +48,10 @@ def dataset_command(
     wanted_plan, ranges, devices = Plan.load(plan), SceneRanges.load(scenes), Rig.load(rig)
     need_simulation(devices, rig)
     with console.stopwatch() as seconds, devices as bench:
+        from fpplab.core.session_names import RECORDING
         from fpplab.dataset import Dataset
         from fpplab.dataset.making import DatasetMaker, DatasetRequest
         from fpplab.viewer.samples import SampleView, sample_observer
-        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, SampleView, view, keep_open, out / RECORDING)
 

@@ -46,6 +46,7 @@ def gamma_command(
     from fpplab.patterns.phase_error import judge_response
     from fpplab.patterns.plan import GreyLevels, Plan
     from fpplab.pipeline import measure_response
+    from fpplab.report import is_report
     from fpplab.report.provenance import described_rig, rig_provenance
     from fpplab.viewer.measurement import ShownFrame
     from fpplab.viewer.response import ResponseView
@@ -54,8 +55,9 @@ def gamma_command(
     if out in (picture, page):
         what = "picture" if out == picture else "report"
         raise ConfigError(f"{out}: is the name of the {what}; name it otherwise, such as .yaml")
-    for path in (out, picture, page):
-        refuse_existing(path, force)
+    refuse_existing(out, force)
+    for path in (picture, page):
+        refuse_existing(path, force or is_report(page))  # of a run that ended before its result
     wanted = Plan.load(plan)
     greys = GreyLevels(levels=levels or wanted.greys.levels, repeats=repeats or wanted.greys.repeats)
     viewer = open_viewer(context, ResponseView, view, keep_open, out.with_suffix(".rrd"))
@@ -78,12 +80,12 @@ def gamma_command(
     for reason in response.left_out:
         console.say(f"left out: {reason}")
     viewer.show(ResponseView.response, response)
-    response.save(out)
     drawn = response_fit(response)
-    write_atomic(picture, lambda stream: stream.write(drawn))
     source = rig_provenance(*described, wanted, exposure_s=exposure).with_values(item=item, response=out.name)
     answer = {**response.summary(), "judgement": judgement.model_dump(mode="json")}
     write_gamma_report(page, response, seen, judgement, source, answer)
+    write_atomic(picture, lambda stream: stream.write(drawn))
+    response.save(out)  # last: where it is, all is done
     result = {
         **answer,
         "provenance": source.summary(),
@@ -97,6 +99,11 @@ def gamma_command(
 def _show_response(result: dict[str, Any]) -> None:
     for name, sigma in zip("abg", result["sigma"], strict=True):
         console.stdout.print(f"{name} = {result[name]:.5f} ± {sigma:.2g}", markup=False)
+    if result["spline"]:
+        console.stdout.print(
+            f"no power law predicts the levels: a spline of {len(result['spline'])} coefficients is used, g "
+            "is for information"
+        )
     fitted, regions, spread = len(result["levels"]), len(result["regions"]), result["region_spread"]
     agree = f"; {regions} regions agree on g to {spread:.2g}" if spread is not None else ""
     console.stdout.print(f"RMS misfit {result['residual']:.2g} of full scale, {fitted} levels{agree}")

@@ -43,6 +43,18 @@ def match_command(
         list[str] | None,
         typer.Option("--scan", help="ITEM=SESSION: the bench's scan of an artefact, for the judgement."),
     ] = None,
+    card: Annotated[
+        str,
+        typer.Option(
+            "--card",
+            help="The response's grey card, as the twin's fixture calls it; ITEM=SESSION: and a scan of it, "
+            "by which its pose is matched.",
+        ),
+    ] = "grey_card",
+    accept: Annotated[
+        list[str] | None,
+        typer.Option("--accept", help="CAUSE: match although this speaks against it; the twin will tell."),
+    ] = None,
     target: Annotated[
         str | None,
         typer.Option(
@@ -68,22 +80,28 @@ def match_command(
     Gamma matching, then characterisation matching by `L = α log(1 + |ε_d|) + β (1 - SSIM)`. OUT gets the
     matched twin (`rig.yaml`, which every command takes), `match.jsonl` with every epoch, and `report.html`.
     `verdict` says whether to believe the twin, `findings` why not; a useless one is not written, and the exit
-    code is 4. The same command continues an interrupted matching.
+    code is 4. The same command continues an interrupted matching, and with `--accept CAUSE` a refused one;
+    every command that uses the twin then tells what was accepted.
 
     Example: `fpplab match --twin rig_twin --reference board/ --gamma response.yaml --scan pyramid=pyramid
     --out matched`
     """
     from fpplab.devices.rig import Rig
     from fpplab.matching.record import EPOCHS
+    from fpplab.matching.refusal import acceptable_causes
     from fpplab.matching.run import MatchingRequest, match_sessions, twin_of
     from fpplab.pipeline import REPORT
-    from fpplab.sessions.session import recorded_sessions
+    from fpplab.sessions.session import Session, recorded_sessions
     from fpplab.targets import Target
 
     _make_way(out, force, EPOCHS, REPORT)
     sessions = recorded_sessions(reference)
+    card_item, _, card_session = card.partition("=")
     wanted = MatchingRequest(
         board=item,
+        card=card_item,
+        card_scan=Session.open(Path(card_session)) if card_session else None,
+        accepted=acceptable_causes(accept or []),
         response=_response(gamma),
         scans=_scans(scan or []),
         weights=_weights(alpha, beta),
@@ -94,10 +112,10 @@ def match_command(
         known = twin_of(rig, item)
         board = Target.load(target) if target else known.target
 
+        from fpplab.core.session_names import RECORDING
         from fpplab.matching.record import MatchingEpoch
         from fpplab.report.matching import write_matching_report
         from fpplab.viewer.matching import MatchingView, show_twin
-        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, MatchingView, view, keep_open, out / RECORDING)
         references: list[Reference] = []
@@ -127,7 +145,7 @@ def match_command(
         result = {
             **found.summary(),
             "seconds": elapsed(),
-            "rig": None if found.diagnosis.is_useless else str(out / "rig.yaml"),
+            "rig": None if found.diagnosis.is_useless else str(out / RIG),
             "report": str(out / REPORT),
         }
         with console.progress("Drawing the report"):
@@ -135,14 +153,18 @@ def match_command(
     console.conclude(found.diagnosis, str(out), result, json, lambda: _show(result))
 
 
+RIG = "rig.yaml"
+"""The matched twin, in the folder of a matching that was not refused."""
+
+
 def _make_way(out: Path, force: bool, record: str, page: str) -> None:
-    """Refuse to overwrite a finished matching; an unfinished one is continued."""
-    if (out / page).is_file() and not force:
+    """Refuse to overwrite a finished matching; an unfinished or refused one is continued."""
+    if (out / RIG).is_file() and not force:
         raise ConfigError(f"{out}: exists already; name another output, or add --force to replace it")
     if out.exists() and not (out / record).is_file() and any(out.iterdir()):
         raise ConfigError(f"{out}: exists and holds no matching; name another output")
     if force:
-        for name in (record, page):
+        for name in (record, page, RIG):
             (out / name).unlink(missing_ok=True)
 
 

@@ -153,14 +153,15 @@ def _changed(study: Study, calibration: Path | None, seeds: int | None) -> Study
 def _make_way(what: SearchScope, out: Path, force: bool) -> None:
     """Refuse to overwrite a finished search; an unfinished one is continued."""
     from fpplab.core.files import need_suffix
-    from fpplab.optimisation.run import journal_path, plan_paths
+    from fpplab.optimisation.run import journal_path, plan_paths, report_path
 
     if what is not SearchScope.PARETO:
         need_suffix(out, ".yaml")
     elif out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; `pareto` leaves a folder of plans")
     plans = plan_paths(what, out)
-    if plans and not force:
+    begun = journal_path(what, out).is_file() and not report_path(what, out).is_file()  # which is last
+    if plans and not (force or begun):
         raise ConfigError(f"{plans[0]}: exists already; name another output, or add --force to replace it")
     if force:
         for path in (*plans, journal_path(what, out)):

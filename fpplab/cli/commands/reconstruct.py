@@ -43,7 +43,7 @@ def reconstruct_command(
     from fpplab.diagnosis import UselessScanError
     from fpplab.phase.precision import uncertain_orders
     from fpplab.reconstruction.filtering import removal
-    from fpplab.report import write_scan_report
+    from fpplab.report import is_report, write_scan_report
     from fpplab.report.provenance import session_provenance
     from fpplab.sessions.session import Session
     from fpplab.viewer.measurement import MeasurementView
@@ -51,7 +51,7 @@ def reconstruct_command(
     page = out.with_suffix(".html")
     need_suffix(out, *CLOUD_SUFFIXES)
     refuse_existing(out, force)
-    refuse_existing(page, force)
+    refuse_existing(page, force or is_report(page))  # of a run that ended before its result
     known = Calibration.load(calibration)
     recorded = Session.open(session)
     used = pipeline.depth_range_of(recorded, depth)

@@ -64,8 +64,8 @@ def scan_command(
             bench.need_fixture(f"--item {item}").check(item, pose)
 
         # Only now the heavy modules: wrong input is told at once. The viewer loads its own meanwhile.
+        from fpplab.core.session_names import RECORDING
         from fpplab.viewer.measurement import MeasurementView, frame_observer
-        from fpplab.viewer.view import RECORDING
 
         viewer = open_viewer(context, MeasurementView, view, keep_open, out / RECORDING)
         viewer.show(MeasurementView.plan, wanted, caps.size, caps.lattice)

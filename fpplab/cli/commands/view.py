@@ -43,10 +43,10 @@ def view_command(
     """
     from fpplab.calibration.model import Calibration
     from fpplab.core.files import need_suffix, refuse_existing
+    from fpplab.core.session_names import RECORDING
     from fpplab.pipeline import CALIBRATION
     from fpplab.sessions.session import JOURNAL, Session
     from fpplab.viewer.recorded import view_recording, view_session
-    from fpplab.viewer.view import RECORDING
 
     def announce(where: str) -> None:
         console.say(f"Shown at {where}")

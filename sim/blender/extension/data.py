@@ -44,7 +44,7 @@ def tagged(owner: str) -> Iterator[None]:
     Yields
     ------
     None
-        While data is made.
+        While it is made.
     """
     before = set(all_data())
     try:

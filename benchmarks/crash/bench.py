@@ -1,0 +1,56 @@
+"""An emulated bench that leaves a note of how it was left: whether it was dark, and the camera disarmed."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from drivers.emulators.bench import EmulatedBench
+
+NOTE = "FPPLAB_BENCH_NOTE"
+"""Environment variable with the file of the note."""
+
+
+class WitnessedBench(EmulatedBench):
+    """Writes the note when it is opened and, once all drivers have let go of it, when it is closed."""
+
+    def open(self) -> None:
+        """Open as `EmulatedBench` does."""
+        super().open()
+        _write({"open": True})
+
+    def close(self) -> None:
+        """Close as `EmulatedBench` does, after a look at the devices."""
+        light = self.controller.light()
+        _write(
+            {
+                "open": False,
+                "dark": light is None or not any(light.levels.values()),
+                "armed": self.pylon.armed_camera() is not None,
+            }
+        )
+        super().close()
+
+
+def bench_is_safe(note: Path) -> bool:
+    """Tell by its note whether a bench was left safe.
+
+    Parameters
+    ----------
+    note : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether it was never opened, or is closed, dark and disarmed.
+    """
+    if not note.is_file():
+        return True
+    left = json.loads(note.read_text("utf-8"))
+    return bool(left == {"open": False, "dark": True, "armed": False})
+
+
+def _write(left: dict[str, bool]) -> None:
+    Path(os.environ[NOTE]).write_text(json.dumps(left), encoding="utf-8")

@@ -1,0 +1,71 @@
+"""`fpplab predict`: what a measurement will give, by a twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fpplab.cli import console
+from fpplab.cli.app import TWIN, Json, app
+from fpplab.cli.completion import names_of
+
+
+@app.command("predict", rich_help_panel=TWIN)
+def predict_command(
+    rig: Annotated[
+        str,
+        typer.Option("--rig", help="Rig file of a twin or virtual bench.", autocompletion=names_of("rig")),
+    ],
+    plan: Annotated[str, typer.Option("--plan", help="What to project.", autocompletion=names_of("plan"))],
+    item: Annotated[str, typer.Option("--item", help="What to measure, as the twin's world calls it.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="To triangulate with; by default the twin's true one."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Predict a measurement without making it: distance, noise, completeness, wrong orders and time.
+
+    Each figure has an interval of 95 %. For a matched twin it contains what twin and bench differed by when
+    it was matched (`discrepancy.yaml`); for any other simulation only the scatter of the noise and the
+    uncertainty of the calibration. A sample of the image's rows is simulated.
+
+    Example: `fpplab predict --rig matched/rig.yaml --plan plan_paper --item pyramid`
+    """
+    from fpplab.calibration.model import Calibration
+    from fpplab.devices.rig import Rig
+    from fpplab.patterns.plan import Plan
+    from fpplab.prediction import predict
+
+    wanted = Plan.load(plan)
+    known = None if calibration is None else Calibration.load(calibration)
+    with console.stopwatch() as elapsed, Rig.load(rig) as bench, console.progress("Predicting"):
+        found = predict(bench, wanted, item, known)
+        answer = {**found.summary(), "predicted_in_s": elapsed()}
+    console.answer(answer, json, lambda: _show(answer))
+
+
+UNITS = {
+    "distance_um": ("distance from the surface", "µm", 1.0),
+    "noise_um": ("noise", "µm", 1.0),
+    "completeness": ("completeness", "%", 100.0),
+    "wrong_order": ("chance of a wrong order", "", 1.0),
+    "seconds": ("time of the images", "s", 1.0),
+}
+
+
+def _show(answer: dict[str, Any]) -> None:
+    rows = []
+    for name, (words, unit, scale) in UNITS.items():
+        one = answer[name]
+        values = [f"{scale * one[key]:.3g} {unit}".strip() for key in ("value", "low", "high")]
+        rows.append([words, *values])
+    console.table(
+        f"Prediction for the {answer['item']}", ["figure", "predicted", "at least", "at most"], rows
+    )
+    if not answer["matched"]:
+        console.say("no matched twin: what the simulation lacks of a bench is not in the intervals")
+    if answer["looks_like"]:
+        console.say(f"the twin's discrepancy looks like {answer['looks_like']}; not for {answer['not_for']}")

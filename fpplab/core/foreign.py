@@ -1,0 +1,191 @@
+"""Files of foreign parsers, read in a process of its own with limited time, memory and stack.
+
+Such a parser may run on without end, ask for more memory than there is, or end its process; here it ends only
+its own. What it read comes back as plain arrays. Run as a program, this module is that process: it reads a
+file from stdin and writes an NPZ archive to stdout.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpplab.core.files import open_regular
+
+ALWAYS_S, S_PER_MB = 30.0, 2.0
+"""A file may take so long to be read, and so much longer for every MB that it has."""
+ALWAYS_BYTES, TIMES_ITS_SIZE = 1_600_000_000, 40
+"""Reading may take so much address space, and so many times the size of the file more."""
+STACK_BYTES = 1 << 20
+"""Of the thread that reads: what nests without end meets this limit soon."""
+REFUSED = 3
+"""Exit code where the parser itself refused the file."""
+
+Parts = dict[str, NDArray[Any]]
+
+
+def read_apart(kind: str, path: Path, found: BinaryIO | None = None) -> Parts:
+    """Read a file in a process of its own.
+
+    Parameters
+    ----------
+    kind : {"opencv", "stl", "ply", "obj"}
+        Format of the file.
+    path : Path
+        The file.
+    found : binary file, optional
+        Its contents, where they have been opened already.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Of a mesh `vertices` and `faces`; of OpenCV's files the top-level entries: matrices and lists as
+        arrays, numbers and words as arrays without dimensions. Entries of other kinds are left out.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened.
+    ValueError
+        The parser refuses the file, or fails on it.
+    """
+    with found or open_regular(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        seconds = ALWAYS_S + S_PER_MB * size / 1e6
+        command = [sys.executable, "-P", "-m", __name__, kind, str(ALWAYS_BYTES + TIMES_ITS_SIZE * size)]
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        try:
+            read = subprocess.run(
+                command, stdin=stream, capture_output=True, timeout=seconds, env=environment, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"its reader has not come to an end after {seconds:.0f} s") from None
+    if read.returncode == 0:
+        with np.load(io.BytesIO(read.stdout), allow_pickle=False) as parts:
+            return dict(parts)
+    if read.returncode == REFUSED:
+        raise ValueError(read.stderr.decode("utf-8", "replace").strip())
+    raise ValueError("its reader fails on it; is it damaged, or nested without end?")
+
+
+def _main(kind: str, most_bytes: int) -> None:
+    """Read stdin in a thread of little stack, and write what it holds to stdout."""
+    import threading
+
+    _limit_memory(most_bytes)
+    threading.stack_size(STACK_BYTES)
+    result: list[Parts | str] = []
+    thread = threading.Thread(target=lambda: result.append(_read(kind, sys.stdin.buffer)))
+    thread.start()
+    thread.join()
+    if not result:
+        sys.exit(1)
+    if isinstance(result[0], str):
+        print(result[0], file=sys.stderr)
+        sys.exit(REFUSED)
+    np.savez(sys.stdout.buffer, **result[0])
+
+
+def _limit_memory(most_bytes: int) -> None:
+    import resource
+
+    with suppress(ValueError, OSError):  # a system without this limit, or with a stricter one
+        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _read(kind: str, stream: BinaryIO) -> Parts | str:
+    """What a file holds, or why it cannot be read."""
+    try:
+        return read_opencv(stream.read()) if kind == "opencv" else read_mesh(kind, stream.read())
+    except MemoryError:
+        return "it asks for more memory than a file of its size can need"
+    except Exception as error:  # noqa: BLE001 - parsers raise exceptions of any kind
+        return str(error) or type(error).__name__
+
+
+def read_mesh(kind: str, content: bytes) -> Parts:
+    """Read the corners and faces of a mesh with trimesh, in this process.
+
+    Parameters
+    ----------
+    kind : {"stl", "ply", "obj"}
+        Format.
+    content : bytes
+        The file.
+
+    Returns
+    -------
+    dict of str to ndarray
+        `vertices`, (N, 3) float64, and `faces`, (M, 3) int64; without any where it holds something else.
+
+    Raises
+    ------
+    Exception
+        Of any kind: the file is damaged.
+    """
+    import trimesh
+
+    with np.errstate(invalid="ignore"):
+        # Unprocessed, since processing would silently drop corners that are not finite.
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+    if not isinstance(mesh, trimesh.Trimesh):
+        return {}
+    return {"vertices": np.asarray(mesh.vertices, np.float64), "faces": np.asarray(mesh.faces, np.int64)}
+
+
+def read_opencv(content: bytes) -> Parts:
+    """Read the top-level entries of OpenCV's FileStorage, in this process.
+
+    Parameters
+    ----------
+    content : bytes
+        The file, in UTF-8.
+
+    Returns
+    -------
+    dict of str to ndarray
+        As `read_apart`.
+
+    Raises
+    ------
+    ValueError, SystemError
+        It is damaged.
+    """
+    import cv2
+
+    cv2.setLogLevel(0)  # or OpenCV would print what the error says
+    try:
+        storage = cv2.FileStorage(content.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = storage.root()  # valid only as long as `storage` exists
+        entries = {name: _opencv_value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
+    except cv2.error as error:
+        raise ValueError("OpenCV refuses it") from error
+    return {name: np.asarray(value) for name, value in entries.items() if value is not None}
+
+
+def _opencv_value(node: Any) -> Any:
+    if node.isInt() or node.isReal():
+        return node.real()
+    if node.isString():
+        return node.string()
+    if node.isSeq():
+        return np.array([node.at(i).real() for i in range(node.size())])
+    import cv2
+
+    try:
+        return node.mat() if node.isMap() else None
+    except cv2.error:  # a map that is no matrix
+        return None
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], int(sys.argv[2]))

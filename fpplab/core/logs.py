@@ -1,0 +1,40 @@
+"""Which loggers are listened to, and how device traffic is logged on request."""
+
+from __future__ import annotations
+
+import logging
+
+LOGGERS = ("fpplab", "drivers", "sim")
+"""Packages whose loggers are listened to; libraries keep what they say to themselves."""
+_traffic = logging.getLogger("fpplab.traffic")
+_state = {"traced": False}
+
+
+def trace_devices(wanted: bool) -> None:
+    """Have what is sent to devices, and what they answer, logged; or not any more.
+
+    Parameters
+    ----------
+    wanted : bool
+        Whether it is logged.
+    """
+    _state["traced"] = wanted
+
+
+def log_traffic(device: str, direction: str, data: bytes | str) -> None:
+    """Log one message to or from a device, if that was asked for.
+
+    Parameters
+    ----------
+    device : str
+        Name of the device.
+    direction : str
+        "to" or "from".
+    data : bytes or str
+        The message: bytes are logged in hexadecimal, without zeros at their end.
+    """
+    if _state["traced"]:
+        words = data.rstrip(b"\0").hex() if isinstance(data, bytes) else data
+        _traffic.info(
+            "%s %s: %s", direction, device, words, extra={"device": device, "sent": direction == "to"}
+        )

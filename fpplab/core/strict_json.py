@@ -1,0 +1,54 @@
+"""JSON and lines of it from files: read in one place, with faults that are always the same exception."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+
+def parse_json(content: bytes | str) -> Any:
+    """Parse JSON, whoever wrote it.
+
+    Parameters
+    ----------
+    content : bytes or str
+        The text, UTF-8 where it is bytes.
+
+    Returns
+    -------
+    object
+        Mappings, lists, strings, numbers, booleans and None.
+
+    Raises
+    ------
+    ValueError
+        It is not JSON, or nested so deep that nothing could use it.
+    """
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("it has too many lists and mappings inside one another") from None
+
+
+def parse_object(content: bytes | str) -> dict[str, Any]:
+    """Parse a JSON object.
+
+    Parameters
+    ----------
+    content : bytes or str
+        The text.
+
+    Returns
+    -------
+    dict
+        Its fields.
+
+    Raises
+    ------
+    ValueError
+        As `parse_json`, or it is something else than an object.
+    """
+    found = parse_json(content)
+    if not isinstance(found, dict):
+        raise ValueError("it is not an object with fields")
+    return found

@@ -1,0 +1,107 @@
+"""Pose of the grey card for which the response was measured, from the bench's scan of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Floats
+from fpplab.core.errors import DataError
+from fpplab.core.geometry import RigidTransform
+from fpplab.core.robust import huber_weights, robust_spread
+from fpplab.pipeline import reconstruct
+from fpplab.sessions.session import Session
+
+ROUNDS = 10
+MOST_BENT_MM = 0.5
+"""Robust standard deviation of a card's points from a plane, in mm, beyond which it is no flat card."""
+
+
+def card_pose(session: Session, calibration: Calibration, nominal: RigidTransform) -> RigidTransform:
+    """Find how a card stands.
+
+    A plane tells three of six numbers; the card is turned and moved from its nominal pose no further than
+    these ask for.
+
+    Parameters
+    ----------
+    session : Session
+        The bench's scan of the card.
+    calibration : Calibration
+        Found by the bench's own characterisation.
+    nominal : RigidTransform
+        `T_camera_item` by the twin's file, in mm.
+
+    Returns
+    -------
+    RigidTransform
+        `T_camera_item` in mm.
+
+    Raises
+    ------
+    DataError
+        The scan has too few points, or they do not lie in a plane.
+    """
+    _, cloud = reconstruct(session, calibration)
+    points = cloud.points.astype(np.float64)
+    if len(points) < 100:
+        raise DataError(f"{session.path}: {len(points)} points tell no pose of a card; it takes 100")
+    centre, normal, spread = fitted_plane(points)
+    if spread > MOST_BENT_MM:
+        raise DataError(
+            f"{session.path}: the points are {spread:.2f} mm off a plane (at most {MOST_BENT_MM:g}): this is "
+            "no scan of a flat card"
+        )
+    return moved_into_plane(nominal, centre, normal)
+
+
+def fitted_plane(points: Floats) -> tuple[Floats, Floats, float]:
+    """Fit a plane, robust against points of other objects.
+
+    Parameters
+    ----------
+    points : ndarray of float64
+        (P, 3) in mm.
+
+    Returns
+    -------
+    centre : ndarray of float64
+        (3,), a point of the plane in mm.
+    normal : ndarray of float64
+        (3,), of length 1, away from the camera.
+    spread : float
+        Robust standard deviation of the points from the plane in mm.
+    """
+    weight = np.ones(len(points))
+    for _ in range(ROUNDS):
+        centre = weight @ points / weight.sum()
+        off = points - centre
+        normal = np.linalg.eigh((off * weight[:, None]).T @ off)[1][:, 0]
+        distance = off @ normal
+        spread = robust_spread(distance)
+        weight = huber_weights(distance, spread)
+    return centre, normal * np.sign(normal[2] or 1.0), spread
+
+
+def moved_into_plane(pose: RigidTransform, centre: Floats, normal: Floats) -> RigidTransform:
+    """Turn and move a pose so that its x and y axes lie in a plane, as little as possible.
+
+    Parameters
+    ----------
+    pose : RigidTransform
+        To start from, in mm.
+    centre, normal : ndarray of float64
+        (3,), a point of the plane in mm, and its normal.
+
+    Returns
+    -------
+    RigidTransform
+        Its z axis is the normal, or opposite to it, whichever is nearer.
+    """
+    axis = pose.rotation[:, 2]
+    wanted = normal * np.sign(axis @ normal or 1.0)
+    across = np.cross(axis, wanted)
+    angle = np.arctan2(np.linalg.norm(across), axis @ wanted)
+    turn = across / max(float(np.linalg.norm(across)), 1e-12) * angle
+    rotation = RigidTransform.from_vectors(turn, np.zeros(3)).rotation @ pose.rotation
+    return RigidTransform(rotation, pose.translation + ((centre - pose.translation) @ normal) * normal)

@@ -1,0 +1,82 @@
+"""Reasons to refuse a matching, and what an operator accepts all the same.
+
+What is accepted stays with the twin: it is a note of its rig file, which every command that opens the rig
+tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fpplab.core.errors import CalibrationError, ConfigError
+from fpplab.diagnosis import FaultCause
+
+ACCEPTABLE = (
+    FaultCause.STALE_CALIBRATION,
+    FaultCause.RESPONSE,
+    FaultCause.ARTEFACT_MISFIT,
+    FaultCause.LENS_NOT_LOCKED,
+    FaultCause.UNLIKE_IMAGES,
+    FaultCause.NO_GAIN,
+)
+"""Causes for which a matching is refused unless they are accepted."""
+
+
+def acceptable_causes(words: Iterable[str]) -> frozenset[FaultCause]:
+    """Read causes as an operator names them.
+
+    Parameters
+    ----------
+    words : iterable of str
+        Keys of causes.
+
+    Returns
+    -------
+    frozenset of FaultCause
+        Some of `ACCEPTABLE`.
+
+    Raises
+    ------
+    ConfigError
+        A word names none of them.
+    """
+    known = {cause.value: cause for cause in ACCEPTABLE}
+    for word in words:
+        if word not in known:
+            raise ConfigError(
+                f"--accept: '{word}' is no cause that can be accepted; there are {', '.join(known)}"
+            )
+    return frozenset(known[word] for word in words)
+
+
+class Refusals:
+    """Refuses a matching, unless the cause was accepted, and keeps what was accepted.
+
+    Parameters
+    ----------
+    accepted : iterable of FaultCause
+        Causes for which nothing is refused.
+    """
+
+    def __init__(self, accepted: Iterable[FaultCause] = ()) -> None:
+        self.accepted = frozenset(accepted)
+        self.notes: list[str] = []
+
+    def refuse(self, cause: FaultCause, words: str) -> None:
+        """Refuse for a cause, or note it where it was accepted.
+
+        Parameters
+        ----------
+        cause : FaultCause
+            One of `ACCEPTABLE`.
+        words : str
+            What was found, as a sentence.
+
+        Raises
+        ------
+        CalibrationError
+            The cause was not accepted; the message names the option that accepts it.
+        """
+        if cause not in self.accepted:
+            raise CalibrationError(f"{words} (--accept {cause} matches the twin all the same)")
+        self.notes.append(f"{cause} accepted: {words}")

@@ -1,0 +1,150 @@
+"""The steps of a characterisation matching, each of which proposes parameters of the twin.
+
+Order: geometry by the observed points, light, then one by one the effects that the paper names as missing
+(ambient light, defocus of projector and camera, vignetting, noise); at last all parameters of light together
+and the geometry by the images in turn. Noise is judged by its variance and spectrum, since the similarity of
+two independent noises falls when the right one is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fpplab.matching import geometry, light, noise
+from fpplab.matching.light import PixelSample
+from fpplab.matching.reference import Reference
+from fpplab.simulation.matchable import Twin, TwinParameters
+
+SAMPLED_POSES = 6
+"""Greatest number of poses whose pixels are compared by steps that fit light and noise."""
+F_NUMBERS = (1.0, 2.0, 4.0)
+APERTURES = (0.5, 1.0, 2.0)
+"""Factors of the twin's own aperture with which the search for a focus starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingContext:
+    """What every step is given.
+
+    Attributes
+    ----------
+    reference : Reference
+        What was recorded of the bench.
+    twin : Twin
+        To be matched.
+    samples : list of PixelSample
+        Pixels at which images are compared.
+    white : str
+        The parameter that scales the levels: "white", or "paper" where a measured response fixes white.
+    """
+
+    reference: Reference
+    twin: Twin
+    samples: list[PixelSample]
+    white: str
+
+    def light_parameters(self, *more: str) -> tuple[str, ...]:
+        """Name the parameters of light that are free.
+
+        Parameters
+        ----------
+        *more : str
+            Further names to be appended.
+
+        Returns
+        -------
+        tuple of str
+            Keys of `fpplab.matching.light.ADJUSTABLE`; the response is free only where it was not measured.
+        """
+        response = () if self.reference.response is not None else ("b", "g")
+        return (self.white, "ink", "ambient", "black_level", *response, *more)
+
+    def fit(self, *names: str) -> TwinParameters:
+        """Fit parameters of light and sharpness to the samples.
+
+        Parameters
+        ----------
+        *names : str
+            Keys of `fpplab.matching.light.ADJUSTABLE`.
+
+        Returns
+        -------
+        TwinParameters
+            As `fpplab.matching.light.fit_light` finds them; the twin is left with them.
+        """
+        return light.fit_light(self.reference, self.twin, names, self.samples)
+
+
+@dataclass(frozen=True)
+class MatchingStep:
+    """One step of a matching.
+
+    Attributes
+    ----------
+    name : str
+        As recorded and reported.
+    propose : callable
+        Gives the parameters to try, from the `MatchingContext` whose twin has the best ones so far.
+    characterises : bool
+        Whether the twin's own RMS reprojection error must be found again.
+    misfit : callable or None
+        What the step is judged by, less is better, in place of the loss.
+    """
+
+    name: str
+    propose: Callable[[MatchingContext], TwinParameters]
+    characterises: bool = False
+    misfit: Callable[[MatchingContext], float] | None = None
+
+
+def _projector_defocus(at: MatchingContext) -> TwinParameters:
+    names = ("projector_focus_mm", "projector_aperture_mm")
+    if at.twin.parameters.projector_focus_mm is None:
+        light.search_focus_grid(at.reference, at.twin, at.samples, *names, APERTURES)
+    if at.twin.parameters.projector_focus_mm is None:
+        return at.fit("projector_blur")
+    return at.fit("projector_blur", *names)
+
+
+def _depth_of_field(at: MatchingContext) -> TwinParameters:
+    names = ("camera_focus_mm", "f_number")
+    if at.twin.parameters.camera_focus_mm is None:
+        light.search_focus_grid(at.reference, at.twin, at.samples, *names, F_NUMBERS)
+    if at.twin.parameters.camera_focus_mm is None:
+        return at.twin.parameters
+    return at.fit("projector_blur", *names)
+
+
+def _fit_together(at: MatchingContext) -> TwinParameters:
+    now = at.twin.parameters
+    names = ["projector_blur", "vignetting"]
+    if now.projector_focus_mm is not None:
+        names += ["projector_focus_mm", "projector_aperture_mm"]
+    if now.camera_focus_mm is not None:
+        names += ["camera_focus_mm", "f_number"]
+    return at.fit(*at.light_parameters(*names))
+
+
+def _refine_by_images(at: MatchingContext) -> TwinParameters:
+    return geometry.refine_by_images(at.reference, at.twin, at.reference.characterisation.level)
+
+
+FIRST_STEPS = (
+    MatchingStep(
+        "points",
+        lambda at: geometry.refine_by_reprojection(at.twin.parameters, at.reference.characterisation),
+    ),
+    MatchingStep("light", lambda at: at.fit(at.white, "ink", "projector_blur")),
+    MatchingStep("ambient light", lambda at: at.fit(*at.light_parameters())),
+    MatchingStep("projector defocus", _projector_defocus),
+    MatchingStep("depth of field", _depth_of_field),
+    MatchingStep("vignetting", lambda at: at.fit(at.white, "vignetting")),
+    MatchingStep(
+        "noise",
+        lambda at: noise.match_noise(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
+        True,
+        lambda at: noise.noise_misfit(at.reference, at.twin, at.reference.spread_poses(SAMPLED_POSES)),
+    ),
+)
+REPEATED_STEPS = (MatchingStep("together", _fit_together), MatchingStep("images", _refine_by_images))

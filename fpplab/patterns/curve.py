@@ -1,0 +1,208 @@
+"""A response as a curve from the level shown to the level seen, its inverse, and light in proportion to it.
+
+`I_out = a S(I_in) + b`. S rises from 0 to 1 and is either a power law, `I^g`, or a monotone cubic spline for
+projectors whose response has another shape. Only S bends fringes.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import model_validator
+from scipy.interpolate import BSpline
+
+from fpplab.core.config import Document, Positive
+from fpplab.core.conventions import Floats
+
+DEGREE = 3
+"""Degree of the spline."""
+CORRECTABLE = (0.5, 5.0)
+"""Range of exponents whose inverse 256 grey levels can show: rounding leaves at most 0.007 rad of error in
+three steps.
+"""
+MOST_JUMP = (1 / 255) ** CORRECTABLE[0]
+"""Greatest step of the light from one of 256 grey levels to the next, as a share, that patterns are corrected
+with: the first step of the least exponent."""
+
+_INVERSE = np.linspace(0.0, 1.0, 1 << 16)
+
+
+class Curve(Document):
+    """A response `I_out = a S(I_in) + b`."""
+
+    a: Positive
+    """Gain."""
+    b: float
+    """Level seen of a dark image, as a share of full scale."""
+    g: Positive
+    """Exponent (gamma): S is `I^g`; beside a spline that of the best power law, for information."""
+    spline: tuple[float, ...] = ()
+    """S as a cubic B-spline with equally spaced knots over [0, 1]: its coefficients, from 0 to 1 and never
+    falling; none for a power law."""
+
+    @model_validator(mode="after")
+    def _spline_rises(self) -> Curve:
+        if not self.spline:
+            return self
+        given = np.asarray(self.spline)
+        if len(given) <= DEGREE or given[0] != 0.0 or given[-1] != 1.0 or np.any(np.diff(given) < 0):
+            raise ValueError(
+                f"'spline' has {len(given)} coefficients from {given[0]:g} to {given[-1]:g}: must be at "
+                f"least {DEGREE + 1} that start at 0, end at 1 and never fall"
+            )
+        return self
+
+    def shape(self, levels_in: ArrayLike) -> Floats:
+        """Compute S, the share of the light between black and white.
+
+        Parameters
+        ----------
+        levels_in : array_like
+            Levels shown, in [0, 1].
+
+        Returns
+        -------
+        ndarray of float64
+            In [0, 1], of the same shape.
+        """
+        levels = np.asarray(levels_in, np.float64)
+        return evaluate_spline(self.spline, levels) if self.spline else np.asarray(levels**self.g)
+
+    def apply(self, levels_in: ArrayLike) -> Floats:
+        """Compute the levels seen for levels shown.
+
+        Parameters
+        ----------
+        levels_in : array_like
+            Levels shown, in [0, 1].
+
+        Returns
+        -------
+        ndarray of float64
+            Levels seen, as shares of full scale, of the same shape.
+        """
+        return np.asarray(self.a * self.shape(levels_in) + self.b)
+
+    def invert(self, levels_out: ArrayLike) -> Floats:
+        """Compute the levels shown for levels seen.
+
+        Parameters
+        ----------
+        levels_out : array_like
+            Levels seen, as shares of full scale.
+
+        Returns
+        -------
+        ndarray of float64
+            Levels shown, of the same shape; NaN below b, which no level shown gives, and for a spline above
+            a + b.
+        """
+        share = (np.asarray(levels_out, np.float64) - self.b) / self.a
+        if self.spline:
+            return np.where((share >= 0) & (share <= 1 + 1e-12), self.correct(np.clip(share, 0, 1)), np.nan)
+        return np.asarray(np.where(share >= 0, np.abs(share) ** (1.0 / self.g), np.nan))
+
+    def correct(self, levels: ArrayLike) -> Floats:
+        """Compute the levels to show so that the light rises from black to white in proportion to `levels`.
+
+        The light that can be reached is b … a + b, so `levels` are shares of that, and the result is the
+        inverse of S. Gain, black level and exposure cancel, black stays black and white stays white.
+
+        Parameters
+        ----------
+        levels : array_like
+            Wanted light, in [0, 1].
+
+        Returns
+        -------
+        ndarray of float64
+            Levels to show, in [0, 1], of the same shape.
+        """
+        wanted = np.asarray(levels, np.float64)
+        if self.spline:
+            return np.asarray(np.interp(wanted, _rising(self.spline), _INVERSE))
+        return np.asarray(wanted ** (1.0 / self.g))
+
+    def check_correctable(self) -> None:
+        """Refuse a response whose inverse a projector cannot show.
+
+        Raises
+        ------
+        ValueError
+            g is outside of `CORRECTABLE`, or a spline rises too steeply for 256 grey levels.
+        """
+        if self.spline:
+            jump = float(np.diff(self.shape(np.arange(256) / 255)).max())
+            if jump > MOST_JUMP:
+                raise ValueError(
+                    f"'spline' rises by {jump:.2g} of white from one grey level to the next: at most "
+                    f"{MOST_JUMP:.2g} to correct patterns with; change the projector's own tone curve"
+                )
+            return
+        least, most = CORRECTABLE
+        if not least <= self.g <= most:
+            raise ValueError(
+                f"'g' is {self.g:g}: patterns can be corrected for an exponent of {least:g} to {most:g}, "
+                "beyond which the projector has too few grey levels; change its own gamma setting"
+            )
+
+
+def knots(coefficients: int) -> Floats:
+    """Give the clamped, equally spaced knots of a spline over [0, 1].
+
+    Parameters
+    ----------
+    coefficients : int
+        Number of its coefficients, more than `DEGREE`.
+
+    Returns
+    -------
+    ndarray of float64
+        (coefficients + `DEGREE` + 1,).
+    """
+    ends = np.full(DEGREE, 1.0)
+    return np.concatenate([0.0 * ends, np.linspace(0.0, 1.0, coefficients - DEGREE + 1), ends])
+
+
+def evaluate_spline(coefficients: tuple[float, ...], levels: Floats) -> Floats:
+    """Evaluate a spline.
+
+    Parameters
+    ----------
+    coefficients : tuple of float
+        As in `Curve.spline`.
+    levels : ndarray of float64
+        In [0, 1], of any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Of the same shape.
+    """
+    spline = BSpline(knots(len(coefficients)), np.asarray(coefficients), DEGREE)
+    return np.asarray(spline(np.clip(levels, 0.0, 1.0)), np.float64)
+
+
+@lru_cache(maxsize=8)
+def _rising(coefficients: tuple[float, ...]) -> Floats:
+    return np.asarray(np.maximum.accumulate(evaluate_spline(coefficients, _INVERSE)))
+
+
+def power_law(shown: Floats, a: float, b: float, g: float) -> Floats:
+    """Compute `a I^g + b`.
+
+    Parameters
+    ----------
+    shown : ndarray of float64
+        Levels shown, in [0, 1].
+    a, b, g : float
+        Gain, dark level and exponent.
+
+    Returns
+    -------
+    ndarray of float64
+        Levels seen, of the same shape.
+    """
+    return np.asarray(a * shown**g + b)

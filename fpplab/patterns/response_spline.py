@@ -1,0 +1,159 @@
+"""Fit of a monotone spline to the levels of a response, and the evidence that decides whether it is needed.
+
+The coefficients of a B-spline that never fall make a curve that never falls (Ramsay's I-splines), and their
+rises are found by non-negative least squares. How many there are, and whether the spline replaces the power
+law, is decided by how well each level is predicted from the others.
+
+References
+----------
+Ramsay, Monotone regression splines in action, Stat. Sci. 3, 1988
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.optimize import nnls
+
+from fpplab.core.conventions import Floats
+from fpplab.patterns.curve import DEGREE, knots
+
+MOST_COEFFICIENTS = 24
+"""Most coefficients of a spline."""
+LEAST_REACH = 0.98
+"""Level shown that must have been seen, since a spline tells nothing beyond the last level."""
+LEAST_GAIN = 0.7
+"""The spline is chosen where its mean square error of prediction is less than this share of the power
+law's."""
+COVERAGE = 2.0
+"""And where the difference of the two is more than so many of its standard errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplineFit:
+    """A monotone spline through levels.
+
+    Attributes
+    ----------
+    a, b : float
+        Rise from dark to white, and level of a dark image.
+    coefficients : tuple of float
+        As in `Curve.spline`.
+    residual : ndarray of float64, (L,)
+        Levels seen minus fitted.
+    left_out : ndarray of float64, (L,)
+        Errors of the prediction of each level from the others.
+    sigma : tuple of float
+        Standard uncertainties of a and b.
+    freedom : int
+        Degrees of freedom of the residuals.
+    """
+
+    a: float
+    b: float
+    coefficients: tuple[float, ...]
+    residual: Floats
+    left_out: Floats
+    sigma: tuple[float, float]
+    freedom: int
+
+
+def fit_spline(shown: Floats, seen: Floats, sigma: Floats | None) -> SplineFit | None:
+    """Fit the monotone spline that predicts left-out levels best.
+
+    Parameters
+    ----------
+    shown, seen : ndarray of float64, (L,)
+        Levels, as shares of full scale.
+    sigma : ndarray of float64, (L,), or None
+        Standard uncertainties of the levels seen, where they are known.
+
+    Returns
+    -------
+    SplineFit or None
+        None where the levels do not reach from black to white, or are too few.
+    """
+    if shown.min() > 1.0 - LEAST_REACH or shown.max() < LEAST_REACH:
+        return None
+    most = min(MOST_COEFFICIENTS, len(np.unique(shown)) - 2)
+    # No level counts much more than the usual one: what the spline lacks is not known to a millionth.
+    weight = np.ones_like(seen) if sigma is None else 1.0 / np.hypot(sigma, np.median(sigma))
+    counts = range(DEGREE + 1, most + 1)
+    fits = [fit for count in counts if (fit := _fit(shown, seen, weight, count)) is not None]
+    return min(fits, key=lambda fit: float(np.mean(fit.left_out[1:-1] ** 2)), default=None)
+
+
+def _fit(shown: Floats, seen: Floats, weight: Floats, count: int) -> SplineFit | None:
+    basis = BSpline.design_matrix(shown, knots(count), DEGREE).toarray()
+    # By the dark level, and the rises from coefficient to coefficient: sums of the basis from each on.
+    rises = np.cumsum(basis[:, ::-1], axis=1)[:, ::-1] * weight[:, None]
+    found, _ = nnls(rises, seen * weight)
+    a = float(found[1:].sum())
+    used = found > 0
+    used[0] = True
+    freedom = len(shown) - int(used.sum())
+    if a <= 0 or freedom < 1:
+        return None
+    inverse = np.linalg.pinv(rises[:, used].T @ rises[:, used])
+    leverage = np.einsum("li,ij,lj->l", rises[:, used], inverse, rises[:, used])
+    residual = seen - rises @ found / weight
+    scale = float(np.sum((weight * residual) ** 2)) / freedom
+    rising = used[used.nonzero()[0]].astype(np.float64)
+    rising[0] = 0.0
+    sigma_a = float(np.sqrt(scale * max(rising @ inverse @ rising, 0.0)))
+    sigma_b = float(np.sqrt(scale * max(inverse[0, 0], 0.0)))
+    coefficients = np.concatenate([[0.0], np.cumsum(found[1:]) / a])
+    coefficients[-1] = 1.0
+    return SplineFit(
+        a,
+        float(found[0]),
+        tuple(np.minimum(coefficients, 1.0).tolist()),
+        residual,
+        leave_one_out(residual, leverage),
+        (sigma_a, sigma_b),
+        freedom,
+    )
+
+
+def leave_one_out(residual: Floats, leverage: Floats) -> Floats:
+    """Compute by how much each level would be missed by a fit to the others.
+
+    Parameters
+    ----------
+    residual : ndarray of float64, (L,)
+        Of the fit to all levels.
+    leverage : ndarray of float64, (L,)
+        Diagonal of the matrix that takes levels to fitted levels.
+
+    Returns
+    -------
+    ndarray of float64
+        (L,), in the unit of the residuals.
+    """
+    return np.asarray(residual / np.maximum(1.0 - leverage, 1e-3))
+
+
+def prefers_spline(power: Floats, spline: Floats, sigma: Floats | None) -> bool:
+    """Decide between power law and spline.
+
+    The levels at both ends, which a spline predicts by extrapolation alone, do not count.
+
+    Parameters
+    ----------
+    power, spline : ndarray of float64, (L,)
+        Errors of prediction of the two.
+    sigma : ndarray of float64, (L,), or None
+        Standard uncertainties of the levels, where they are known: errors below them are none.
+
+    Returns
+    -------
+    bool
+        Whether the spline predicts better than chance explains.
+    """
+    floor = 0.0 if sigma is None else float(np.mean(sigma[1:-1] ** 2))
+    gain = power[1:-1] ** 2 - spline[1:-1] ** 2
+    of_power, of_spline = (float(np.mean(one[1:-1] ** 2)) for one in (power, spline))
+    certain = float(gain.mean()) > COVERAGE * float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return certain and of_power > 2.0 * floor and of_spline < LEAST_GAIN * of_power

@@ -1,0 +1,147 @@
+"""Figures of a measurement of a known shape, computed alike for predictions and for sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import igl
+import numpy as np
+import trimesh
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.comparison.visibility import RayTracedShape
+from fpplab.core.conventions import Axis, Floats, Mask
+from fpplab.core.errors import DataError
+from fpplab.patterns.plan import Plan
+from fpplab.phase import Decoded
+from fpplab.phase.bounds import PossibleCoordinates, widest
+from fpplab.phase.order_risk import order_risk
+from fpplab.reconstruction.triangulation import camera_rays
+
+EDGE_PX = 0.5
+"""By how much a projected point must lie within the projector's image to count as lit, in px."""
+
+
+@dataclass(frozen=True)
+class MeasuredFigures:
+    """Figures of one measurement.
+
+    Attributes
+    ----------
+    distance_um : float
+        Mean distance of the points from the true surface, in µm.
+    noise_um : float
+        Median standard uncertainty of a point by the noise of the images, in µm.
+    completeness : float
+        Share of the pixels that see lit surface which became points.
+    wrong_order : float
+        Mean probability that the fringe order of a point is wrong, by noise alone.
+    """
+
+    distance_um: float
+    noise_um: float
+    completeness: float
+    wrong_order: float
+
+    def summary(self) -> dict[str, float]:
+        """Give plain values.
+
+        Returns
+        -------
+        dict of str to float
+            By attribute.
+        """
+        return asdict(self)
+
+
+def seen_surface(mesh: trimesh.Trimesh, calibration: Calibration) -> tuple[Mask, Mask]:
+    """Find the pixels that see a shape, and those where it is lit as well.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        In mm in the camera's frame.
+    calibration : Calibration
+        Of both devices.
+
+    Returns
+    -------
+    seen, lit : ndarray of bool, (height, width)
+        By the ray through the middle of each pixel.
+    """
+    shape, rays = RayTracedShape(mesh), camera_rays(calibration.camera)
+    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    depth = shape.depth(np.zeros(3), directions.reshape(-1, 3)).reshape(rays.shape[:2])
+    seen: Mask = np.isfinite(depth)
+    hits = directions[seen] * depth[seen][:, None]
+    lit = np.zeros_like(seen)
+    lit[seen] = _lit(shape, hits, calibration)
+    return seen, lit
+
+
+def _lit(shape: RayTracedShape, points: Floats, calibration: Calibration) -> Mask:
+    u, v = calibration.projector.project(points, calibration.T_projector_camera).T
+    width, height = calibration.projector.size
+    within = (u > EDGE_PX) & (u < width - 1 - EDGE_PX) & (v > EDGE_PX) & (v < height - 1 - EDGE_PX)
+    return np.asarray(within & shape.unoccluded(calibration.projector_centre, points))
+
+
+def figures_of(
+    decoded: Decoded,
+    cloud: Cloud,
+    mesh: trimesh.Trimesh,
+    calibration: Calibration,
+    plan: Plan,
+    seen: tuple[Mask, Mask],
+    bounds: Mapping[Axis, PossibleCoordinates] | None = None,
+) -> MeasuredFigures:
+    """Compute the figures of a measurement.
+
+    Parameters
+    ----------
+    decoded : Decoded
+        Maps (height, width).
+    cloud : Cloud
+        Triangulated from them, with pixels.
+    mesh : trimesh.Trimesh
+        The true shape in mm in the camera's frame.
+    calibration : Calibration
+        The cloud was triangulated with.
+    plan : Plan
+        Of the measurement.
+    seen : tuple of ndarray of bool, (height, width)
+        Pixels that see the shape, and where it is lit, of `seen_surface`; False where pixels do not count.
+    bounds : mapping of str to PossibleCoordinates, optional
+        By axis, where the depth range is known.
+
+    Returns
+    -------
+    MeasuredFigures
+        Of the points whose pixels see the shape.
+
+    Raises
+    ------
+    DataError
+        No point lies on the shape.
+    """
+    assert cloud.pixels is not None
+    u, v = cloud.pixels.T
+    on_shape, lit = seen
+    counted = on_shape[v, u]
+    if not counted.any():
+        raise DataError("no point lies on the true shape: check the item's pose, light and exposure")
+    points = cloud.points[counted].astype(np.float64)
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    square = igl.point_mesh_squared_distance(points, vertices, faces)[0]
+    size = calibration.projector.size
+    widths = {axis: widest(bounds, axis, size) for axis in plan.axes} if bounds else None
+    risk = order_risk(decoded, plan, size, widths)[v[counted], u[counted]]
+    assert cloud.sigma_noise_mm is not None
+    return MeasuredFigures(
+        distance_um=1e3 * float(np.sqrt(square).mean()),
+        noise_um=1e3 * float(np.median(cloud.sigma_noise_mm[counted])),
+        completeness=float(np.count_nonzero(lit[v, u]) / max(1, np.count_nonzero(lit))),
+        wrong_order=float(np.nanmean(risk)),
+    )

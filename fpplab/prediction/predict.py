@@ -1,0 +1,334 @@
+"""Prediction of a measurement on a simulation, from a sample of the camera's rows.
+
+Bands of rows are simulated in place of whole frames: with the light of every pattern, computed once, and with
+the sensor's noise drawn anew for every draw. They are decoded, triangulated and compared like a measurement,
+so that the prediction is that of a whole synthesis but for the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.clouds import Cloud
+from fpplab.core.conventions import Axis, Map, Mask
+from fpplab.core.errors import ConfigError
+from fpplab.devices.rig import Rig
+from fpplab.patterns.fringes import make_patterns
+from fpplab.patterns.plan import Plan
+from fpplab.patterns.recording import Recording
+from fpplab.phase import Decoded, decode
+from fpplab.phase.bounds import PossibleCoordinates
+from fpplab.prediction.discrepancy import COVERAGE, Discrepancy
+from fpplab.prediction.figures import MeasuredFigures, figures_of, seen_surface
+from fpplab.reconstruction.depth_range import depth_bounds, first_stated
+from fpplab.reconstruction.points import points_of
+from fpplab.reconstruction.uncertainty import coordinate_noise, with_uncertainty
+from fpplab.simulation.predictable import FrameSampler, Predictable, Rows
+
+PIXELS = 40_000
+"""Number of pixels on the item that are simulated, about."""
+BAND, MARGIN = 12, 2
+"""Rows of a band, and how many at each of its ends serve as neighbours alone."""
+DRAWS = 3
+"""Number of draws of the noise."""
+
+
+@dataclass(frozen=True)
+class FigureInterval:
+    """A predicted figure with its interval of 95 %.
+
+    Attributes
+    ----------
+    value, low, high : float
+        In the unit of the figure.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def contains(self, measured: float) -> bool:
+        """Tell whether a measured figure lies within.
+
+        Parameters
+        ----------
+        measured : float
+            In the unit of the figure.
+
+        Returns
+        -------
+        bool
+            Ends included.
+        """
+        return self.low <= measured <= self.high
+
+    def summary(self) -> dict[str, float]:
+        """Give plain values.
+
+        Returns
+        -------
+        dict of str to float
+            `value`, `low` and `high`.
+        """
+        return {"value": self.value, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a measurement will give.
+
+    Attributes
+    ----------
+    item : str
+        Name of the item.
+    figures : dict of str to FigureInterval
+        By attribute of `MeasuredFigures`, and `seconds`.
+    images : int
+        Number of images.
+    pixels : int
+        Number of pixels on the item that were simulated.
+    discrepancy : Discrepancy or None
+        That the intervals contain; None for a rig that is no matched twin.
+    """
+
+    item: str
+    figures: dict[str, FigureInterval]
+    images: int
+    pixels: int
+    discrepancy: Discrepancy | None
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain values, as the command line prints them.
+
+        Returns
+        -------
+        dict of str to Any
+            The figures with their intervals, `item`, `images`, `pixels`, and of the discrepancy `looks_like`
+            and `not_for`.
+        """
+        known = self.discrepancy
+        return {
+            "item": self.item,
+            **{name: one.summary() for name, one in self.figures.items()},
+            "images": self.images,
+            "pixels": self.pixels,
+            "matched": known is not None,
+            "looks_like": known.looks_like if known else None,
+            "not_for": known.not_for if known else None,
+        }
+
+
+def predict(
+    rig: Rig, plan: Plan, item: str, calibration: Calibration | None = None, pixels: int = PIXELS
+) -> Prediction:
+    """Predict a measurement of an item on an open rig of a simulation.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open; its simulation can be sampled.
+    plan : Plan
+        What to project and capture.
+    item : str
+        Name of the item in the simulation.
+    calibration : Calibration, optional
+        To triangulate with; by default the simulation's true one, and the uncertainty of the file
+        `calibration.yaml` beside the rig file, if there is one.
+    pixels : int
+        Number of pixels on the item that are simulated, about.
+
+    Returns
+    -------
+    Prediction
+        Every figure with its interval.
+
+    Raises
+    ------
+    ConfigError
+        The rig is no simulation that can be sampled, or has no such item; or its plan cannot be unwrapped.
+    DataError
+        Nothing of the item can be measured.
+    """
+    if not isinstance(rig.simulation, Predictable):
+        raise ConfigError(f"{rig.source}: is no simulation that can predict; name a twin's rig file")
+    sampler, folder = rig.simulation.sampler(), Path(rig.source).parent
+    known = calibration or _with_uncertainty_beside(sampler.calibration, folder)
+    mesh = sampler.mesh(item)
+    seen, lit = seen_surface(mesh, known)
+    if not lit.any():
+        raise ConfigError(f"{rig.source}: no pixel sees lit surface of the item '{item}'")
+    rows, inner = sampled_rows(seen, pixels)
+    counted = np.zeros_like(seen)
+    counted[inner] = True
+    study = _Sampled(rig, plan, item, known, sampler, mesh, rows, (seen & counted, lit & counted))
+    draws = [study.measured(seed) for seed in range(DRAWS)]
+    discrepancy = Discrepancy.beside(Path(rig.source))
+    figures = _intervals([one for one, _ in draws], draws[0][1], discrepancy)
+    seconds = plan_seconds(rig, plan)
+    figures["seconds"] = FigureInterval(seconds, seconds, seconds)
+    images = len(study.patterns)
+    return Prediction(item, figures, images, int(np.count_nonzero(seen & counted)), discrepancy)
+
+
+def _with_uncertainty_beside(true: Calibration, folder: Path) -> Calibration:
+    path = folder / "calibration.yaml"
+    return replace(true, uncertainty=Calibration.load(path).uncertainty) if path.is_file() else true
+
+
+def plan_seconds(rig: Rig, plan: Plan) -> float:
+    """Compute how long the images of a plan take, by what the devices state of themselves.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open.
+    plan : Plan
+        The plan.
+
+    Returns
+    -------
+    float
+        In s.
+    """
+    camera = rig.camera.caps
+    images = sum(fringe.images for fringe in plan.fringes)
+    return images * (plan.exposure_s + camera.readout_s + camera.dark_s + plan.settle_s)
+
+
+def sampled_rows(seen: Mask, pixels: int) -> tuple[Rows, Rows]:
+    """Choose bands of rows, evenly spread over what is seen of an item.
+
+    Parameters
+    ----------
+    seen : ndarray of bool, (height, width)
+        Pixels that see the item.
+    pixels : int
+        Number of such pixels that are wanted, about.
+
+    Returns
+    -------
+    rows : Rows
+        Rows of all bands.
+    inner : Rows
+        Those of them that have all their neighbours among the rows.
+    """
+    used = np.flatnonzero(seen.any(axis=1))
+    first, end = max(0, int(used[0]) - MARGIN), min(len(seen), int(used[-1]) + 1 + MARGIN)
+    share = min(1.0, pixels / max(1, int(np.count_nonzero(seen))))
+    inside = BAND - 2 * MARGIN
+    count = max(1, round(share * (end - first) / inside))
+    if count * BAND >= end - first:
+        every = np.arange(first, end)
+        return every, every
+    starts = np.rint(np.linspace(first, end - BAND, count)).astype(np.intp)
+    band = np.arange(BAND)
+    rows, inner = (np.unique(starts[:, None] + part) for part in (band, band[MARGIN:-MARGIN]))
+    return rows, inner
+
+
+@dataclass(eq=False)
+class _Sampled:
+    """A measurement of some rows, repeated with other noise."""
+
+    rig: Rig
+    plan: Plan
+    item: str
+    calibration: Calibration
+    sampler: FrameSampler
+    mesh: trimesh.Trimesh
+    rows: Rows
+    seen: tuple[Mask, Mask]
+
+    def __post_init__(self) -> None:
+        caps = self.rig.projector.caps
+        self.patterns = tuple(make_patterns(self.plan, caps.size, caps.lattice))
+        depth = first_stated(
+            (self.plan.depth_mm, "plan: 'depth_mm'"),
+            (self.rig.file.depth_mm, f"{self.rig.source}: 'depth_mm'"),
+        )
+        self._bounds = depth_bounds(self.plan, self.calibration, depth)
+
+    def measured(self, seed: int) -> tuple[MeasuredFigures, Cloud]:
+        settings = self.rig.camera_settings(self.plan.exposure_s, self.plan.bits)
+        frames = self.sampler.frames(self.item, self.patterns, settings, self.rows, seed)
+        size, name = self.calibration.projector.size, f"the sample of the {self.item}"
+        of_rows = self._bounds_of_rows()
+        recording = Recording(frames, self.plan, size, settings.bits, name)
+        decoded = self._placed(decode(recording, bounds=of_rows))
+        decoded, cloud = points_of(decoded, self.calibration, self.plan)
+        cloud = with_uncertainty(cloud, self.calibration, coordinate_noise(decoded))
+        figures = figures_of(decoded, cloud, self.mesh, self.calibration, self.plan, self.seen, self._bounds)
+        return figures, cloud
+
+    def _bounds_of_rows(self) -> dict[Axis, PossibleCoordinates] | None:
+        if self._bounds is None:
+            return None
+        return {
+            axis: PossibleCoordinates(
+                np.ascontiguousarray(one.least[self.rows]), np.ascontiguousarray(one.most[self.rows])
+            )
+            for axis, one in self._bounds.items()
+        }
+
+    def _placed(self, decoded: Decoded) -> Decoded:
+        """Put maps of the rows where they are in the image; NaN, or 0 in flags, elsewhere."""
+        width, height = self.calibration.camera.size
+
+        def placed(values: Map | NDArray[np.uint8] | None) -> Any:
+            if values is None:
+                return None
+            empty = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+            whole = np.full((height, width), empty, values.dtype)
+            whole[self.rows] = values
+            return whole
+
+        names = ("u", "v", "modulation", "sigma", "disagreement", "uncertain_order", "sigma_phase_error")
+        return replace(
+            decoded, outside=None, removed=None, **{name: placed(getattr(decoded, name)) for name in names}
+        )
+
+
+def _intervals(
+    draws: list[MeasuredFigures], cloud: Cloud, discrepancy: Discrepancy | None
+) -> dict[str, FigureInterval]:
+    """Intervals by the scatter of the draws, the calibration, and what bench and twin differed by."""
+    known = discrepancy or Discrepancy()
+    values = {name: np.array([getattr(one, name) for one in draws]) for name in vars(draws[0])}
+    spread = {name: float(one.std(ddof=1)) for name, one in values.items()}
+    mean = {name: float(one.mean()) for name, one in values.items()}
+    form_um = 0.0 if cloud.sigma_form_mm is None else 1e3 * float(np.median(cloud.sigma_form_mm))
+
+    def scale(name: str, further: float, least_above: float = 0.0) -> FigureInterval:
+        relative = float(np.hypot(spread[name] / max(mean[name], 1e-12), further))
+        value, factor = mean[name], float(np.exp(COVERAGE * relative))
+        return FigureInterval(value, value / factor, float(np.hypot(value * factor, COVERAGE * least_above)))
+
+    noise = known.noise.sigma if known.noise else 0.0
+    distance = known.distance.sigma if known.distance else noise
+    share = known.completeness.sigma if known.completeness else 0.0
+    reach = COVERAGE * float(np.hypot(spread["completeness"], share))
+    complete = mean["completeness"]
+    risk = mean["wrong_order"]
+    return {
+        "distance_um": scale("distance_um", distance, form_um),
+        "noise_um": scale("noise_um", noise),
+        "completeness": FigureInterval(complete, max(0.0, complete - reach), min(1.0, complete + reach)),
+        # The risk falls like exp(-d²/2) in the noise: it is bounded by that of a noise that is off.
+        "wrong_order": FigureInterval(risk, *_risk_ends(risk, noise + spread["noise_um"] / mean["noise_um"])),
+    }
+
+
+def _risk_ends(risk: float, relative: float) -> tuple[float, float]:
+    """Ends of the probability of a wrong order, where the noise is off by a relative standard deviation."""
+    from scipy.special import erfc, erfcinv
+
+    distance = float(erfcinv(min(max(risk, 1e-300), 1.0)))
+    factor = float(np.exp(COVERAGE * relative))
+    return float(erfc(distance * factor)), float(erfc(distance / factor))

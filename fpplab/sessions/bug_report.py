@@ -1,0 +1,151 @@
+"""A ZIP file with what somebody else needs to see what went wrong, and a list of what is in it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from fpplab.core.errors import ConfigError, DataError, FppError
+from fpplab.core.files import open_regular, write_atomic
+from fpplab.core.host import host_facts
+from fpplab.core.session_names import (
+    CALIBRATION,
+    CHECKSUMS,
+    FORMAT,
+    FRAMES,
+    JOURNAL,
+    LOG,
+    ORIGIN,
+    PLAN,
+    RIG,
+    VERDICT,
+)
+from fpplab.sessions.inspection import session_faults
+
+SMALL = {
+    FORMAT: "version of the session's format",
+    PLAN: "plan",
+    RIG: "rig as resolved",
+    ORIGIN: "when, where and with which devices",
+    LOG: "what was done with it",
+    JOURNAL: "a line for each frame",
+    CHECKSUMS: "checksums of the small files",
+    CALIBRATION: "calibration",
+    VERDICT: "verdict and findings",
+}
+"""What is taken of a session."""
+MOST_BYTES = 64 << 20
+"""Of a file that is no session."""
+OLDEST = (1980, 1, 1, 0, 0, 0)
+
+
+@dataclass(frozen=True)
+class ReportEntry:
+    """A file in a bug report.
+
+    Attributes
+    ----------
+    name : str
+        In the ZIP file.
+    content : bytes
+        What it holds.
+    what : str
+        What it is, in words.
+    """
+
+    name: str
+    content: bytes
+    what: str
+
+    @property
+    def size(self) -> int:
+        """In bytes."""
+        return len(self.content)
+
+
+def write_bug_report(out: Path, sources: Sequence[Path], frames: bool) -> list[ReportEntry]:
+    """Write a bug report.
+
+    Parameters
+    ----------
+    out : Path
+        The ZIP file.
+    sources : sequence of Path
+        Sessions, whole or damaged, and other files.
+    frames : bool
+        Whether the frames of sessions are taken too.
+
+    Returns
+    -------
+    list of ReportEntry
+        What is in it, the list of contents first.
+
+    Raises
+    ------
+    ConfigError
+        A source does not exist.
+    DataError
+        A source cannot be read, or the disk is full.
+    """
+    entries = [_host()]
+    for number, source in enumerate(sources, 1):
+        entries += _session(source, number, frames) if source.is_dir() else [_file(source, number)]
+    listed = [_contents(entries), *entries]
+
+    def write(stream: BinaryIO) -> None:
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+            for one in listed:
+                archive.writestr(zipfile.ZipInfo(one.name, OLDEST), one.content, zipfile.ZIP_DEFLATED)
+
+    write_atomic(out, write)
+    return listed
+
+
+def _host() -> ReportEntry:
+    facts = json.dumps(host_facts(), indent=1).encode()
+    return ReportEntry("host.json", facts, "versions of fpplab and its packages, and the computer")
+
+
+def _contents(entries: Sequence[ReportEntry]) -> ReportEntry:
+    lines = [f"{one.name}  ({one.size} bytes): {one.what}" for one in entries]
+    words = "What is in this bug report of fpplab; look through it before you send it.\n\n" + "\n".join(lines)
+    return ReportEntry("contents.txt", f"{words}\n".encode(), "this list")
+
+
+def _session(path: Path, number: int, frames: bool) -> Iterator[ReportEntry]:
+    folder = f"{number}_{path.resolve().name}"
+    for name, what in SMALL.items():
+        if (path / name).is_file():
+            yield ReportEntry(f"{folder}/{name}", _read(path / name), what)
+    yield ReportEntry(f"{folder}/verified.txt", _verified(path), "what is wrong with the session's files")
+    if frames:
+        for file in sorted((path / FRAMES).glob("*.tif")):
+            yield ReportEntry(f"{folder}/{FRAMES}/{file.name}", _read(file), "a frame")
+
+
+def _verified(path: Path) -> bytes:
+    try:
+        found = [one.found for one in session_faults(path)] or ["nothing is damaged"]
+    except FppError as error:
+        found = [str(error)]
+    return ("\n".join(found) + "\n").encode()
+
+
+def _file(path: Path, number: int) -> ReportEntry:
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such file or session")
+    if path.stat().st_size > MOST_BYTES:
+        raise ConfigError(f"{path}: is larger than {MOST_BYTES >> 20} MB; shorten it, or send it by itself")
+    return ReportEntry(f"{number}_{path.name}", _read(path), "a file that was named")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with open_regular(path) as stream:
+            return stream.read()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error

@@ -1,0 +1,133 @@
+"""Versions of the format of sessions: which one a session has, and how it is brought to the present one.
+
+=====  =====================================================================================================
+1      Version 0.1.0: plan, rig, journal and frames. A session without `session.yaml` has this format.
+2      `session.yaml`; checksums of the small files, and plan and rig once more, in `files.jsonl`.
+=====  =====================================================================================================
+
+Every version is read as it is. A session that is completed, or repaired, is brought to the present one first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from fpplab.core import config
+from fpplab.core.checksums import recorded_files, write_recorded
+from fpplab.core.config import Document
+from fpplab.core.errors import DataError
+from fpplab.core.session_names import CHECKSUMS, FORMAT, PLAN, RIG
+
+PRESENT = 2
+"""The version that is written."""
+
+
+class SessionFormat(Document):
+    """The file `session.yaml`."""
+
+    format: Annotated[int, Field(ge=1)]
+    """Version of the format."""
+
+
+def session_format(path: Path) -> int:
+    """Tell in which version of the format a session is.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+
+    Returns
+    -------
+    int
+        From 1 to `PRESENT`.
+
+    Raises
+    ------
+    ConfigError
+        `session.yaml` holds something else.
+    DataError
+        It is a later one, or `session.yaml` was changed.
+    """
+    file = path / FORMAT
+    if not file.exists():
+        return 1
+    found = config.load_document(file, SessionFormat).format
+    if found > PRESENT:
+        raise DataError(
+            f"{path}: has format {found}, of a later version of fpplab; this one reads 1 to {PRESENT}, so "
+            "update fpplab"
+        )
+    return found
+
+
+def check_format(path: Path) -> None:
+    """Refuse a session of a later version, and one that lacks a file which it records.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+
+    Raises
+    ------
+    ConfigError
+        `session.yaml` holds something else.
+    DataError
+        The version is a later one, or a file is gone.
+    """
+    found = session_format(path)
+    if found > 1 and not (path / CHECKSUMS).is_file():
+        raise DataError(f"{path}: {CHECKSUMS} is gone; `fpplab session repair` tells what is lost")
+    recorded = {one.file for one in recorded_files(path)}
+    for name in (FORMAT, PLAN, RIG):
+        if name in recorded and not (path / name).exists():
+            raise DataError(f"{path}: {name} is gone; `fpplab session repair` restores it")
+
+
+def write_format(path: Path) -> None:
+    """Record in a session that it has the present format.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+
+    Raises
+    ------
+    DataError
+        The disk is full.
+    """
+    write_recorded(path / FORMAT, config.dump(SessionFormat(format=PRESENT)), keep=True)
+
+
+def upgrade_format(path: Path) -> None:
+    """Bring a session to the present format; nothing where it has it already.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session; this process alone writes into it.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `session_format`; the disk is full.
+    """
+    for step in UPGRADES[session_format(path) - 1 :]:
+        step(path)
+
+
+def _add_checksums(path: Path) -> None:
+    for name in (PLAN, RIG):
+        if (path / name).is_file():
+            write_recorded(path / name, config.read_text(path / name), keep=True)
+    write_format(path)
+
+
+UPGRADES: tuple[Callable[[Path], None], ...] = (_add_checksums,)
+"""What brings a session from each version to the next, from 1 on; `session.yaml` is written last."""

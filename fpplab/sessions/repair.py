@@ -1,0 +1,187 @@
+"""A damaged session made readable again: what is whole is kept, what is lost is named.
+
+Nothing is deleted: damaged files go to `NAME.damaged` beside the session. Plan, rig and format are restored
+from the copies in `files.jsonl`. A frame that is damaged is taken out of the journal, so that the session
+lacks it; whether it may be taken again, although the part may have moved, is for the operator to decide.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fpplab.core import config
+from fpplab.core.checksums import RecordedFile, recorded_files, write_recorded
+from fpplab.core.errors import DataError, FppError
+from fpplab.core.files import whole_lines, write_text, writing
+from fpplab.core.progress import Progress, no_progress
+from fpplab.core.session_names import CHECKSUMS, FORMAT, JOURNAL, PLAN, RIG
+from fpplab.patterns.plan import Plan
+from fpplab.sessions.folder import tidy
+from fpplab.sessions.format import upgrade_format, write_format
+from fpplab.sessions.inspection import frame_faults, session_faults
+from fpplab.sessions.journal import FrameRecord, readable_lines
+from fpplab.sessions.lock import only_writer
+from fpplab.sessions.log import begin_session_log
+from fpplab.sessions.session import Session
+
+
+@dataclass
+class RepairReport:
+    """What a repair found and did.
+
+    Attributes
+    ----------
+    kept : int
+        Frames that are whole.
+    restored : list of str
+        Files that were written anew, and from what.
+    lost : list of str
+        What is lost, in sentences.
+    aside : list of str
+        Where damaged files are now.
+    """
+
+    kept: int = 0
+    restored: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    aside: list[str] = field(default_factory=list)
+
+    @property
+    def is_unchanged(self) -> bool:
+        """Whether there was nothing to repair."""
+        return not (self.restored or self.lost or self.aside)
+
+
+def repair_session(path: Path, progress: Progress = no_progress) -> RepairReport:
+    """Make a damaged session readable again.
+
+    Parameters
+    ----------
+    path : Path
+        Of the session.
+    progress : callable
+        Told the share of frames that are read, 0 … 1.
+
+    Returns
+    -------
+    RepairReport
+        What was kept, restored and lost.
+
+    Raises
+    ------
+    ConfigError
+        It is no session.
+    DataError
+        Its plan or journal is lost, without which its frames mean nothing; the disk is full; or another
+        process writes into it.
+    """
+    with only_writer(path):
+        report = RepairReport()
+        if not session_faults(path):
+            report.kept = len(Session.open(path).records)
+            return report
+        begin_session_log(path)
+        _restore_small_files(path, report)
+        _restore_journal(path, _plan_of(path), report, progress)
+        tidy(path)
+        for fault in session_faults(path):  # what is left are results, which can be made again
+            if (path / fault.file).is_file():
+                _set_aside(path, fault.file, report)
+            report.lost.append(fault.found)
+        upgrade_format(path)
+        Session.open(path)
+    return report
+
+
+def _restore_small_files(path: Path, report: RepairReport) -> None:
+    """Restore format, plan and rig from their copies."""
+    kept = list(_readable_records(path, report))
+    newest = {one.file: one for one in kept if one.is_whole}
+    for name in (PLAN, RIG, FORMAT):
+        copy = newest.get(name)
+        if copy is None or copy.text is None or _holds(path / name, copy.text):
+            continue
+        if (path / name).exists():
+            _set_aside(path, name, report)
+        write_text(path / name, copy.text)
+        report.restored.append(f"{name}, from its copy in {CHECKSUMS}")
+
+
+def _readable_records(path: Path, report: RepairReport) -> Iterable[RecordedFile]:
+    """Lines of the record that can be read; where some cannot, it is written anew."""
+    try:
+        return recorded_files(path)
+    except DataError as error:
+        kept = [one for line in whole_lines(path / CHECKSUMS) if (one := _recorded(line))]
+        report.lost.append(f"{error}; what it proved can no longer be proved")
+        _set_aside(path, CHECKSUMS, report)
+        for one in kept:
+            if one.is_whole and one.text is not None:
+                write_recorded(path / one.file, one.text, keep=True)
+        for name in (PLAN, RIG):
+            if (path / name).is_file() and name not in {one.file for one in kept}:
+                write_recorded(path / name, config.read_text(path / name), keep=True)
+        write_format(path)
+        report.restored.append(CHECKSUMS)
+        return recorded_files(path)
+
+
+def _recorded(line: bytes) -> RecordedFile | None:
+    try:
+        entry = json.loads(line)
+        return RecordedFile(entry["file"], entry["sha256"], entry.get("text"))
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _holds(file: Path, text: str) -> bool:
+    return file.is_file() and file.read_bytes() == text.encode("utf-8")
+
+
+def _plan_of(path: Path) -> Plan:
+    try:
+        return config.load_document(path / PLAN, Plan)
+    except FppError as error:
+        raise DataError(
+            f"{path}: cannot be repaired: its plan is lost, without which frames mean nothing ({error}); put "
+            f"back {PLAN} as it was"
+        ) from error
+
+
+def _restore_journal(path: Path, plan: Plan, report: RepairReport, progress: Progress) -> None:
+    """Write the journal anew with the lines whose frames are whole, if others are not."""
+    if not (path / JOURNAL).is_file():
+        raise DataError(f"{path}: cannot be repaired: its journal is gone, and with it what its frames are")
+    lines = readable_lines(path, plan)
+    damaged = list(frame_faults(path, list(lines.records.values()), progress))
+    bad = {one.file for one in damaged}
+    whole = [record for record in lines.records.values() if record.file not in bad]
+    report.kept = len(whole)
+    report.lost += [*lines.faults, *(one.found for one in damaged)]
+    if lines.faults or bad:
+        _set_aside(path, JOURNAL, report)
+        write_text(path / JOURNAL, "".join(_line(record) for record in whole))
+        report.restored.append(f"{JOURNAL}, with the {len(whole)} frames that are whole")
+    for name in sorted(bad):
+        if (path / name).exists():
+            _set_aside(path, name, report)
+
+
+def _line(record: FrameRecord) -> str:
+    return json.dumps(record.model_dump()) + "\n"
+
+
+def _set_aside(path: Path, name: str, report: RepairReport) -> None:
+    """Move a damaged file out of the session, to a name that nothing has there."""
+    place = path.with_name(f"{path.name}.damaged") / name
+    number = 1
+    while place.exists():
+        place = place.with_name(f"{Path(name).name}.{number}")
+        number += 1
+    with writing(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        (path / name).rename(place)
+    report.aside.append(str(place))

@@ -1,0 +1,96 @@
+"""The Protocol by which predictions reach a simulation: frames of some rows of the camera's image alone.
+
+A rig's simulation that can be sampled is `Predictable`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from fpplab.calibration.model import Calibration
+from fpplab.core.conventions import Image
+from fpplab.devices import CameraSettings
+from fpplab.patterns.fringes import Pattern
+
+Rows = NDArray[np.intp]
+"""Rows of the camera's image, (R,), in rising order."""
+
+
+class FrameSampler(Protocol):
+    """Simulates some rows of an item's frames, with everything that whole frames have."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """The true calibration of the simulation."""
+
+    def mesh(self, item: str) -> trimesh.Trimesh:
+        """Give the true shape of an item in the camera's frame.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            In mm, where the item stands.
+
+        Raises
+        ------
+        ConfigError
+            There is no such item, or it is flat.
+        """
+
+    def frames(
+        self, item: str, patterns: Sequence[Pattern], settings: CameraSettings, rows: Rows, seed: int
+    ) -> list[Image]:
+        """Take frames of some rows, with noise and vibration.
+
+        Light is computed once for the same item, patterns and rows; another seed draws other noise.
+
+        Parameters
+        ----------
+        item : str
+            Name of the item.
+        patterns : sequence of Pattern
+            That the projector shows.
+        settings : CameraSettings
+            Of the camera.
+        rows : Rows
+            Rows of the image.
+        seed : int
+            Of noise and vibration, not negative.
+
+        Returns
+        -------
+        list of Image
+            One for each pattern, (R, width).
+
+        Raises
+        ------
+        ConfigError
+            There is no such item.
+        """
+
+
+@runtime_checkable
+class Predictable(Protocol):
+    """A simulation that can be sampled: what `fpplab predict` needs of a rig."""
+
+    def sampler(self) -> FrameSampler:
+        """Give a sampler of the simulation as it stands.
+
+        Called on the open rig.
+
+        Returns
+        -------
+        FrameSampler
+            Lives as long as the rig is open.
+        """
+        ...

@@ -1,0 +1,67 @@
+"""Soft limits of the rig file: moves beyond them need consent, and the travel holds in any case."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+from fpplab.core import acts
+from fpplab.core.acts import DangerousAct, allow_acts
+from fpplab.core.errors import ConfigError, LimitError
+from fpplab.devices.rig import Rig
+
+RIG = """name: twin
+bench: {backend: "sim.devices:VirtualBench", world: world_demo.yaml, binning: 8, analytic: true}
+camera: {backend: "sim.devices:SimCamera"}
+projector: {backend: "sim.devices:SimProjector"}
+stage: {backend: "sim.devices:SimStage", soft_limits_mm: [-10, 20]}
+"""
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG, encoding="utf-8")
+    return path
+
+
+def test_beyond_the_soft_limits_nothing_moves_without_consent(
+    rig_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Rig.load(rig_file) as rig:
+        stage = rig.stage
+        assert stage is not None
+        rig.place_stage(20.0)
+        for refused in (lambda: rig.need_stage(20.1), lambda: stage.move_to(20.1)):
+            with pytest.raises(
+                LimitError, match=r"20.1 mm lies beyond the soft limits of the rig file, -10 to"
+            ):
+                refused()
+        assert stage.position_mm == 20.0
+        monkeypatch.setattr(acts, "_has_terminal", lambda: True)
+        monkeypatch.setattr(sys, "stdin", io.StringIO("n\ny\n"))
+        with pytest.raises(LimitError, match="--allow beyond-soft-limits"):
+            stage.move_to(30.0)
+        assert stage.position_mm == 20.0
+        rig.place_stage(30.0)  # asked once for the look ahead and the move together
+        assert stage.position_mm == 30.0
+
+
+def test_the_flag_allows_them_but_never_the_end_of_the_travel(rig_file: Path) -> None:
+    allow_acts([DangerousAct.BEYOND_SOFT_LIMITS])
+    try:
+        with Rig.load(rig_file) as rig:
+            rig.place_stage(-30.0)
+            with pytest.raises(LimitError, match="the travel is -60 to 60 mm"):
+                rig.need_stage(61.0)
+    finally:
+        allow_acts([])
+
+
+def test_limits_that_do_not_rise_are_refused(rig_file: Path) -> None:
+    rig_file.write_text(RIG.replace("[-10, 20]", "[20, -10]"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="'soft_limits_mm' must be two rising positions"):
+        Rig.load(rig_file)

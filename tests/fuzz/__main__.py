@@ -1,0 +1,119 @@
+"""Fuzz what reads files and bytes of others.
+
+    python -m tests.fuzz [TARGET …] [--seconds N] [--jobs N]
+
+Each target is run by atheris, guided by the branches of what reads, for 30 minutes or so many seconds.
+An exception that is not typed, 5 s without an answer or 2 GB of memory end it, and what did it is left in
+build/fuzz; so does a target that ran nothing. An input that is only slow is tried again by itself first, for
+other programs may have been at work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.fuzz import seeds
+from tests.fuzz.child import EXECUTIONS
+from tests.fuzz.targets import TARGETS
+
+ROOT = Path(__file__).parents[2]
+FOUND = ROOT / "build" / "fuzz"
+LONGEST_S, MOST_MB = 5, 2048
+LIMITS = (f"-timeout={LONGEST_S}", f"-rss_limit_mb={MOST_MB}", "-close_fd_mask=1")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How often a target ran, the greatest memory in MB, and what is wrong: empty if nothing."""
+
+    name: str
+    executions: int
+    memory_mb: int
+    branches: int
+    wrong: str
+
+    def __str__(self) -> str:
+        figures = f"{self.executions:9} executions, {self.branches:5} branches, {self.memory_mb:5} MB"
+        return f"{self.name:12} {figures}  {self.wrong or 'nothing found'}"
+
+
+def fuzz(name: str, seconds: int) -> Outcome:
+    """Run one target for so many seconds."""
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as place:
+        corpus, artefacts, count = (Path(place) / part for part in ("corpus", "artefacts", "count"))
+        corpus.mkdir()
+        artefacts.mkdir()
+        for k, data in enumerate([*TARGETS[name].seeds(), *seeds.kept(name)]):
+            (corpus / str(k)).write_bytes(data)
+        options = [*LIMITS, f"-max_total_time={seconds}", "-max_len=20000", f"-artifact_prefix={artefacts}/"]
+        code, said = _run(name, [*options, str(corpus)], count, Path(place), seconds + 600)
+        wrong = ""
+        for found in sorted(artefacts.iterdir()):
+            again = found.name.startswith("timeout-")
+            if not again or _run(name, [*LIMITS, str(found)], count, Path(place), 60)[0]:
+                kept = FOUND / name / found.name
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(found, kept)
+                wrong = f"{_reason(said)}; see {kept.relative_to(ROOT)}"
+        executions = int(count.read_text() or 0) if count.exists() else 0
+    if code and not wrong and "timeout" not in said:
+        wrong = f"ended with {code}: {said.strip()[-300:]}"
+    if executions < 2:
+        wrong = wrong or f"ran {executions} times: {said.strip()[-300:]}"
+    return Outcome(name, executions, _last(r"rss: (\d+)Mb", said), _last(r"cov: (\d+)", said), wrong)
+
+
+def _run(name: str, options: list[str], count: Path, place: Path, limit: float) -> tuple[int, str]:
+    command = [sys.executable, "-m", "tests.fuzz.child", name, *options]
+    environment = {**os.environ, EXECUTIONS: str(count), "TMPDIR": str(place), "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, timeout=limit, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return 1, "did not come to an end"
+    return done.returncode, done.stderr.decode("utf-8", "replace")
+
+
+def _reason(said: str) -> str:
+    """The exception, or libFuzzer's own word."""
+    raised = re.findall(r"^(?:\w+\.)*\w+(?:Error|Exception|Warning)\b.*", said, re.MULTILINE)
+    ended = re.findall(r"ERROR: libFuzzer: .*", said)
+    return (raised or ended or ["failed"])[0][:200]
+
+
+def _last(pattern: str, said: str) -> int:
+    return max(map(int, re.findall(pattern, said)), default=0)
+
+
+def main(words: list[str]) -> int:
+    """Fuzz targets, and print what came of each."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
+    parser.add_argument(
+        "targets", nargs="*", metavar="TARGET", help=f"of {', '.join(TARGETS)}; by default all"
+    )
+    parser.add_argument("--seconds", type=int, default=1800, help="for each target")
+    parser.add_argument("--jobs", type=int, default=2, help="targets at a time")
+    asked = parser.parse_args(words)
+    names = asked.targets or list(TARGETS)
+    if unknown := set(names) - set(TARGETS):
+        parser.error(f"there is no target {', '.join(sorted(unknown))}")
+    wrong = 0
+    with ThreadPoolExecutor(asked.jobs) as pool:
+        for outcome in pool.map(lambda name: fuzz(name, asked.seconds), names):
+            print(outcome, flush=True)
+            wrong += bool(outcome.wrong)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

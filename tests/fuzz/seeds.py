@@ -1,0 +1,176 @@
+"""What the fuzzer begins with: files as fpplab and others write them, and what has failed before."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+from PIL import Image as Pillow
+
+ROOT = Path(__file__).parents[2]
+CONFIGS = ROOT / "configs"
+KINDS = ("calibration", "dataset", "plan", "rig", "standard", "study", "target", "world")
+KEPT = Path(__file__).with_name("corpus")
+"""By target, inputs that once failed or that reach code which others do not."""
+
+
+def kept(target: str) -> list[bytes]:
+    """Inputs that are kept with the sources."""
+    return [path.read_bytes() for path in sorted((KEPT / target).glob("*"))]
+
+
+def yaml() -> list[bytes]:
+    files = [(k, path) for k, kind in enumerate(KINDS) for path in sorted(CONFIGS.glob(f"{kind}_*.yaml"))]
+    odd = (
+        b"a: &a [1, 1]\nb: *a\n",
+        b"? [a]\n: 1\n",
+        b"a: !!bool maybe\n",
+        b"a: 0x1F\nb: 1_000\nc: 2001-01-01\n",
+    )
+    return [bytes([k]) + path.read_bytes() for k, path in files] + [bytes([3]) + text for text in odd]
+
+
+def calibration() -> list[bytes]:
+    return [path.read_bytes() for path in sorted(CONFIGS.glob("calibration_*.yaml"))]
+
+
+@cache
+def session_files() -> dict[str, bytes]:
+    """The files of a small session by their place in it."""
+    from fpplab.core.checksums import write_recorded
+    from tests.support.recorded import record
+
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "session"
+        record(place)
+        write_recorded(
+            place / "rig.yaml", "name: bench\nresolved: {projector: {size: [64, 48], lattice: square}}\n"
+        )
+        return {p.relative_to(place).as_posix(): p.read_bytes() for p in place.rglob("*") if p.is_file()}
+
+
+def session() -> list[bytes]:
+    return [bytes([k]) + content for k, (_, content) in enumerate(sorted(session_files().items()))]
+
+
+@cache
+def cloud() -> list[bytes]:
+    from fpplab.clouds import CLOUD_SUFFIXES, Cloud, save_cloud
+
+    points = np.arange(12, dtype=np.float32).reshape(4, 3)
+    pixels = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.int32)
+    whole = Cloud(points, pixels, (2, 2), sigma_noise_mm=np.full(4, 0.1, np.float32))
+    text = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {c}\n" for c in "xyz")
+    found = [b"\0" + text.encode() + b"end_header\n1 2 3\n"]
+    with tempfile.TemporaryDirectory() as folder:
+        for k, suffix in enumerate(CLOUD_SUFFIXES):
+            save_cloud(whole, Path(folder) / f"cloud{suffix}")
+            found.append(bytes([k]) + (Path(folder) / f"cloud{suffix}").read_bytes())
+    return found
+
+
+def decoded() -> list[bytes]:
+    out = io.BytesIO()
+    maps = dict.fromkeys(("u", "v", "modulation", "sigma"), np.ones((2, 3), np.float32))
+    np.savez(out, v_per_u=np.asarray(1.0), **maps)
+    return [out.getvalue()]
+
+
+def mesh() -> list[bytes]:
+    box = trimesh.creation.box((1, 2, 3))
+    kinds = ("stl", "ply", "obj")
+    found = [bytes([k]) + _bytes(box.export(file_type=kind)) for k, kind in enumerate(kinds)]
+    return found + [
+        b"\0" + _bytes(box.export(file_type="stl_ascii")),
+        b"\1" + _bytes(box.export(file_type="ply", encoding="ascii")),
+    ]
+
+
+def _bytes(content: str | bytes) -> bytes:
+    return content.encode() if isinstance(content, str) else content
+
+
+def opencv() -> list[bytes]:
+    found = []
+    for kind in (cv2.FILE_STORAGE_FORMAT_YAML, cv2.FILE_STORAGE_FORMAT_XML):
+        storage = cv2.FileStorage("", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind)
+        for name in ("M1", "M2"):
+            storage.write(name, np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]))
+        for name in ("D1", "D2"):
+            storage.write(name, np.zeros((1, 5)))
+        storage.write("R", np.eye(3))
+        storage.write("T", np.array([[100.0], [0], [0]]))
+        storage.write("lattice2", "diamond")
+        found.append(storage.releaseAndGetString().encode())
+    return found
+
+
+def image() -> list[bytes]:
+    levels = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    found = []
+    for picture in (levels, levels.astype(np.uint16) * 1000):
+        for kind in ("PNG", "TIFF", *(("JPEG", "BMP", "PPM") if picture.dtype == np.uint8 else ())):
+            out = io.BytesIO()
+            Pillow.fromarray(picture).save(out, kind)
+            found.append(out.getvalue())
+        out = io.BytesIO()
+        np.save(out, np.stack([picture, picture + 1]))
+        found.append(out.getvalue())
+    out = io.BytesIO()
+    np.savez_compressed(out, levels)
+    return [*found, out.getvalue()]
+
+
+def records() -> list[bytes]:
+    files = session_files()
+    card = {
+        "format": "fpplab dataset 1",
+        "fields": [{"name": "frames"}],
+        "shard_size": 2,
+        "shards": 1,
+        "samples": 2,
+    }
+    texts = (
+        files["journal.jsonl"],
+        files["files.jsonl"],
+        json.dumps(card).encode(),
+        b'{"frames.npy": "00"}',
+        b'{"epoch": 1}\n',
+    )
+    return [bytes([k]) + text for k, text in enumerate(texts)]
+
+
+def hid() -> list[bytes]:
+    from drivers.dlp4500.protocol import COMMANDS
+
+    found = []
+    for command in COMMANDS.values():
+        for flags in (0xC0, 0x40):
+            payload = command.number.to_bytes(2, "little")
+            found.append((bytes([flags, 1]) + len(payload).to_bytes(2, "little") + payload).ljust(64, b"\0"))
+    return found
+
+
+def grbl() -> list[bytes]:
+    from tests.drivers.test_stage_lines import LINES
+
+    asked = (b"$H\nG90 G0 X-5\n?", b"$$\n$#\n", b"\x18$X\nG1 F100 Y-2\n!~", b"$100=250\n")
+    return [*asked, *(line.encode() + b"\n" for line in LINES)]
+
+
+@cache
+def firmware() -> bytes:
+    """A flash file without patterns."""
+    from tests.drivers.flash_files import maker_firmware
+
+    return maker_firmware()
+
+
+def firmware_changes() -> list[bytes]:
+    return [b"", b"\x00" * 5, b"\xff\xff\xff\xff\x80", *(bytes([k, 0, 2, 0, 255]) for k in range(0, 250, 50))]

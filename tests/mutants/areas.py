@@ -1,0 +1,50 @@
+"""What the mutation test covers, and the faults it draws."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.mutants.seeding import Mutant, mutants
+
+AREAS = {
+    "core": ("fpplab/core/*.py",),
+    "sessions": ("fpplab/sessions/*.py",),
+    "acquisition": ("fpplab/acquisition/*.py",),
+    "phase": ("fpplab/phase/*.py",),
+    "characterisation": ("fpplab/characterisation/*.py",),
+    "uncertainty": (
+        "fpplab/reconstruction/uncertainty.py",
+        *(f"fpplab/phase/{name}.py" for name in ("bounds", "common_errors", "error_model", "noise")),
+        "fpplab/phase/precision.py",
+    ),
+    "reconstruction": ("fpplab/reconstruction/*.py", "fpplab/clouds/*.py"),
+    "comparison": ("fpplab/comparison/*.py",),
+    "drivers": ("drivers/**/*.py",),
+    "sim": ("sim/*.py", "sim/light/*.py", "sim/world/*.py"),
+}
+"""Files by area. Of the twin, the code inside Blender's own process is left to the tests that render."""
+
+
+def files_of(root: Path, area: str) -> list[str]:
+    """Paths of an area's files, relative to the root."""
+    found = {path.relative_to(root).as_posix() for glob in AREAS[area] for path in root.glob(glob)}
+    if area != "uncertainty":
+        found -= set(AREAS["uncertainty"])
+    return sorted(found)
+
+
+def draw(root: Path, each: int, seed: int, areas: Sequence[str]) -> list[Mutant]:
+    """Draw faults at random: so many of every area, taking turns between them, each of a line of its own.
+
+    A fault of an area may stand in any of its files, each place with the same chance.
+    """
+    drawn: list[list[Mutant]] = []
+    for area in areas:
+        chance = random.Random(f"{seed} {area}")
+        every = [mutant for file in files_of(root, area) for mutant in mutants(root, file)]
+        chance.shuffle(every)
+        lines = {(mutant.file, mutant.line): mutant for mutant in reversed(every)}
+        drawn.append([mutant for mutant in every if lines[mutant.file, mutant.line] is mutant][:each])
+    return [mutant for turn in zip(*drawn, strict=True) for mutant in turn]

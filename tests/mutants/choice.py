@@ -1,0 +1,85 @@
+"""Which tests judge a fault: those that execute its line, the nearest and quickest first."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.seeding import Mutant
+
+SECONDS = 30.0
+"""Tests are added as long as they take no longer than this together."""
+DEEPEST = 3
+"""Machine code is called by machine code of other modules, so many times over."""
+
+
+class Chooser:
+    """Chooses tests by what they execute."""
+
+    def __init__(self, root: Path, known: CoverageMap, seconds: float = SECONDS) -> None:
+        self._root, self._known, self._seconds = root, known, seconds
+
+    def tests_for(self, mutant: Mutant) -> list[str]:
+        """Tests in the order in which they are to run; empty where none executes the fault."""
+        direct = self._known.tests_of(mutant.file, [mutant.line]) or self._indirect(mutant)
+        files = {test.partition("::")[0] for test in direct}
+        # What a fixture of a module executes is recorded for the first test that asks for it alone.
+        beside = {t for t in self._known.seconds if t.partition("::")[0] in files} - direct
+        chosen: list[str] = []
+        left = self._seconds
+        for tests in (direct, beside):
+            for test in sorted(tests, key=lambda test: (not self._is_near(test, mutant), self._time(test))):
+                if not chosen or self._time(test) <= left:
+                    chosen.append(test)
+                    left -= self._time(test)
+        return chosen
+
+    def seconds_of(self, tests: list[str]) -> float:
+        """How long tests took when the map was made."""
+        return sum(map(self._time, tests))
+
+    def _time(self, test: str) -> float:
+        return self._known.seconds[test]
+
+    def _is_near(self, test: str, mutant: Mutant) -> bool:
+        """Whether a test is one of the fault's own package."""
+        package = next(part for part in Path(mutant.file).parts if part != "fpplab")
+        return test.startswith(f"tests/{package}/")
+
+    def _indirect(self, mutant: Mutant) -> set[str]:
+        """Tests of machine code, whose lines are not recorded: those that execute what calls it."""
+        if "import njit" not in (self._root / mutant.file).read_text(encoding="utf-8"):
+            return set()
+        files = {mutant.file}
+        for _ in range(DEEPEST):
+            files |= {importer for file in files for importer in importers(self._root, file)}
+            if found := {test for file in files for test in self._callers(file)}:
+                return found
+        return set()
+
+    def _callers(self, file: str) -> set[str]:
+        """Tests that execute functions of a file, not only import it."""
+        tree = ast.parse((self._root / file).read_text(encoding="utf-8"))
+        lines = {
+            line
+            for node in ast.walk(tree)
+            if isinstance(node, ast.FunctionDef) and node.body
+            for line in range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+        }
+        return self._known.tests_of(file, lines)
+
+
+def importers(root: Path, file: str) -> list[str]:
+    """Files of the packages that import a module."""
+    package, _, module = Path(file).with_suffix("").as_posix().replace("/", ".").rpartition(".")
+    whole = re.escape(f"{package}.{module}")
+    pattern = re.compile(
+        rf"^\s*(?:(?:from|import) {whole}\b|from {re.escape(package)} import .*\b{module}\b)", re.MULTILINE
+    )
+    return [
+        path.relative_to(root).as_posix()
+        for path in sorted((root / file.partition("/")[0]).rglob("*.py"))
+        if pattern.search(path.read_text(encoding="utf-8"))
+    ]

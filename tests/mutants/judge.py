@@ -1,0 +1,111 @@
+"""Runs tests against a fault that is seeded into a copy of the sources."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from tests.mutants.choice import Chooser, importers
+from tests.mutants.seeding import Mutant
+from tests.mutants.tree import ROOT
+
+STARTING_S, TIMES_SLOWER = 120.0, 5.0
+"""A run of tests is given so long to start, and so many times the time that the map knows."""
+
+
+class Verdict(StrEnum):
+    """What became of a fault."""
+
+    KILLED = "killed"
+    HUNG = "hung"
+    """Killed: tests that end on the unharmed sources do not end."""
+    SURVIVED = "SURVIVED"
+    UNTESTED = "UNTESTED"
+    """No test executes it: it survives."""
+    UNDECIDED = "UNDECIDED"
+    """The tests fail, or do not end, on the unharmed sources too."""
+
+
+KILLED = (Verdict.KILLED, Verdict.HUNG)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A verdict, and the test that reached it or how many there were."""
+
+    name: str
+    verdict: Verdict
+    evidence: str
+
+
+class Bench:
+    """A copy of the sources in which one fault after the other is tried."""
+
+    def __init__(self, tree: Path, chooser: Chooser) -> None:
+        self._tree, self._chooser = tree, chooser
+
+    def try_fault(self, mutant: Mutant) -> Trial:
+        """Seed a fault, run its tests up to the first failure, and mend it again."""
+        tests = self._chooser.tests_for(mutant)
+        if not tests:
+            return Trial(mutant.name, Verdict.UNTESTED, f"no test executes line {mutant.line}")
+        limit = STARTING_S + TIMES_SLOWER * self._chooser.seconds_of(tests)
+        path = self._tree / mutant.file
+        path.write_bytes(mutant.seeded((ROOT / mutant.file).read_bytes()))
+        self._forget_machine_code(mutant)
+        try:
+            ended = self.run(tests, limit)
+        finally:
+            shutil.copy2(ROOT / mutant.file, path)
+            self._forget_machine_code(mutant)
+        if ended is None:
+            ends = self.run(tests, limit) == ""
+            return Trial(mutant.name, Verdict.HUNG if ends else Verdict.UNDECIDED, f"after {limit:.0f} s")
+        if not ended:
+            return Trial(mutant.name, Verdict.SURVIVED, f"{len(tests)} tests")
+        return Trial(mutant.name, Verdict.KILLED, ended)
+
+    def run(self, tests: list[str], limit: float) -> str | None:
+        """Run tests up to the first failure: its name, or what else ended them; empty if all pass.
+
+        None where they have not come to an end in so many seconds.
+        """
+        command = [sys.executable, "-m", "pytest", *tests, "-x", "-q", "--no-header", "--tb=no"]
+        command += ["-p", "no:cacheprovider"]
+        environment = {**os.environ, "PYTHONPATH": str(self._tree), "PYTHONDONTWRITEBYTECODE": "1"}
+        process = subprocess.Popen(
+            command,
+            cwd=self._tree,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        try:
+            output, _ = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        if process.returncode == 0:
+            return ""
+        failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
+        return failed[0].split(" - ")[0] if failed else output.strip().splitlines()[-1]
+
+    def _forget_machine_code(self, mutant: Mutant) -> None:
+        """Delete what numba compiled of code that calls the fault's: it looks at its own file alone."""
+        for file in (mutant.file, *importers(self._tree, mutant.file)):
+            cached = self._tree / Path(file).parent / "__pycache__"
+            for compiled in cached.glob(f"{Path(file).stem}.*.nb?"):
+                compiled.unlink()
