@@ -49,14 +49,15 @@ Picture = np.ndarray[Any, Any]
 @pytest.fixture(scope="module")
 def python_path(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Where child processes find this checkout, and its commands if it was installed before it had them."""
+    known = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     if "twin" in plugin_names(COMMANDS):
-        return str(ROOT)
+        return known
     folder = tmp_path_factory.mktemp("metadata")
     metadata = folder / "fpplab_twin-0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: fpplab-twin\nVersion: 0\n")
     (metadata / "entry_points.txt").write_text(ENTRY_POINT)
-    return f"{ROOT}{os.pathsep}{folder}"
+    return f"{known}{os.pathsep}{folder}"
 
 
 @pytest.fixture(scope="module")
