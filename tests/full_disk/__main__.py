@@ -1,4 +1,4 @@
-"""Every writing command of `commands.py` on disks that are full at every page: `python -m tests.full_disk [NAME …]`."""
+"""Writing commands on disks that are full at every page: `python -m tests.full_disk [NAME …]`."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from fpplab.core import config
 from fpplab.patterns.fringe_sets import Sinusoid
 from fpplab.patterns.plan import Plan
 from tests.full_disk.trial import Writing
-from tests.support.recorded import record
 
 WIDTH, HEIGHT = 64, 48
 PLAN = Plan(
